@@ -1,0 +1,52 @@
+"""casacal: calibrate a robot arm with a dial indicator and a flat face.
+
+Public names are imported when first used, so that `casacal --help` does not wait for CasADi.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from casacal.bound_problem import BoundProblem, bind
+    from casacal.cells import Cell, Face, corner, plate
+    from casacal.errors import CasacalError
+    from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+    from casacal.instruments import DialOnPlane, Instrument, TrackedPoint, tool_point
+    from casacal.kinematics import chain, deg, dh, modified_dh
+    from casacal.problem import Problem
+    from casacal.result import Result, Status
+    from casacal.robot import Joint, Robot
+    from casacal.samples import Samples
+    from casacal.simulation import Simulation, simulate
+    from casacal.unknowns import Direction, Frame, Parameter, Plane
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "casacal.bound_problem": ("BoundProblem", "bind"),
+    "casacal.cells": ("Cell", "Face", "corner", "plate"),
+    "casacal.errors": ("CasacalError",),
+    "casacal.estimators": ("ekf", "ipopt", "lm", "plane_only", "sckf", "sckf_lm"),
+    "casacal.instruments": ("DialOnPlane", "Instrument", "TrackedPoint", "tool_point"),
+    "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
+    "casacal.problem": ("Problem",),
+    "casacal.result": ("Result", "Status"),
+    "casacal.robot": ("Joint", "Robot"),
+    "casacal.samples": ("Samples",),
+    "casacal.simulation": ("Simulation", "simulate"),
+    "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'casacal' has no attribute '{name}'")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,170 @@
+"""A problem bound to samples: the least-squares problem that estimators see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.binding import Block, Slot, make_block, make_slots
+from casacal.least_squares import LeastSquares, Normal
+from casacal.problem import Problem
+from casacal.raw_graph import RawBlock, RawGraph
+from casacal.samples import Samples
+from casacal.unknowns import Parameter
+
+Array: TypeAlias = NDArray[np.float64]
+
+CHUNK = 4096
+"""Rows of the Jacobian held at once while normal equations are accumulated."""
+
+
+def bind(problem: Problem, *samples: Samples) -> BoundProblem:
+    """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
+
+    Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
+    noise of each row is evaluated there and held.
+
+    Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
+    """
+    return BoundProblem(problem, make_slots(problem, samples), samples)
+
+
+class BoundProblem(LeastSquares):
+    """A `Problem` with its samples; see `bind`."""
+
+    def __init__(self, problem: Problem, slots: Sequence[Slot], samples: Sequence[Samples]) -> None:
+        self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
+        pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
+        self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
+        self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
+        self.x0 = np.zeros(len(pairs))
+        self.prior_std = np.array([slot.unknown.prior_stds[j] for slot, j in pairs])
+        self.start_std = np.array([slot.unknown.start_stds[j] for slot, j in pairs])
+        self.datum = np.array([slot.datum for slot, _ in pairs], dtype=bool)
+        self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
+        self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
+
+    @property
+    def rows(self) -> int:
+        """Scalar residuals of all instruments."""
+        return int(self._starts[-1])
+
+    def on(self, *samples: Samples) -> BoundProblem:
+        """Bind the same unknowns, about the same nominal values, to other rows, such as those held out.
+
+        Raises ProblemError when a row carries a label that these unknowns do not have.
+        """
+        return BoundProblem(self.problem, self.slots, samples)
+
+    def plain_residual(self, x: Array) -> Array:
+        """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
+        return np.concatenate([self._residual(block, x).ravel() for block in self.blocks])
+
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,) at x (n,)."""
+        return np.concatenate([(self._residual(block, x) / block.noise).ravel() for block in self.blocks])
+
+    def jacobian(self, x: Array) -> Array:
+        """Whitened Jacobian (rows, n) at x (n,)."""
+        return np.vstack([jacobian for _, jacobian in self._linearised(x, chunk=max(self.rows, 1))])
+
+    def normal(self, x: Array) -> Normal:
+        """Cost, gradient and information of the data, accumulated without holding the whole Jacobian."""
+        cost, gradient, information = 0.0, np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        for r, jacobian in self._linearised(x, chunk=CHUNK):
+            cost += float(r @ r) / 2
+            gradient += jacobian.T @ r
+            information += jacobian.T @ jacobian
+        return Normal(cost, gradient, information)
+
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states (m, n): (m,)."""
+        block, sample, component = self._locate(k)
+        z = states[:, block.columns[sample]]
+        (e,) = block.model.batch.residual(z, block.constants[sample], block.data[sample])
+        return np.asarray(e[:, component] / block.noise[sample, component])
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient (n,) at x (n,)."""
+        block, sample, component = self._locate(k)
+        columns, noise = block.columns[sample], block.noise[sample, component]
+        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[sample], block.data[sample])
+        gradient = np.zeros(self.unknowns)
+        gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
+        return float(e[0, component] / noise), gradient
+
+    def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
+        return np.asarray(self._tip_inputs(self.blocks[instrument], x, joints, "tip")[0])
+
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Derivative (3 N, n) of those tips by x, in units of mm per unit of x."""
+        block = self.blocks[instrument]
+        _, slopes = self._tip_inputs(block, x, joints, "tip_jacobian")
+        columns = block.columns[0]
+        jacobian = np.zeros((3 * len(joints), self.unknowns))
+        jacobian[:, columns] = slopes.reshape(3 * len(joints), columns.size)
+        return jacobian
+
+    def poses(self, x: Array, joints: Array) -> Array:
+        """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
+        (flat,) = self._tip_inputs(self.blocks[0], x, joints, "pose")
+        return np.asarray(flat.reshape(-1, 4, 4).transpose(0, 2, 1))
+
+    def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
+        """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
+        for slot in self.slots:
+            if isinstance(slot.unknown, Parameter):
+                free = dict(zip(slot.unknown.names(slot.name), slot.columns, strict=True))
+                names = slot.unknown.component_names(slot.name)
+                for name, nominal in zip(names, slot.nominal, strict=True):
+                    yield name, slot.unknown.unit, float(nominal), free.get(name)
+
+    @cached_property
+    def graph(self) -> RawGraph:
+        """The symbolic form in raw coordinates, for the IPOPT reference."""
+        starts = np.cumsum([0] + [slot.unknown.raw_size for slot in self.slots])
+        first = {slot.name: int(start) for slot, start in zip(self.slots, starts, strict=False)}
+        blocks = []
+        for block in self.blocks:
+            for i, slots in enumerate(block.slots):
+                rows = np.flatnonzero(block.pattern == i)
+                columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
+                blocks.append(
+                    RawBlock(block.model.raw_residual, np.array(columns, dtype=np.intp), block.constants[rows],
+                             block.data[rows], block.noise[rows])
+                )
+        return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
+
+    def _residual(self, block: Block, x: Array) -> Array:
+        (e,) = block.model.batch.residual(x[block.columns], block.constants, block.data)
+        return np.asarray(e)
+
+    def _linearised(self, x: Array, *, chunk: int) -> Iterator[tuple[Array, Array]]:
+        """Whitened residuals and Jacobians of some rows after another."""
+        for block in self.blocks:
+            for first in range(0, len(block.data), chunk):
+                part = slice(first, first + chunk)
+                columns, noise = block.columns[part], block.noise[part]
+                e, slopes = block.model.batch.jacobian(x[columns], block.constants[part], block.data[part])
+                count, components = noise.shape
+                jacobian = np.zeros((count, components, self.unknowns))
+                np.put_along_axis(
+                    jacobian, columns[:, None, :], slopes.reshape(count, components, -1) / noise[..., None], axis=2
+                )
+                yield (e / noise).ravel(), jacobian.reshape(count * components, self.unknowns)
+
+    def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
+        data = np.zeros((len(joints), block.data.shape[1]))
+        data[:, : joints.shape[1]] = joints
+        outputs: list[Array] = getattr(block.model.batch, name)(x[block.columns[0]], block.constants[0], data)
+        return outputs
+
+    def _locate(self, k: int) -> tuple[Block, int, int]:
+        i = int(np.searchsorted(self._starts, k, side="right")) - 1
+        sample, component = divmod(k - int(self._starts[i]), self.blocks[i].noise.shape[1])
+        return self.blocks[i], sample, component

@@ -1,0 +1,49 @@
+"""What casacal says when it refuses: what came, what exists, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class CasacalError(Exception):
+    """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
+
+    def __init__(self, what: str, fix: str) -> None:
+        self.what = what
+        self.fix = fix
+        super().__init__(f"{what}. {fix}.")
+
+
+class SamplesError(CasacalError):
+    """A samples file that cannot be read as declared: names the file and, where known, line and column."""
+
+    def __init__(
+        self, file: str, what: str, fix: str, *, line: int | None = None, column: str | None = None
+    ) -> None:
+        self.file, self.line, self.column = file, line, column
+        place = file
+        if line is not None:
+            place += f", line {line}"
+        if column is not None:
+            place += f", column '{column}'"
+        super().__init__(f"{place}: {what}", fix)
+
+
+class ProblemError(CasacalError):
+    """A robot, instrument or problem that is not well formed, or a problem file that cannot be loaded."""
+
+
+class SimulationError(CasacalError):
+    """A cell in which the robot cannot touch the faces as asked."""
+
+
+class UnknownNameError(CasacalError):
+    """A name that does not exist, with the names that do."""
+
+    def __init__(self, kind: str, name: str, existing: Iterable[str]) -> None:
+        known = list(existing)
+        close = get_close_matches(name, known, n=1)
+        hint = f"Did you mean '{close[0]}'? " if close else ""
+        shown = ", ".join(known[:40]) + (", ..." if len(known) > 40 else "")
+        super().__init__(f"There is no {kind} named '{name}'", f"{hint}Known: {shown or 'none'}")

@@ -1,0 +1,26 @@
+"""The control M0: only the planes are fitted, robot and tool stay nominal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from casacal.estimators.lm import lm
+from casacal.least_squares import LeastSquares, Restricted
+from casacal.linalg import posterior_covariance
+from casacal.result import Result
+
+
+def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float = 1e-9) -> Result:
+    """Minimise f in the unknowns that `problem.datum` marks, the others held at the prior's mean.
+
+    What a calibration must beat: it shows how much of a residual a better plane alone removes. The covariance of
+    the held unknowns is their prior's. Arguments as for `lm`.
+    """
+    part = Restricted(problem, problem.datum, problem.x0)
+    fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
+    covariance = np.diag(problem.prior_std**2)
+    free = np.ix_(part.free, part.free)
+    covariance[free] = posterior_covariance(part.normal(fitted.x).information, part.prior_std)
+    return replace(fitted, method="plane-only", problem=problem, x=part.expand(fitted.x), covariance=covariance)

@@ -1,0 +1,116 @@
+"""Square-root cubature Kalman filter for constant parameters and scalar measurements (M5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.least_squares import LeastSquares
+from casacal.linalg import tria
+from casacal.result import Result, Status
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A Gaussian over the unknowns: mean (n,) and lower triangular square root of the covariance (n, n)."""
+
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Update:
+    """A filter's step: the new belief, the innovation z - z' and its standard deviation."""
+
+    belief: Belief
+    innovation: float
+    innovation_std: float
+
+
+def predict(belief: Belief, process_root: Array | None) -> Belief:
+    """Let constant parameters drift: S <- Tria([S, S_Q]), eq (14) of arXiv:2208.02652 with erratum E10 mended.
+
+    `process_root` is S_Q (n, n), or None for no drift.
+    """
+    if process_root is None:
+        return belief
+    return Belief(belief.mean, tria(np.hstack([belief.root, process_root])))
+
+
+def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float, noise_std: float) -> Update:
+    """Take in one scalar measurement: eqs (15)-(24) of arXiv:2208.02652, with errata E9-E12 mended.
+
+    Square-root form of Arasaratnam and Haykin 2009, section VII.
+
+    Args:
+        belief: over n unknowns, best in prior-scaled coordinates, so that the points stay where h is smooth.
+        h: predicted measurement (m,) at many states (m, n).
+        measured: z.
+        noise_std: standard deviation S_R of its error.
+
+    """
+    n = belief.mean.size
+    offsets = math.sqrt(n) * belief.root.T  # row i is sqrt(n) S e_i
+    points = np.vstack([belief.mean + offsets, belief.mean - offsets])  # E12: drawn from the predicted belief
+    predictions = h(points)  # E11: what the model predicts, not the state itself
+    mean = float(predictions.mean())
+    spread = (predictions - mean) / math.sqrt(2 * n)  # calZ
+    states = np.hstack([offsets.T, -offsets.T]) / math.sqrt(2 * n)  # calX
+    innovation_std = math.hypot(float(np.linalg.norm(spread)), noise_std)  # S_zz: Tria of one row is its length
+    gain = (states @ spread) / innovation_std**2
+    innovation = measured - mean
+    root = tria(np.hstack([states - np.outer(gain, spread), noise_std * gain[:, None]]))
+    return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
+
+
+def sckf(
+    problem: LeastSquares,
+    *,
+    process_std: Array | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Result:
+    """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
+
+    One pass only: a second one would count the data twice.
+
+    Args:
+        problem: its rows are measurements of zero with unit noise, in whitened units.
+        process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
+        progress: called with (rows done, norm of the innovation) now and then.
+
+    """
+    scale = problem.start_std
+    process = None if process_std is None else np.diag(process_std / scale)
+    belief = Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
+    trace: list[tuple[float, float]] = []
+    means = [problem.x0]
+    for k in range(problem.rows):
+        update = cubature_update(
+            predict(belief, process), lambda states, k=k: problem.row(k, problem.x0 + scale * states), 0.0, 1.0
+        )
+        belief = update.belief
+        trace.append((update.innovation, update.innovation_std))
+        means.append(problem.x0 + scale * belief.mean)
+        if progress is not None:
+            progress(k + 1, abs(update.innovation))
+    root = scale[:, None] * belief.root
+    innovation, innovation_std = np.array(trace).reshape(-1, 2).T
+    finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
+    return Result(
+        method="sckf",
+        problem=problem,
+        x=problem.x0 + scale * belief.mean,
+        covariance=root @ root.T,
+        status=Status.ONE_PASS if finite else Status.NOT_FINITE,
+        trace={"innovation": innovation, "innovation_std": innovation_std, "x": np.array(means)},
+        steps=problem.rows,
+        residual_rows=2 * problem.unknowns * problem.rows,
+        jacobian_rows=0,
+    )

@@ -1,0 +1,79 @@
+"""Small dense linear algebra of estimation: triangularisation, damped step, covariance."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def tria(wide: Array) -> Array:
+    """Lower triangular S (n, n) with S S' = A A' and a non-negative diagonal, from A (n, m), m >= n.
+
+    Eq (14) of arXiv:2208.02652 as it must be read (erratum E10): the transpose of the R of qr(A').
+    """
+    upper = np.linalg.qr(wide.T, mode="r")
+    signs = np.where(np.diagonal(upper) < 0, -1.0, 1.0)
+    return np.ascontiguousarray((signs[:, None] * upper).T)
+
+
+def damped_step(information: Array, gradient: Array, damping: Array | float) -> Array | None:
+    """Solve (H + diag(damping)) step = -g by Cholesky; None when that matrix is not positive definite.
+
+    Args:
+        information: H (n, n), symmetric.
+        gradient: g (n,).
+        damping: one number, or one a coordinate (n,).
+
+    """
+    matrix = information.copy()
+    matrix[np.diag_indices_from(matrix)] += damping
+    try:
+        factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(-scipy.linalg.cho_solve(factor, gradient, check_finite=False))
+
+
+def column_scales(data_information: Array, prior_std: Array) -> Array:
+    """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More)."""
+    norms = np.sqrt(np.maximum(np.diagonal(data_information), 0.0))
+    by_data = 1.0 / np.where(norms > 0, norms, 1.0)
+    return np.where(np.isfinite(prior_std), prior_std, by_data)
+
+
+def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
+    """Covariance (J'J + Lambda)^-1 (n, n); unknowns that neither data nor prior hold get an infinite variance.
+
+    Args:
+        data_information: J'J (n, n) of the whitened Jacobian.
+        prior_std: prior standard deviations (n,), infinite where flat.
+
+    """
+    scale = column_scales(data_information, prior_std)
+    scaled = scale[:, None] * data_information * scale
+    scaled[np.diag_indices_from(scaled)] += np.where(np.isfinite(prior_std), 1.0, 0.0)
+    values, vectors = np.linalg.eigh(scaled)
+    held = values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0)
+    if held.all():
+        half = scipy.linalg.solve_triangular(np.linalg.cholesky(scaled), np.diag(scale), lower=True)
+        return np.asarray(half.T @ half)
+    inverse = (vectors[:, held] / values[held]) @ vectors[:, held].T
+    covariance = scale[:, None] * inverse * scale
+    lost = (vectors[:, ~held] ** 2).sum(axis=1) > 1e-8
+    covariance[lost, :] = 0.0
+    covariance[:, lost] = 0.0
+    covariance[lost, lost] = np.inf
+    return np.asarray(covariance)
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix (n, n) of a covariance; zero where a variance is infinite."""
+    variance = np.diagonal(covariance)
+    inverse = np.where(np.isfinite(variance) & (variance > 0), 1.0 / np.sqrt(np.where(variance > 0, variance, 1)), 0.0)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    return np.asarray(inverse[:, None] * finite * inverse)

@@ -1,0 +1,80 @@
+"""What an estimator returns: the estimate, and the problem from which every quality figure is recomputed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.least_squares import LeastSquares
+from casacal.linalg import column_scales
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class Status(Enum):
+    """How an estimator ended: a closed set of sentences that say what to do next."""
+
+    CONVERGED = "Converged: the step fell below a negligible part of a posterior standard deviation."
+    PRECISION = "Converged: the cost cannot be lowered further in double precision."
+    ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
+    MAX_STEPS = "Ran out of steps before converging. Raise max_steps, or start nearer."
+    STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
+    NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
+    SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
+
+    @property
+    def ok(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self in (Status.CONVERGED, Status.PRECISION, Status.ONE_PASS)
+
+
+@dataclass(frozen=True)
+class Result:
+    """An estimate and how it came about.
+
+    x: estimate (n,) in the units of `problem.units`, deviations from nominal. covariance: (n, n), of x.
+    trace: one array a quantity, one entry a step. residual_rows, jacobian_rows: how many rows of each were evaluated.
+    """
+
+    method: str
+    problem: LeastSquares
+    x: Array
+    covariance: Array
+    status: Status
+    trace: Mapping[str, Array]
+    steps: int
+    residual_rows: int
+    jacobian_rows: int
+
+    @cached_property
+    def cost(self) -> float:
+        """The objective at x, recomputed from the problem."""
+        return self.problem.cost(self.x)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self.status.ok
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence."""
+        return self.status.value
+
+    @property
+    def std(self) -> Array:
+        """Posterior standard deviations (n,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @cached_property
+    def kkt(self) -> float:
+        """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
+        normal = self.problem.normal(self.x)
+        gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
+        return float(np.abs(column_scales(normal.information, self.problem.prior_std) * gradient).max(initial=0.0))

@@ -1,0 +1,241 @@
+"""Samples of a simulated cell, with the truth behind them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.bound_problem import BoundProblem
+from casacal.cells import Cell, Face, corner, form_error
+from casacal.errors import SimulationError
+from casacal.instruments import DialOnPlane
+from casacal.inverse_kinematics import Touch, random_joints
+from casacal.problem import Problem
+from casacal.samples import Samples
+from casacal.unknowns import Plane
+
+Array: TypeAlias = NDArray[np.float64]
+
+EDGE = 0.05
+"""Readings stay this part of the travel away from its ends."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Samples, and the truth they came from: local coordinates of the arm's unknowns, and the cell."""
+
+    problem: Problem
+    samples: Samples
+    local: Mapping[str, Array]
+    cell: Cell
+    seed: int
+
+    def truth(self, bound: BoundProblem) -> Array:
+        """The true x (n,) of a problem bound to these samples (or a part of them)."""
+        x = np.zeros(bound.unknowns)
+        faces = {face.label: face for face in self.cell.faces}
+        for slot in bound.slots:
+            if slot.key in self.local:
+                x[slot.columns] = self.local[slot.key]
+            elif isinstance(slot.unknown, Plane) and slot.unknown.size:
+                face = faces[slot.label] if slot.label is not None else self.cell.faces[0]
+                x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, face)
+        return x
+
+
+def plane_coordinates(plane: Plane, nominal: Array, face: Face) -> Array:
+    """Local coordinates (3,) of a face about a nominal plane."""
+    normal = face.axes[0]
+    normal = normal if normal @ nominal[:3] > 0 else -normal
+    raw = np.concatenate([normal, [normal @ (np.asarray(face.centre) - nominal[9:12])]])
+    return np.asarray(plane.raw_local(ca.DM(nominal), ca.DM(raw))).ravel()
+
+
+def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, seed: int = 0) -> Simulation:
+    """Draw a true arm from the prior and let it touch the faces of a cell.
+
+    The true tip, at joint values inside the limits, touches a face within the dial's travel; what is recorded are the
+    joint values without sag and repeatability, and the reading with its faults.
+
+    Args:
+        problem: one robot with one `DialOnPlane`.
+        cell: what surrounds it; by default `default_cell(problem)`.
+        samples: rows, shared evenly between the faces.
+        seed: of every random number drawn here.
+
+    Raises SimulationError when the faces cannot be touched as asked.
+
+    """
+    instrument = dial_of(problem)
+    cell = default_cell(problem) if cell is None else cell
+    if samples < 1:
+        raise SimulationError(f"{samples} samples were asked for", "Ask for at least one")
+    if len(cell.faces) > 1 and instrument.plane.per is None:
+        raise SimulationError(
+            f"The cell has {len(cell.faces)} faces and the problem one plane", 'Declare plane=Plane(per="plane")'
+        )
+    truth_rng, pose_rng, noise_rng, form_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
+    local = true_unknowns(problem, cell.error_scale, truth_rng)
+    touch = Touch.of(problem.robot, instrument, local)
+    which = np.arange(samples) % len(cell.faces)
+    noise = instrument.noise_std if cell.repeatability is None else cell.repeatability
+    gross = noise_rng.random(samples) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
+    # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
+    lift = noise_rng.normal(size=samples) * (instrument.contact_std if instrument.reading else noise)
+    if not instrument.reading:
+        lift = lift + outlier
+    joints, readings = _touches(touch, instrument, cell, which, lift, pose_rng, form_rng)
+    recorded = joints - _sag(touch, joints, readings, cell.compliance)
+    recorded -= noise_rng.normal(size=joints.shape) * cell.joint_std
+    columns = {}
+    if instrument.reading:
+        shown = readings + noise_rng.normal(size=samples) * noise + outlier
+        columns["reading"] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
+    labels = tuple(cell.faces[i].label for i in which)
+    name = f"simulated-{seed}"
+    rows = Samples(
+        recorded, MappingProxyType(columns), MappingProxyType({"plane": labels} if len(cell.faces) > 1 or
+        instrument.plane.per else {}), tuple(range(1, samples + 1)), MappingProxyType({}), name, name,
+    )
+    return Simulation(problem, rows, MappingProxyType(local), cell, seed)
+
+
+def dial_of(problem: Problem) -> DialOnPlane:
+    """Return the one instrument of a problem that the simulator understands; raises SimulationError."""
+    (first, *others) = problem.instruments
+    if others or not isinstance(first, DialOnPlane):
+        names = ", ".join(type(instrument).__name__ for instrument in problem.instruments)
+        raise SimulationError(f"The problem is measured by {names}", "The simulator knows one DialOnPlane alone")
+    return first
+
+
+def true_unknowns(problem: Problem, error_scale: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Local coordinates of the arm's unknowns, drawn from the prior (flat: `start_std`) times `error_scale`."""
+    dial = dial_of(problem)
+    unknowns = {**problem.robot.parameters, "tool": dial.tool, "plunger": dial.plunger}
+    return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
+
+
+def default_cell(problem: Problem) -> Cell:
+    """Three faces at right angles where this arm touches them most readily; the same for the same problem.
+
+    Raises SimulationError when no such place is found, as for arms that cannot point their plunger freely.
+    """
+    instrument, rng = dial_of(problem), np.random.default_rng(0)
+    nominal = true_unknowns(problem, 0.0, rng)
+    touch = Touch.of(problem.robot, instrument, nominal)
+    tips = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[0]
+    base = np.median(tips, axis=0)
+    reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
+    size = min(600.0, 0.4 * reach)
+    best, best_share = None, 0.0
+    for centre in tips[rng.choice(len(tips), 24, replace=False)]:
+        away = (base - centre)[:2]
+        faces = corner(centre, size=size, towards=away if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0))
+        cell = Cell(faces=faces)
+        share = _share_reached(touch, instrument, cell, np.random.default_rng(1))
+        if share > best_share:
+            best, best_share = cell, share
+    if best is None or best_share < 0.1:
+        raise SimulationError(
+            f"No place was found where '{problem.robot.name}' can touch three faces at right angles",
+            "Define `cell = Cell(faces=...)` in the problem file",
+        )
+    return best
+
+
+def _share_reached(touch: Touch, instrument: DialOnPlane, cell: Cell, rng: np.random.Generator) -> float:
+    which = np.arange(30) % len(cell.faces)
+    *_, good = _attempt(touch, instrument, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
+    shares = [good[which == i].mean() for i in range(len(cell.faces))]
+    return float(min(shares))
+
+
+def _touches(
+    touch: Touch, instrument: DialOnPlane, cell: Cell, which: NDArray[np.intp], lift: Array,
+    rng: np.random.Generator, form_rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Joint values (N, n) at which the tip truly touches, and the true readings (N,)."""
+    seeds = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+    joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
+    waiting = np.arange(len(which))
+    for _ in range(60):
+        found_joints, found_readings, good = _attempt(
+            touch, instrument, cell, which[waiting], lift[waiting], seeds, rng
+        )
+        joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
+        waiting = waiting[~good]
+        if not waiting.size:
+            return joints, readings
+    label = cell.faces[int(which[waiting[0]])].label
+    raise SimulationError(
+        f"'{touch.robot.name}' cannot touch face '{label}' within joint limits, tilt {math.degrees(cell.tilt):g} "
+        f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
+        "Move or enlarge the face, or allow more tilt",
+    )
+
+
+def _attempt(
+    touch: Touch, instrument: DialOnPlane, cell: Cell, which: NDArray[np.intp], lift: Array,
+    form_seeds: list[int | None], rng: np.random.Generator,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """One try at each touch: joint values, readings, and which of them succeeded."""
+    count = len(which)
+    axes = np.array([face.axes for face in cell.faces])[which]
+    centres = np.array([face.centre for face in cell.faces])[which]
+    half = np.array([face.size for face in cell.faces])[which] / 2
+    travel = instrument.travel if cell.travel is None else cell.travel
+    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if instrument.reading else np.zeros(count)
+    uv = rng.uniform(-1, 1, size=(count, 2))
+    targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
+    directions = _tilted(axes, cell.tilt, rng)
+    joints = touch.reach(targets, directions, readings, random_joints(touch.robot, count, rng))
+    joints, inside = touch.within_limits(joints)
+    heights = lift + (axes[:, 0] * centres).sum(axis=1)
+    for i, form_seed in enumerate(form_seeds):
+        if form_seed is not None:
+            here = which == i
+            heights[here] += form_error(np.random.default_rng(form_seed), cell.flatness, uv[here])
+    joints = touch.land(joints, readings, axes[:, 0], heights)
+    tip, direction, *_ = touch(joints, readings)
+    offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))
+    landed = np.abs((axes[:, 0] * tip).sum(axis=1) - heights) < 1e-7
+    upright = -(axes[:, 0] * direction).sum(axis=1) >= math.cos(cell.tilt) - 1e-6
+    good = inside & landed & upright & (offset <= half + 1e-6).all(axis=1) & touch.within_limits(joints)[1]
+    return joints, readings, good
+
+
+def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
+    """Directions (N, 3) into the faces, uniform over the cone of half-angle `tilt`."""
+    cosine = rng.uniform(math.cos(tilt), 1.0, len(axes))
+    sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, len(axes))
+    parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
+    return np.einsum("ka,kax->kx", parts, axes)
+
+
+def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Array:
+    """Joint deflections (N, n) under gravity on the tip: each joint yields to its own torque, J' of the height.
+
+    Scaled so that the tip sags by `compliance` mm RMS over the samples.
+    """
+    if compliance == 0:
+        return np.zeros_like(joints)
+    _, _, slope, _ = touch(joints, readings)
+    lever = slope[:, 2, :]
+    turns = np.array([joint.kind == "revolute" for joint in touch.robot.axes])
+    yielding = -lever * turns
+    sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
+    return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
+
+
+def with_cell(cell: Cell, **changes: float | None) -> Cell:
+    """Copy of a cell with other numbers; None leaves a number as it is."""
+    return replace(cell, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]

@@ -1,0 +1,161 @@
+"""Text tables at the edge: encodings, delimiters, decimal commas, comments; every refusal names file, line, column."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from casacal.errors import SamplesError
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Table:
+    """The cells of a table as text, with where they came from."""
+
+    file: str
+    sha256: str
+    header: tuple[str, ...]
+    header_line: int
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    decimal_comma: bool
+
+    def column(self, name: str) -> list[str]:
+        """Cells of one column, as text without surrounding blanks."""
+        index = self.header.index(name)
+        return [row[index] for row in self.rows]
+
+    def numbers(self, name: str) -> list[float]:
+        """Cells of one column as finite numbers.
+
+        Raises SamplesError that names the line of the first cell that is not one.
+        """
+        result = []
+        for cell, line in zip(self.column(name), self.lines, strict=True):
+            text = cell.replace(",", ".") if self.decimal_comma else cell
+            value = float(text) if _NUMBER.fullmatch(text) else math.nan
+            if not math.isfinite(value):
+                raise SamplesError(self.file, *_not_a_number(cell), line=line, column=name)
+            result.append(value)
+        return result
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a delimited text file with one header line; `#` starts a comment line, blank lines are skipped.
+
+    Understands UTF-8 with or without a byte-order mark and UTF-16 with one; commas, semicolons or tabs; decimal
+    commas where the delimiter is not a comma.
+
+    Raises SamplesError for anything else.
+    """
+    file = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise SamplesError(file, "there is no such file", "Check the path") from None
+    except OSError as error:
+        raise SamplesError(file, f"cannot be read ({error.strerror})", "Give a readable text file") from None
+    lines = _logical_lines(_decode(data, file))
+    if not lines:
+        raise SamplesError(file, "the file is empty", "Give a header line and one line a sample")
+    header_line, header_text = lines[0]
+    delimiter = max(",;\t", key=header_text.count)
+    header = tuple(_split(header_text, delimiter, file, header_line))
+    _check_header(header, file, header_line)
+    rows, numbers = [], []
+    for number, text in lines[1:]:
+        cells = _split(text, delimiter, file, number)
+        if len(cells) != len(header):
+            hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
+            raise SamplesError(
+                file,
+                f"the line has {len(cells)} cells where the header has {len(header)}",
+                f"Give {len(header)} cells separated by {_named(delimiter)}{hint}",
+                line=number,
+            )
+        rows.append(tuple(cells))
+        numbers.append(number)
+    if not rows:
+        raise SamplesError(file, "there is a header but no line of data", "Give one line a sample", line=header_line)
+    comma = delimiter != "," and _decimal_comma(rows, header, numbers, file)
+    digest = hashlib.sha256(data).hexdigest()
+    return Table(file, digest, header, header_line, tuple(rows), tuple(numbers), comma)
+
+
+def _decode(data: bytes, file: str) -> str:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encoding = "utf-16"
+    elif b"\x00" in data[:4096]:
+        raise SamplesError(file, "this is not a text file (it holds zero bytes)", "Save it as CSV text in UTF-8")
+    else:
+        encoding = "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise SamplesError(file, "this is not UTF-8 text", "Save it as CSV text in UTF-8", line=line) from None
+    if any(ord(letter) < 32 and letter not in "\t\r\n\f" for letter in text[:4096]):
+        raise SamplesError(file, "this is not a text file (it holds control characters)", "Save it as CSV text")
+    return text
+
+
+def _logical_lines(text: str) -> list[tuple[int, str]]:
+    lines = re.split(r"\r\n|\n|\r", text)
+    return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _split(text: str, delimiter: str, file: str, line: int) -> list[str]:
+    try:
+        cells = next(csv.reader(io.StringIO(text), delimiter=delimiter, strict=True))
+    except (csv.Error, StopIteration):
+        raise SamplesError(file, "a quoted cell does not end on its line", "Close the quote", line=line) from None
+    return [cell.strip() for cell in cells]
+
+
+def _check_header(header: tuple[str, ...], file: str, line: int) -> None:
+    if all(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
+        raise SamplesError(
+            file, "the first line holds numbers, not column names", "Put a header such as q1_deg,q2_deg,... above it",
+            line=line,
+        )
+    for i, name in enumerate(header):
+        if not name:
+            raise SamplesError(file, f"column {i + 1} has no name", "Name it, or remove the delimiter", line=line)
+        if name in header[:i]:
+            raise SamplesError(file, "the column appears twice", "Keep one of the two", line=line, column=name)
+
+
+def _decimal_comma(rows: list[tuple[str, ...]], header: tuple[str, ...], lines: list[int], file: str) -> bool:
+    """Whether numbers are written with decimal commas; refuses a file that writes them both ways."""
+    comma = point = None
+    for row, line in zip(rows, lines, strict=True):
+        for name, cell in zip(header, row, strict=True):
+            if not _NUMBER.fullmatch(cell.replace(",", ".")):
+                continue
+            if "," in cell:
+                comma = comma or (line, name)
+            elif "." in cell:
+                point = point or (line, name)
+        if comma and point:
+            line, name = max(comma, point)
+            raise SamplesError(
+                file, "decimal commas and decimal points are mixed", "Write all numbers one way", line=line, column=name
+            )
+    return comma is not None
+
+
+def _not_a_number(cell: str) -> tuple[str, str]:
+    if not cell:
+        return "the cell is empty", "Give a number, or remove the line"
+    return f"'{cell[:40]}' is not a finite number", "Give a plain decimal number such as 12.5"
+
+
+def _named(delimiter: str) -> str:
+    return {",": "commas", ";": "semicolons", "\t": "tabs"}[delimiter]

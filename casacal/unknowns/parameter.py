@@ -1,0 +1,144 @@
+"""Numbers: link lengths, twists, offsets, a tool point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import ProblemError
+from casacal.unknowns.unknown import Array, Expression, Unknown, check_stds, spread, start_stds
+
+
+@dataclass(frozen=True)
+class Parameter(Unknown):
+    """A number or a vector of numbers, each with a nominal value, a unit and a prior.
+
+    Args:
+        values: nominal value, a float (then the value is a scalar) or a sequence (then a vector).
+        unit: "mm", "rad" or any other word; only "mm" and "rad" have a default `start_std`.
+        prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat.
+        start_std: where filters start components with a flat prior; never part of the cost.
+        free: False holds the value at nominal; a sequence says so component by component.
+        labels: suffixes of the component names, such as ("_x", "_y", "_z"); default "1", "2", ...
+        per: name of a label column; one instance for each of its values.
+
+    Raises ProblemError for values that are not finite or stds that are not positive.
+
+    """
+
+    values: float | Sequence[float]
+    unit: str = "mm"
+    prior_std: float | Sequence[float] = math.inf
+    start_std: float | Sequence[float] | None = None
+    free: bool | Sequence[bool] = True
+    labels: Sequence[str] | None = None
+    per: str | None = None
+
+    def __post_init__(self) -> None:
+        if self._all.ndim > 1 or self._all.size == 0 or not np.isfinite(self._all).all():
+            raise ProblemError(f"A parameter has the nominal value {self.values!r}", "Give one finite number, or a row")
+        if self.labels is not None and len(self.labels) != self._all.size:
+            raise ProblemError(
+                f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label a value"
+            )
+        check_stds(self._prior, "prior_std of a parameter")
+        start_stds(self.prior_stds, self._start, self.units, "a parameter")
+
+    @cached_property
+    def _all(self) -> Array:
+        return np.asarray(self.values, dtype=np.float64)
+
+    @cached_property
+    def _free(self) -> Array:
+        return spread(self.free, self._all.size, "free of a parameter").astype(bool)  # type: ignore[arg-type]
+
+    @cached_property
+    def _prior(self) -> Array:
+        return spread(self.prior_std, self._all.size, "prior_std of a parameter")
+
+    @cached_property
+    def _start(self) -> Array | None:
+        return None if self.start_std is None else spread(self.start_std, self._all.size, "start_std")[self._free]
+
+    @property
+    def size(self) -> int:
+        """Number of free components."""
+        return int(self._free.sum())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each free component."""
+        return (self.unit,) * self.size
+
+    @property
+    def prior_stds(self) -> Array:
+        """Prior standard deviations of the free components."""
+        return self._prior[self._free]
+
+    @property
+    def start_stds(self) -> Array:
+        """Prior, or start where flat, of the free components."""
+        return start_stds(self.prior_stds, self._start, self.units, "a parameter")
+
+    @property
+    def nominal(self) -> Array:
+        """All components, free or held."""
+        return np.atleast_1d(self._all)
+
+    @property
+    def nominal_size(self) -> int:
+        """One number a component."""
+        return self._all.size
+
+    @property
+    def raw_size(self) -> int:
+        """One number a free component."""
+        return self.size
+
+    def component_names(self, key: str) -> tuple[str, ...]:
+        """Names of all components, free or held: the key itself for a scalar, else key1, key2, ..."""
+        if self._all.ndim == 0:
+            return (key,)
+        suffixes = self.labels or [str(i + 1) for i in range(self._all.size)]
+        return tuple(key + suffix for suffix in suffixes)
+
+    def names(self, key: str) -> tuple[str, ...]:
+        """Names of the free components."""
+        return tuple(name for name, free in zip(self.component_names(key), self._free, strict=True) if free)
+
+    def at(self, nominal: Expression, local: Expression) -> Expression:
+        """Nominal plus deviation: a scalar, or a vector of all components."""
+        entries, free = [], 0
+        for i, is_free in enumerate(self._free):
+            entries.append(nominal[i] + local[free] if is_free else nominal[i])
+            free += int(is_free)
+        return entries[0] if self._all.ndim == 0 else ca.vertcat(*entries)
+
+    def raw_start(self, nominal: Array) -> Array:
+        """Return the free components themselves."""
+        return np.asarray(nominal)[self._free]
+
+    def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
+        """Value with the free components replaced."""
+        return self.at(nominal, self.raw_local(nominal, raw))
+
+    def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
+        """Deviations from nominal."""
+        return ca.vertcat(*(raw[j] - nominal[int(i)] for j, i in enumerate(np.flatnonzero(self._free))))
+
+    def with_free(self, free: Sequence[bool]) -> Parameter:
+        """Copy that keeps free only the flagged ones of its free components."""
+        mask = self._free.copy()
+        mask[np.flatnonzero(mask)] = list(free)
+        return replace(self, free=tuple(bool(value) for value in mask))
+
+    def with_prior(self, stds: Sequence[float]) -> Parameter:
+        """Copy with other prior standard deviations of its free components."""
+        prior = self._prior.copy()
+        prior[self._free] = list(stds)
+        return replace(self, prior_std=tuple(float(value) for value in prior))
