@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -235,7 +235,3 @@ def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Arr
     sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
     return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
 
-
-def with_cell(cell: Cell, **changes: float | None) -> Cell:
-    """Copy of a cell with other numbers; None leaves a number as it is."""
-    return replace(cell, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]

@@ -1,0 +1,195 @@
+"""The main job: fit, hold out, compare with before, and cross-check with the reference."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.bound_problem import BoundProblem, bind
+from casacal.errors import CasacalError, SamplesError, UnknownNameError
+from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+from casacal.identifiability import Identifiability, identifiability
+from casacal.metrics import bayesian_bound, residual_figures, workspace_joints
+from casacal.problem import Problem
+from casacal.result import Result
+from casacal.samples import Samples, ordered_labels
+
+Array: TypeAlias = NDArray[np.float64]
+Progress = Callable[[int, float], None]
+
+METHODS: Mapping[str, Callable[..., Result]] = {
+    "lm": lm,
+    "sckf": sckf,
+    "sckf-lm": sckf_lm,
+    "ekf": ekf,
+    "ipopt": ipopt,
+    "plane-only": plane_only,
+}
+"""The names the command line knows."""
+
+MINIMISERS = ("lm", "sckf-lm", "ipopt")
+"""Methods that promise the minimum; filters and controls may honestly miss it."""
+
+AGREEMENT = 1e-8
+"""Largest relative gap between the costs of two solvers that found the same minimum."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What an independent solver found on the same objective."""
+
+    solver: str
+    result: Result
+    cost: float
+    """The objective as that solver itself evaluated it."""
+    relative_gap: float
+    """(cost of the method - cost of the reference) / cost of the reference."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both found the same minimum."""
+        return self.result.converged and abs(self.relative_gap) <= AGREEMENT
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated robot: the fit, the rows held out, the arm before, the reference, and where the time went."""
+
+    method: str
+    seed: int
+    samples: Samples
+    fit: BoundProblem
+    heldout: BoundProblem | None
+    result: Result
+    before: Result
+    reference: Reference | None
+    seconds: Mapping[str, float]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the method converged and, where it promises the minimum, the reference agrees."""
+        if not self.result.converged:
+            return False
+        return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+
+    @cached_property
+    def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
+        """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
+        return {
+            when: {
+                "fit": residual_figures(self.fit.plain_residual(result.x)),
+                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(result.x)),
+            }
+            for when, result in (("before", self.before), ("after", self.result))
+        }
+
+    @cached_property
+    def workspace(self) -> tuple[Array, Array, Array]:
+        """Joint values, tips and tip Jacobian at the estimate over fixed workspace poses that no sample visited."""
+        joints = workspace_joints(self.fit.problem.robot)
+        return joints, self.fit.tips(self.result.x, joints), self.fit.tip_jacobian(self.result.x, joints)
+
+    @cached_property
+    def tip_std(self) -> tuple[float, float]:
+        """Expected tip error (mm RMS over the workspace, up to the base frame): from the prior alone, and now."""
+        _, tips, slopes = self.workspace
+        nothing = np.zeros((self.fit.unknowns, self.fit.unknowns))
+        now = self.fit.normal(self.result.x).information
+        # without data a plane is nowhere; it moves no tip
+        return tuple(bayesian_bound(given, self.fit.prior_std, slopes, tips) for given in (nothing, now))  # type: ignore[return-value]
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Rank, null and weak directions at the nominal."""
+        joints = workspace_joints(self.fit.problem.robot)
+        return identifiability(self.fit, self.fit.tip_jacobian(self.fit.x0, joints), self.fit.tips(self.fit.x0, joints))
+
+    @property
+    def noise_ratio(self) -> float:
+        """Root mean square of the whitened residuals, corrected for the unknowns the data determined; one expected."""
+        x, problem = self.result.x, self.fit
+        influence = self.result.covariance @ problem.normal(x).information if np.isfinite(
+            self.result.covariance).all() else np.eye(problem.unknowns)
+        free = max(problem.rows - float(np.trace(influence)), 1.0)
+        return math.sqrt(float((problem.residual(x) ** 2).sum()) / free)
+
+
+def calibrate(
+    problem: Problem,
+    samples: Samples,
+    *,
+    method: str = "sckf-lm",
+    holdout: float = 0.0,
+    seed: int = 0,
+    reference: bool = True,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Fit the unknowns of a problem with one instrument to its samples.
+
+    Args:
+        problem: robot and instrument.
+        samples: rows of that instrument.
+        method: a name of `METHODS`.
+        holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
+        seed: of the choice of those rows.
+        reference: whether an independent solver checks the minimum.
+        progress: called with (step, cost) now and then.
+
+    Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
+
+    """
+    if method not in METHODS:
+        raise UnknownNameError("method", method, METHODS)
+    began = time.perf_counter()
+    fitted, held = split(samples, holdout, seed)
+    fit = bind(problem, samples.take(fitted))
+    heldout = fit.on(samples.take(held)) if held.size else None
+    if fit.rows < fit.unknowns:
+        raise SamplesError(
+            samples.file,
+            f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
+            "Take more samples, hold fewer out, or hold parameters with --fix",
+        )
+    built = time.perf_counter()
+    # controls and the reference have nothing to report on the way
+    options = {"progress": progress} if method not in ("ipopt", "plane-only") else {}
+    result = METHODS[method](fit, **options)
+    solved = time.perf_counter()
+    before = plane_only(fit)
+    checked = _check(fit, method, result) if reference else None
+    seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
+    return Calibration(method, seed, samples, fit, heldout, result, before, checked, seconds)
+
+
+def split(samples: Samples, holdout: float, seed: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows to fit and rows held out, the given part of each label's rows, at random.
+
+    Raises CasacalError unless 0 <= holdout < 1.
+    """
+    if not 0 <= holdout < 1:
+        raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
+    rng = np.random.default_rng(seed)
+    groups = samples.labels.get("plane", ("",) * len(samples))
+    held: list[int] = []
+    for label in ordered_labels(groups):
+        rows = np.array([i for i, group in enumerate(groups) if group == label])
+        held += rng.permutation(rows)[: round(holdout * len(rows))].tolist()
+    mask = np.zeros(len(samples), dtype=bool)
+    mask[held] = True
+    return np.flatnonzero(~mask), np.flatnonzero(mask)
+
+
+def _check(fit: BoundProblem, method: str, result: Result) -> Reference:
+    """Solve again by other means: IPOPT, or, when that is the method, LM."""
+    solver = "lm" if method == "ipopt" else "ipopt"
+    other = METHODS[solver](fit)
+    own = other.trace["cost"]
+    cost = float(own[-1]) if own.size else other.cost
+    return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

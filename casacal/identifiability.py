@@ -1,0 +1,164 @@
+"""What the data can and cannot tell: rank, null directions by kind, weak directions.
+
+NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
+figures can be compared: the whitened Jacobian at the nominal, columns times prior standard deviation (flat: 1 mrad,
+1 mm), rank at 1e-9 of the largest singular value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.least_squares import LeastSquares
+from casacal.metrics import without_rigid
+
+Array: TypeAlias = NDArray[np.float64]
+Kind = Literal["invisible", "rigid", "scale", "blind"]
+
+RANK_TOLERANCE = 1e-9
+FIELD_TOLERANCE = 1e-6
+"""Part of the largest tip motion below which a combination of null directions counts as not moving the tip."""
+
+FLAT_UNITS = {"rad": 1e-3, "mm": 1.0}
+MEANING: dict[Kind, str] = {
+    "invisible": "changes nothing the arm does",
+    "rigid": "only moves base frame and planes together",
+    "scale": "makes the whole arm larger or smaller; no length was measured",
+    "blind": "moves the tip elsewhere in the workspace but never in these samples",
+}
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """A combination of unknowns (n,) that the samples do not see, in units of prior standard deviations."""
+
+    kind: Kind
+    direction: Array
+    words: str
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination of unknowns (n,) of which the prior knows more than the data (whitened singular value < 1)."""
+
+    singular_value: float
+    direction: Array
+    words: str
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Rank and null space of a bound problem at its nominal."""
+
+    unknowns: int
+    rank: int
+    condition: float
+    """Largest over smallest singular value that is not null."""
+    singular_values: Array
+    null: tuple[NullDirection, ...]
+    weak: tuple[WeakDirection, ...]
+
+    def count(self, kind: Kind) -> int:
+        """Number of null directions of one kind."""
+        return sum(direction.kind == kind for direction in self.null)
+
+
+def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:
+    """Rank, null directions and weak directions of a problem at its nominal.
+
+    Args:
+        problem: its Jacobian at x0 is judged.
+        tip_jacobian: of the workspace tips by x, (3 N, n), mm per unit of x.
+        tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
+
+    """
+    flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
+    scale = np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+    jacobian = problem.jacobian(problem.x0) * scale
+    _, sizes, right = np.linalg.svd(np.vstack([jacobian, np.zeros((0, problem.unknowns))]), full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
+    rank = int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
+    null = [
+        NullDirection(kind, direction, f"{_named(direction, problem.names)}: {MEANING[kind]}")
+        for kind, basis in split_null_space(right[rank:].T, tip_jacobian * scale, tips)
+        for direction in sparse_basis(basis).T
+    ]
+    weak = [
+        WeakDirection(
+            float(sizes[i]), right[i],
+            f"{_named(right[i], problem.names)}: known better from the prior than from these samples",
+        )
+        for i in range(rank)
+        if sizes[i] < 1
+    ]
+    condition = float(sizes[0] / sizes[rank - 1]) if rank else float("inf")
+    return Identifiability(problem.unknowns, rank, condition, sizes, tuple(null), tuple(weak))
+
+
+def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
+    """Split a null space (n, k) by what it does to the tips: a basis (n, k_i) a kind, each kind inside the next.
+
+    First what no tip shows (invisible), then what is a rigid motion of all tips, then what is that and a scale of the
+    tips' field, the rest is blind.
+    """
+    field = tip_jacobian @ null
+    size = FIELD_TOLERANCE * max(float(np.linalg.norm(tip_jacobian, axis=0).max(initial=0.0)), 1e-300)
+    bent = without_rigid(field, tips)
+    growth = without_rigid(tips.ravel(), tips)
+    growth = growth / np.linalg.norm(growth)
+    rest = bent - np.outer(growth, growth @ bent)
+    taken, parts = np.zeros((null.shape[1], 0)), []
+    stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
+    for kind, seen in stages:
+        _, sizes, right = np.linalg.svd(seen, full_matrices=True)
+        sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
+        kernel = right[sizes < size].T
+        parts.append((kind, _beyond(kernel, taken)))
+        taken = kernel
+    parts.append(("blind", _beyond(np.eye(null.shape[1]), taken)))
+    return [(kind, null @ basis) for kind, basis in parts]
+
+
+def sparse_basis(basis: Array) -> Array:
+    """Another basis (n, k) of the same space in which each vector names few unknowns.
+
+    Gauss-Jordan elimination with complete pivoting: each vector has an unknown of its own, at size one.
+    """
+    work = basis.copy()
+    for j in range(work.shape[1]):
+        i, pivot = np.unravel_index(np.argmax(np.abs(work[:, j:])), work[:, j:].shape)
+        work[:, [j, j + int(pivot)]] = work[:, [j + int(pivot), j]]
+        work[:, j] /= work[i, j]
+        others = [k for k in range(work.shape[1]) if k != j]
+        work[:, others] -= np.outer(work[:, j], work[i, others])
+    work[np.abs(work) < 1e-9] = 0.0
+    return work
+
+
+def verdict(posterior_std: float, prior_std: float) -> Literal["data", "prior", "no"]:
+    """Who determined a parameter: "data" (posterior/prior std < 0.5), "prior" (to 0.95) or nobody ("no")."""
+    if not np.isfinite(posterior_std):
+        return "no"
+    ratio = posterior_std / prior_std if np.isfinite(prior_std) else 0.0
+    return "data" if ratio < 0.5 else "prior" if ratio <= 0.95 else "no"
+
+
+def _beyond(space: Array, inner: Array) -> Array:
+    """Orthonormal basis of the part of `space` (k, a) orthogonal to `inner` (k, b), which it contains."""
+    remaining = space - inner @ (inner.T @ space)
+    left, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(left[:, sizes > 0.5])
+
+
+def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
+    """The unknowns that take part most, in words."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
+    shown = [names[i] for i in strong[:most]]
+    more = f" and {len(strong) - most} more" if len(strong) > most else ""
+    return (f"{', '.join(shown)}{more} move together" if len(strong) > 1 else f"{shown[0]} moves alone")

@@ -1,0 +1,121 @@
+"""Where a calibrated (or true, or nominal) robot is at given joint values."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.errors import CasacalError
+from casacal.files import ProblemFile, load_problem, write_text
+from casacal.samples import Layout, Samples
+from casacal.tables import read_table
+from casacal.unknowns import Parameter
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame."""
+
+    positions: Array
+    quaternions: Array
+
+
+@dataclass(frozen=True)
+class ResultFile:
+    """A result.json (or a truth), with the problem it answers."""
+
+    file: str
+    source: ProblemFile
+    document: Mapping[str, Any]
+
+
+def read_result(path: str | Path) -> ResultFile:
+    """Read a result.json or a truth, and load its problem: from the path it names, or beside the result.
+
+    Raises CasacalError when it is not one, or when its problem is gone or has changed since.
+    """
+    file = str(path)
+    try:
+        document = json.loads(Path(path).read_text(encoding="utf-8"))
+        place, digest = document["problem"]["path"], document["problem"]["sha256"]
+        _ = [(row["name"], float(row["estimate"])) for row in document["parameters"]]
+    except FileNotFoundError:
+        raise CasacalError(f"{file}: there is no such file", "Give the result.json that calibrate --out wrote") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json") from None
+    beside = Path(path).parent / place
+    source = load_problem(beside if not Path(place).exists() and beside.exists() else place)
+    if source.sha256 != digest:
+        raise CasacalError(
+            f"{file}: its problem {source.path} has changed since the calibration",
+            "Calibrate again, or restore the problem file",
+        )
+    return ResultFile(file, source, document)
+
+
+def read_joints(path: str | Path, source: ProblemFile) -> Samples:
+    """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
+    asked, table = source.problem.layout(), read_table(path)
+    present = {
+        name: dimension
+        for name, dimension in asked.columns.items()
+        if any(column == name or column.startswith(f"{name}_") for column in table.header)
+    }
+    return Samples.from_table(table, Layout(asked.joints, present))
+
+
+def predict(
+    result: ResultFile, joints: Samples, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False
+) -> Prediction:
+    """Pose of the flange, or position of the tip with the flange's orientation, at each row.
+
+    Args:
+        result: a calibration or a truth.
+        joints: rows of joint values; columns that are absent (a reading) count as zero.
+        frame: "flange" is `robot.pose`; "tip" is where the instrument touches.
+        nominal: use nominal values instead of the estimate.
+
+    """
+    from scipy.spatial.transform import Rotation
+
+    problem = result.source.problem
+    model, instrument = problem.models[0], problem.instruments[0]
+    z = np.concatenate([_local(key, unknown, result, nominal) for key, unknown in model.unknowns.items()])
+    missing = np.zeros(len(joints))
+    columns = [joints.columns.get(name, missing) for name in instrument.columns]
+    data = np.column_stack([joints.joints, *columns])
+    constants = np.zeros(model.pose.numel_in(1))  # planes and the like move neither flange nor tip
+    poses = model.batch.pose(z, constants, data)[0].reshape(-1, 4, 4).transpose(0, 2, 1)
+    positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1))
+
+
+def _local(key: str, unknown: Any, result: ResultFile, nominal: bool) -> Array:
+    """Local coordinates of an unknown at the result; zero for those that differ by label."""
+    if nominal or unknown.per is not None or not unknown.size:
+        return np.zeros(unknown.size)
+    if isinstance(unknown, Parameter):
+        known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
+    else:
+        known = {row["name"]: float(row["value"]) for row in result.document["unknowns"]}
+    missing = [name for name in unknown.names(key) if name not in known]
+    if missing:
+        raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
+    return np.array([known[name] for name in unknown.names(key)])
+
+
+def write_prediction(path: str | Path, prediction: Prediction) -> None:
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, one row a pose."""
+    rows = np.column_stack([prediction.positions, prediction.quaternions])
+    lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    lines += [",".join([f"{v:.6f}" for v in row[:3]] + [f"{v:.12f}" for v in row[3:]]) for row in rows]
+    write_text(path, "\n".join(lines) + "\n")
