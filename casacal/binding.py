@@ -190,5 +190,5 @@ def _check_rows(
         which = f"'{label}'" if label is not None else f"'{key}'"
         raise ProblemError(
             f"{samples.file}: {which} has {len(rows)} rows for {flat} unknowns of its own",
-            f"Take at least {flat // problem.models[i].components + 1} rows there; many more are needed to learn of the arm",
+            f"Take at least {flat // problem.models[i].components + 1} rows there, and many more to learn of the arm",
         )

@@ -135,8 +135,13 @@ class BoundProblem(LeastSquares):
                 rows = np.flatnonzero(block.pattern == i)
                 columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
                 blocks.append(
-                    RawBlock(block.model.raw_residual, np.array(columns, dtype=np.intp), block.constants[rows],
-                             block.data[rows], block.noise[rows])
+                    RawBlock(
+                        block.model.raw_residual,
+                        np.array(columns, dtype=np.intp),
+                        block.constants[rows],
+                        block.data[rows],
+                        block.noise[rows],
+                    )
                 )
         return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
 

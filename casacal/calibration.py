@@ -115,8 +115,11 @@ class Calibration:
     def noise_ratio(self) -> float:
         """Root mean square of the whitened residuals, corrected for the unknowns the data determined; one expected."""
         x, problem = self.result.x, self.fit
-        influence = self.result.covariance @ problem.normal(x).information if np.isfinite(
-            self.result.covariance).all() else np.eye(problem.unknowns)
+        influence = (
+            self.result.covariance @ problem.normal(x).information
+            if np.isfinite(self.result.covariance).all()
+            else np.eye(problem.unknowns)
+        )
         free = max(problem.rows - float(np.trace(influence)), 1.0)
         return math.sqrt(float((problem.residual(x) ** 2).sum()) / free)
 

@@ -138,7 +138,9 @@ def _simulate(options: argparse.Namespace) -> int:
     simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
     paths = write_simulation(simulation, source, Path(options.out))
     faces = ", ".join(face.label for face in cell.faces)
-    print(f"Simulated, not measured: {options.samples} samples on {faces} at tilts up to {math.degrees(cell.tilt):g} deg")
+    print(
+        f"Simulated, not measured: {options.samples} samples on {faces} at tilts up to {math.degrees(cell.tilt):g} deg"
+    )
     print(f"Written: {', '.join(path.as_posix() for path in paths)}")
     return DONE
 
@@ -149,8 +151,17 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
     from casacal.simulation import default_cell
 
     cell = source.cell if source.cell is not None else default_cell(source.problem)
-    names = ("travel", "repeatability", "resolution", "joint_std", "flatness", "compliance", "outliers", "outlier_size",
-             "error_scale")
+    names = (
+        "travel",
+        "repeatability",
+        "resolution",
+        "joint_std",
+        "flatness",
+        "compliance",
+        "outliers",
+        "outlier_size",
+        "error_scale",
+    )
     given = {name: value for name in names if (value := getattr(options, name)) is not None}
     if options.tilt is not None:
         given["tilt"] = math.radians(options.tilt)
@@ -161,7 +172,9 @@ def _predict(options: argparse.Namespace) -> int:
     from casacal.prediction import predict, read_joints, read_result, write_prediction
 
     result = read_result(options.result)
-    prediction = predict(result, read_joints(options.joints, result.source), frame=options.frame, nominal=options.nominal)
+    prediction = predict(
+        result, read_joints(options.joints, result.source), frame=options.frame, nominal=options.nominal
+    )
     write_prediction(options.out, prediction)
     print(f"Written: {options.out} ({len(prediction.positions)} poses of the {options.frame})")
     return DONE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
         "seconds": dict(seconds),
         "versions": {
             "casacal": casacal.__version__,
-            "casadi": ca.__version__,
+            "casadi": metadata.version("casadi"),
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
@@ -153,7 +154,7 @@ def write_calibration(calibration: Calibration, source: ProblemFile, folder: Pat
     table = folder / "parameters.csv"
     lines = ["name,unit,nominal,estimate,change,std,identifiable,note"] + [
         f"{row['name']},{row['unit']},{row['nominal']:.12g},{row['estimate']:.12g},"
-        f"{row['estimate'] - row['nominal']:.6g},{row['std']:.6g},{row['identifiable']},\"{row['note']}\""
+        f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
         for row in rows
     ]
     write_json(folder / "result.json", calibration_document(calibration, source))
@@ -164,7 +165,9 @@ def write_calibration(calibration: Calibration, source: ProblemFile, folder: Pat
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
     """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
     samples = simulation.samples
-    comments = [f"simulated by casacal {casacal.__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
+    comments = [
+        f"simulated by casacal {casacal.__version__} for {source.name}, seed {simulation.seed}: not a measurement"
+    ]
     write_samples(path, source.problem, samples, comments)
     written = source.problem.read(path)
     bound = bind(source.problem, written)

@@ -18,9 +18,7 @@ class CasacalError(Exception):
 class SamplesError(CasacalError):
     """A samples file that cannot be read as declared: names the file and, where known, line and column."""
 
-    def __init__(
-        self, file: str, what: str, fix: str, *, line: int | None = None, column: str | None = None
-    ) -> None:
+    def __init__(self, file: str, what: str, fix: str, *, line: int | None = None, column: str | None = None) -> None:
         self.file, self.line, self.column = file, line, column
         place = file
         if line is not None:

@@ -49,7 +49,9 @@ def load_problem(path: str | Path) -> ProblemFile:
     if not file.is_file():
         near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
         known = f"; known here: {', '.join(near)}" if near else ""
-        raise ProblemError(f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}")
+        raise ProblemError(
+            f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
+        )
     source = file.read_bytes()
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")

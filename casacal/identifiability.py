@@ -90,7 +90,8 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
     ]
     weak = [
         WeakDirection(
-            float(sizes[i]), right[i],
+            float(sizes[i]),
+            right[i],
             f"{_named(right[i], problem.names)}: known better from the prior than from these samples",
         )
         for i in range(rank)
@@ -161,4 +162,4 @@ def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
     strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
     shown = [names[i] for i in strong[:most]]
     more = f" and {len(strong) - most} more" if len(strong) > most else ""
-    return (f"{', '.join(shown)}{more} move together" if len(strong) > 1 else f"{shown[0]} moves alone")
+    return f"{', '.join(shown)}{more} move together" if len(strong) > 1 else f"{shown[0]} moves alone"

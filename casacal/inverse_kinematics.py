@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,8 @@ class Touch:
         """Compile for the arm whose unknowns stand at `local` coordinates by key; the plane plays no part."""
         unknowns = {**robot.parameters, "tool": instrument.tool, "plunger": instrument.plunger}
         z = {key: ca.SX.sym(key, unknown.size) for key, unknown in unknowns.items()}
-        p = SimpleNamespace(**{key: unknown.at(ca.DM(unknown.nominal), z[key]) for key, unknown in unknowns.items()})
+        nominal: dict[str, Any] = {key: unknown.nominal for key, unknown in unknowns.items()}
+        p = SimpleNamespace(**{key: unknown.at(ca.DM(nominal[key]), z[key]) for key, unknown in unknowns.items()})
         q, reading = ca.SX.sym("q", len(robot.axes)), ca.SX.sym("r")
         pose = robot.pose(p, q)
         tip = instrument.tip(pose, p, SimpleNamespace(reading=reading))
@@ -91,7 +92,7 @@ class Touch:
                 wrapped[:, i] = middle + (wrapped[:, i] - middle + np.pi) % (2 * np.pi) - np.pi
         lower = np.array([joint.lower for joint in self.robot.axes])
         upper = np.array([joint.upper for joint in self.robot.axes])
-        return wrapped, ((wrapped >= lower) & (wrapped <= upper)).all(axis=1)
+        return wrapped, np.all((wrapped >= lower) & (wrapped <= upper), axis=1)
 
     def _error(self, joints: Array, readings: Array, targets: Array, axes: Array) -> tuple[Array, Array]:
         tip, axis, tip_slope, axis_slope = self(joints, readings)

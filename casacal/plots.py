@@ -11,6 +11,12 @@ from casacal.calibration import Calibration
 from casacal.files import place_whole
 from casacal.samples import ordered_labels
 
+FILTER_POINTS = 60
+"""Rows at which a filter's objective is drawn."""
+
+FLOOR = 1e-9
+"""Added so that the lowest value itself can stand on a logarithmic axis; below rounding."""
+
 BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 
 
@@ -40,27 +46,28 @@ def plot_residuals(calibration: Calibration, axes: Any) -> None:
     axes.plot([], [], "o", ms=4, color=AFTER, label="after, fitted rows")
     if calibration.heldout is not None:
         axes.plot([], [], "o", ms=4, color=HELD, label="after, held-out rows")
-    axes.legend(fontsize=8, frameon=False, loc="upper right", ncols=3)
-    axes.set_title("Distance from the touched planes (a residual, not accuracy)", fontsize=10)
+    axes.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
+    axes.set_title("Distance from the touched planes: a residual, not accuracy", fontsize=10, loc="right")
 
 
 def plot_convergence(calibration: Calibration, axes: Any) -> None:
-    """The objective, step by step; for a filter the innovations, row by row, with their own two-sigma band."""
-    trace = calibration.result.trace
+    """The objective above its lowest value, step by step; a filter's pass over the rows stands before step 0."""
+    trace, problem = calibration.result.trace, calibration.fit
+    curves: list[tuple[Any, Any, str, str]] = []
+    path = trace.get("filter_x", trace.get("x"))
+    if path is not None:
+        rows = np.unique(np.linspace(0, len(path) - 1, FILTER_POINTS).astype(int))
+        costs = np.array([problem.cost(path[row]) for row in rows])
+        curves.append((rows / max(len(path) - 1, 1) - 1, costs, "-", "filter, one pass over the rows"))
     if "cost" in trace:
-        steps = np.arange(trace["cost"].size)
-        axes.semilogy(steps, trace["cost"], "o-", color=AFTER, ms=4)
-        axes.set_xlabel("step")
-        axes.set_ylabel("objective, log scale")
-    else:
-        rows = np.arange(1, trace["innovation"].size + 1)
-        band = 2 * trace["innovation_std"]
-        axes.fill_between(rows, -band, band, color=BEFORE, alpha=0.4, lw=0, label="two standard deviations expected")
-        axes.plot(rows, trace["innovation"], ".", color=AFTER, ms=4, label="innovation")
-        axes.set_yscale("symlog", linthresh=3)
-        axes.set_xlabel("row")
-        axes.set_ylabel("innovation, in standard deviations of the reading")
-        axes.legend(fontsize=8, frameon=False)
+        curves.append((np.arange(trace["cost"].size), trace["cost"], "o-", calibration.method))
+    lowest = min(float(costs.min()) for _, costs, _, _ in curves)
+    for (places, costs, style, label), colour in zip(curves, (HELD, AFTER)[-len(curves) :], strict=True):
+        axes.plot(places, costs - lowest + FLOOR, style, ms=4, color=colour, label=label)
+    axes.set_yscale("log")
+    axes.set_xlabel("step")
+    axes.set_ylabel("objective above its lowest value")
+    axes.legend(fontsize=8, frameon=False)
     axes.set_title(f"Convergence of {calibration.method}", fontsize=10)
 
 

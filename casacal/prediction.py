@@ -48,7 +48,9 @@ def read_result(path: str | Path) -> ResultFile:
         place, digest = document["problem"]["path"], document["problem"]["sha256"]
         _ = [(row["name"], float(row["estimate"])) for row in document["parameters"]]
     except FileNotFoundError:
-        raise CasacalError(f"{file}: there is no such file", "Give the result.json that calibrate --out wrote") from None
+        raise CasacalError(
+            f"{file}: there is no such file", "Give the result.json that calibrate --out wrote"
+        ) from None
     except (OSError, ValueError, KeyError, TypeError):
         raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json") from None
     beside = Path(path).parent / place

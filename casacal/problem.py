@@ -129,6 +129,7 @@ def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
 def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:
     if not dataclasses.is_dataclass(instrument) or key not in {field.name for field in dataclasses.fields(instrument)}:
         raise ProblemError(
-            f"'{key}' of {type(instrument).__name__} cannot be replaced", "Make the instrument a dataclass with that field"
+            f"'{key}' of {type(instrument).__name__} cannot be replaced",
+            "Make the instrument a dataclass with that field",
         )
     return dataclasses.replace(instrument, **{key: unknown})

@@ -1,4 +1,4 @@
-"""The objective in raw coordinates (free normals, quaternions) with constraints: the form the IPOPT reference solves."""
+"""The objective in raw coordinates (free normals, quaternions) with constraints, as the IPOPT reference solves it."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.errors import SamplesError
 from casacal.instruments.instrument import Dimension
@@ -64,7 +65,7 @@ class Samples:
     def __len__(self) -> int:
         return len(self.joints)
 
-    def take(self, rows: Sequence[int] | Array) -> Samples:
+    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
         index = np.asarray(rows, dtype=np.intp)
         return Samples(
@@ -101,8 +102,9 @@ class Samples:
     def from_table(table: Table, layout: Layout) -> Samples:
         """Samples from the text cells of a table."""
         found = match_columns(table, layout)
-        values = {name: _quantity(table, column, factor, layout.quantities[name]) for name, (column, factor) in
-                  found.items()}
+        values = {
+            name: _quantity(table, column, factor, layout.quantities[name]) for name, (column, factor) in found.items()
+        }
         joint_names = [f"q{i + 1}" for i in range(len(layout.joints))]
         labels = {name: _labels(table, name) for name in layout.labels}
         used = {column for column, _ in found.values()} | set(layout.labels)
@@ -129,7 +131,9 @@ def match_columns(table: Table, layout: Layout) -> dict[str, tuple[str, float]]:
     for name, reason in layout.refused.items():
         for column in table.header:
             if re.fullmatch(rf"{name}(_\w+)?", column):
-                raise refuse(f"the file has this column but {reason}", "Change the problem, or remove the column", column)
+                raise refuse(
+                    f"the file has this column but {reason}", "Change the problem, or remove the column", column
+                )
     for column in table.header:
         number = re.fullmatch(r"q(\d+)(_\w+)?", column)
         if number and not 1 <= int(number[1]) <= len(layout.joints):

@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.bound_problem import BoundProblem
-from casacal.cells import Cell, Face, corner, form_error
+from casacal.cells import Cell, Face, corner
 from casacal.errors import SimulationError
 from casacal.instruments import DialOnPlane
 from casacal.inverse_kinematics import Touch, random_joints
 from casacal.problem import Problem
 from casacal.samples import Samples
+from casacal.touching import find_touches, try_touches
 from casacal.unknowns import Plane
 
 Array: TypeAlias = NDArray[np.float64]
-
-EDGE = 0.05
-"""Readings stay this part of the travel away from its ends."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     lift = noise_rng.normal(size=samples) * (instrument.contact_std if instrument.reading else noise)
     if not instrument.reading:
         lift = lift + outlier
-    joints, readings = _touches(touch, instrument, cell, which, lift, pose_rng, form_rng)
+    joints, readings = find_touches(touch, instrument, cell, which, lift, pose_rng, form_rng)
     recorded = joints - _sag(touch, joints, readings, cell.compliance)
     recorded -= noise_rng.normal(size=joints.shape) * cell.joint_std
     columns = {}
@@ -102,8 +100,13 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     labels = tuple(cell.faces[i].label for i in which)
     name = f"simulated-{seed}"
     rows = Samples(
-        recorded, MappingProxyType(columns), MappingProxyType({"plane": labels} if len(cell.faces) > 1 or
-        instrument.plane.per else {}), tuple(range(1, samples + 1)), MappingProxyType({}), name, name,
+        recorded,
+        MappingProxyType(columns),
+        MappingProxyType({"plane": labels} if len(cell.faces) > 1 or instrument.plane.per else {}),
+        tuple(range(1, samples + 1)),
+        MappingProxyType({}),
+        name,
+        name,
     )
     return Simulation(problem, rows, MappingProxyType(local), cell, seed)
 
@@ -154,71 +157,9 @@ def default_cell(problem: Problem) -> Cell:
 
 def _share_reached(touch: Touch, instrument: DialOnPlane, cell: Cell, rng: np.random.Generator) -> float:
     which = np.arange(30) % len(cell.faces)
-    *_, good = _attempt(touch, instrument, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
+    *_, good = try_touches(touch, instrument, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
     shares = [good[which == i].mean() for i in range(len(cell.faces))]
     return float(min(shares))
-
-
-def _touches(
-    touch: Touch, instrument: DialOnPlane, cell: Cell, which: NDArray[np.intp], lift: Array,
-    rng: np.random.Generator, form_rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Joint values (N, n) at which the tip truly touches, and the true readings (N,)."""
-    seeds = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
-    joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
-    waiting = np.arange(len(which))
-    for _ in range(60):
-        found_joints, found_readings, good = _attempt(
-            touch, instrument, cell, which[waiting], lift[waiting], seeds, rng
-        )
-        joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
-        waiting = waiting[~good]
-        if not waiting.size:
-            return joints, readings
-    label = cell.faces[int(which[waiting[0]])].label
-    raise SimulationError(
-        f"'{touch.robot.name}' cannot touch face '{label}' within joint limits, tilt {math.degrees(cell.tilt):g} "
-        f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
-        "Move or enlarge the face, or allow more tilt",
-    )
-
-
-def _attempt(
-    touch: Touch, instrument: DialOnPlane, cell: Cell, which: NDArray[np.intp], lift: Array,
-    form_seeds: list[int | None], rng: np.random.Generator,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """One try at each touch: joint values, readings, and which of them succeeded."""
-    count = len(which)
-    axes = np.array([face.axes for face in cell.faces])[which]
-    centres = np.array([face.centre for face in cell.faces])[which]
-    half = np.array([face.size for face in cell.faces])[which] / 2
-    travel = instrument.travel if cell.travel is None else cell.travel
-    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if instrument.reading else np.zeros(count)
-    uv = rng.uniform(-1, 1, size=(count, 2))
-    targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
-    directions = _tilted(axes, cell.tilt, rng)
-    joints = touch.reach(targets, directions, readings, random_joints(touch.robot, count, rng))
-    joints, inside = touch.within_limits(joints)
-    heights = lift + (axes[:, 0] * centres).sum(axis=1)
-    for i, form_seed in enumerate(form_seeds):
-        if form_seed is not None:
-            here = which == i
-            heights[here] += form_error(np.random.default_rng(form_seed), cell.flatness, uv[here])
-    joints = touch.land(joints, readings, axes[:, 0], heights)
-    tip, direction, *_ = touch(joints, readings)
-    offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))
-    landed = np.abs((axes[:, 0] * tip).sum(axis=1) - heights) < 1e-7
-    upright = -(axes[:, 0] * direction).sum(axis=1) >= math.cos(cell.tilt) - 1e-6
-    good = inside & landed & upright & (offset <= half + 1e-6).all(axis=1) & touch.within_limits(joints)[1]
-    return joints, readings, good
-
-
-def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
-    """Directions (N, 3) into the faces, uniform over the cone of half-angle `tilt`."""
-    cosine = rng.uniform(math.cos(tilt), 1.0, len(axes))
-    sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, len(axes))
-    parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
-    return np.einsum("ka,kax->kx", parts, axes)
 
 
 def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Array:
@@ -234,4 +175,3 @@ def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Arr
     yielding = -lever * turns
     sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
     return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
-

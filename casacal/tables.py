@@ -122,7 +122,9 @@ def _split(text: str, delimiter: str, file: str, line: int) -> list[str]:
 def _check_header(header: tuple[str, ...], file: str, line: int) -> None:
     if all(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
         raise SamplesError(
-            file, "the first line holds numbers, not column names", "Put a header such as q1_deg,q2_deg,... above it",
+            file,
+            "the first line holds numbers, not column names",
+            "Put a header such as q1_deg,q2_deg,... above it",
             line=line,
         )
     for i, name in enumerate(header):

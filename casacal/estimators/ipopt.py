@@ -17,9 +17,7 @@ from casacal.result import Result, Status
 Array: TypeAlias = NDArray[np.float64]
 
 
-def ipopt(
-    problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-9, verbose: bool = False
-) -> Result:
+def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-9, verbose: bool = False) -> Result:
     """Minimise f over raw coordinates v (normals as free 3-vectors, rotations as quaternions) with v'v = 1 constraints.
 
     Shares the model's residual with the other estimators but neither their parametrisation of planes nor their
@@ -64,7 +62,7 @@ def ipopt(
 
 def _program(
     graph: RawGraph, problem: LeastSquares, max_steps: int, tolerance: float, verbose: bool
-) -> tuple[dict[str, ca.MX], dict[str, Any], Array]:
+) -> tuple[dict[str, Any], dict[str, Any], Array]:
     """The nonlinear program in scaled raw coordinates y, v = start + scales * y; the solver's options; the scales."""
     objective = _objective(graph, problem)
     # each variable in units of its own conditional standard deviation: gradients then vanish to rounding
@@ -87,7 +85,11 @@ def _program(
         # derivatives row by row from small SX graphs: differentiating the mapped whole costs an order more
         "grad_f": ca.Function("nlp_grad_f", [y, parameters], [value, scales * slope], ["x", "p"], ["f", "grad_f_x"]),
         "hess_lag": ca.Function(
-            "nlp_hess_l", [y, parameters, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            "nlp_hess_l",
+            [y, parameters, lam_f, lam_g],
+            [hessian],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
         ),
         "ipopt": {
             "max_iter": max_steps,
@@ -125,8 +127,13 @@ def _data(block: RawBlock, v: ca.MX) -> list[ca.MX]:
     data = (ca.DM(values.T) for values in (block.constants, block.data, block.noise))
     residuals, gradients, bends = total(v[block.columns.tolist()], *data)
     flat = ca.reshape(gradients, block.columns.size, count * components)
-    place = ca.DM.triplet(block.columns.tolist(), list(range(block.columns.size)), ca.DM.ones(block.columns.size),
-                          v.numel(), block.columns.size)
+    place = ca.DM.triplet(
+        block.columns.tolist(),
+        list(range(block.columns.size)),
+        ca.DM.ones(block.columns.size),
+        v.numel(),
+        block.columns.size,
+    )
     hessian = ca.triu2symm(bends) + flat @ flat.T
     return [ca.sumsqr(residuals) / 2, place @ (flat @ ca.vec(residuals)), place @ hessian @ place.T]
 

@@ -37,8 +37,10 @@ def lm(
 
     In prior-scaled coordinates (`start_std` where the prior is flat) each step solves (H + mu I) step = -g with
     H = J'J + Lambda. Scaling flat unknowns by their columns (More 1978) instead would damp directions that only the
-    prior holds, such as a shift of arm and planes together, a million times more than the others. The corrected form of eqs (27)-(29) of arXiv:2208.02652: minus sign
-    (E14), one joint step (E15), unit normals (E16), gain-ratio damping (E13).
+    prior holds, such as a shift of arm and planes together, a million times more than the others.
+
+    The corrected form of eqs (27)-(29) of arXiv:2208.02652: minus sign (E14), one joint step (E15), unit normals
+    (E16), gain-ratio damping (E13).
 
     Args:
         problem: what to minimise.

@@ -91,10 +91,12 @@ def sckf(
     belief = Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
     trace: list[tuple[float, float]] = []
     means = [problem.x0]
+
+    def predicted(k: int) -> Callable[[Array], Array]:
+        return lambda states: problem.row(k, problem.x0 + scale * states)
+
     for k in range(problem.rows):
-        update = cubature_update(
-            predict(belief, process), lambda states, k=k: problem.row(k, problem.x0 + scale * states), 0.0, 1.0
-        )
+        update = cubature_update(predict(belief, process), predicted(k), 0.0, 1.0)
         belief = update.belief
         trace.append((update.innovation, update.innovation_std))
         means.append(problem.x0 + scale * belief.mean)

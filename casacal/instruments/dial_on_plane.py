@@ -116,4 +116,3 @@ class DialOnPlane(Instrument):
         plunger = sight.poses[:, :3, :3] @ unit_vector(self.plunger.vector, "The plunger")
         towards = float((plunger @ axes[2]).mean())
         return Plane.encode(-axes[2] if towards > 0 else axes[2], centre)
-

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.unknowns.unknown import Array, Expression, Unknown, check_stds, spread, start_stds
@@ -54,8 +55,8 @@ class Parameter(Unknown):
         return np.asarray(self.values, dtype=np.float64)
 
     @cached_property
-    def _free(self) -> Array:
-        return spread(self.free, self._all.size, "free of a parameter").astype(bool)  # type: ignore[arg-type]
+    def _free(self) -> NDArray[np.bool_]:
+        return spread(self.free, self._all.size, "free of a parameter").astype(bool)
 
     @cached_property
     def _prior(self) -> Array:
@@ -78,7 +79,7 @@ class Parameter(Unknown):
     @property
     def prior_stds(self) -> Array:
         """Prior standard deviations of the free components."""
-        return self._prior[self._free]
+        return np.asarray(self._prior[self._free])
 
     @property
     def start_stds(self) -> Array:
@@ -121,7 +122,7 @@ class Parameter(Unknown):
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the free components themselves."""
-        return np.asarray(nominal)[self._free]
+        return np.asarray(np.asarray(nominal)[self._free])
 
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
         """Value with the free components replaced."""

@@ -122,7 +122,7 @@ def check_stds(stds: Array, what: str) -> None:
 
 
 def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: str) -> Array:
-    """Standard deviations (n,) where filters start: the prior's, or where that is flat `start`, or 10 mm and 10 mrad."""
+    """Standard deviations (n,) where filters start: the prior's, or where that is flat `start` (10 mm, 10 mrad)."""
     result = prior.copy()
     for j in np.flatnonzero(~np.isfinite(prior)):
         if start is not None:
