@@ -24,6 +24,9 @@ RANK_TOLERANCE = 1e-9
 FIELD_TOLERANCE = 1e-6
 """Part of the largest tip motion below which a combination of null directions counts as not moving the tip."""
 
+LEVER = 1000.0
+"""Millimetres at which an angle counts when unknowns are named by their part in a direction."""
+
 FLAT_UNITS = {"rad": 1e-3, "mm": 1.0}
 MEANING: dict[Kind, str] = {
     "invisible": "changes nothing the arm does",
@@ -79,12 +82,14 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
     """
     flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
     scale = np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+    # what takes part is judged by how far it moves things, an angle at a lever of a metre
+    lever = scale * np.where(np.array(problem.units) == "rad", LEVER, 1.0)
     jacobian = problem.jacobian(problem.x0) * scale
     _, sizes, right = np.linalg.svd(np.vstack([jacobian, np.zeros((0, problem.unknowns))]), full_matrices=True)
     sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
     rank = int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
     null = [
-        NullDirection(kind, direction, f"{_named(direction, problem.names)}: {MEANING[kind]}")
+        NullDirection(kind, direction, f"{_named(direction * lever, problem.names)}: {MEANING[kind]}")
         for kind, basis in split_null_space(right[rank:].T, tip_jacobian * scale, tips)
         for direction in sparse_basis(basis).T
     ]
@@ -92,7 +97,7 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
         WeakDirection(
             float(sizes[i]),
             right[i],
-            f"{_named(right[i], problem.names)}: known better from the prior than from these samples",
+            f"{_named(right[i] * lever, problem.names)}: known better from the prior than from these samples",
         )
         for i in range(rank)
         if sizes[i] < 1

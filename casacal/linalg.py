@@ -54,6 +54,8 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
         prior_std: prior standard deviations (n,), infinite where flat.
 
     """
+    if not np.isfinite(data_information).all():
+        return np.diag(np.full(len(prior_std), np.inf))
     scale = column_scales(data_information, prior_std)
     scaled = scale[:, None] * data_information * scale
     scaled[np.diag_indices_from(scaled)] += np.where(np.isfinite(prior_std), 1.0, 0.0)

@@ -120,7 +120,7 @@ def _split(text: str, delimiter: str, file: str, line: int) -> list[str]:
 
 
 def _check_header(header: tuple[str, ...], file: str, line: int) -> None:
-    if all(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
+    if any(_NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
         raise SamplesError(
             file,
             "the first line holds numbers, not column names",

@@ -1,0 +1,36 @@
+"""Shared fixtures: the problems of this project, a simulated corner, and the real data where they are present."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from casacal import BoundProblem, ProblemFile, Simulation, bind, load_problem, simulate
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+
+@pytest.fixture(scope="session")
+def hsr() -> ProblemFile:
+    return load_problem(ROOT / "problems" / "hsr_jr680")
+
+
+@pytest.fixture(scope="session")
+def corner_simulation(hsr: ProblemFile) -> Simulation:
+    return simulate(hsr.problem, hsr.cell, seed=3)
+
+
+@pytest.fixture(scope="session")
+def corner_bound(hsr: ProblemFile, corner_simulation: Simulation) -> BoundProblem:
+    return bind(hsr.problem, corner_simulation.samples)
+
+
+@pytest.fixture(scope="session")
+def motoman_data() -> Path:
+    """Folder of the real contacts; name it in CASACAL_MOTOMAN, or keep it beside the checkout."""
+    folder = Path(os.environ.get("CASACAL_MOTOMAN", ROOT.parent / "shared" / "data" / "motoman"))
+    if not (folder / "contacts.csv").is_file():
+        pytest.skip(f"the Motoman measurements are not at {folder}; set CASACAL_MOTOMAN to their folder")
+    return folder

@@ -1,0 +1,34 @@
+"""One trial of the simulated corner, for process pools: every method on the same truth, poses and noise."""
+
+from pathlib import Path
+
+import numpy as np
+
+from casacal import bind, ekf, ipopt, lm, load_problem, sckf, sckf_lm, simulate
+from casacal.metrics import bayesian_bound, nees, tip_rms, without_rigid, workspace_joints
+
+METHODS = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
+ROOT = Path(__file__).parent.parent
+ARM = slice(0, 24)
+_SOURCE = load_problem(ROOT / "problems" / "hsr_jr680")
+_JOINTS = workspace_joints(_SOURCE.problem.robot)
+
+
+def trial(seed, methods):
+    """Costs, tip error over bound, NEES of the 24 DH parameters, and NIS of the later half, by method."""
+    simulation = simulate(_SOURCE.problem, _SOURCE.cell, seed=seed)
+    bound = bind(_SOURCE.problem, simulation.samples)
+    truth = simulation.truth(bound)
+    tips = bound.tips(truth, _JOINTS)
+    best = bayesian_bound(bound.normal(truth).information, bound.prior_std, bound.tip_jacobian(truth, _JOINTS), tips)
+    found = {}
+    for name in methods:
+        result = METHODS[name](bound)
+        error = tip_rms(without_rigid((bound.tips(result.x, _JOINTS) - tips).ravel(), tips))
+        covariance = result.covariance[ARM, ARM]
+        nis = np.nan
+        if "innovation" in result.trace:
+            whitened = result.trace["innovation"] / result.trace["innovation_std"]
+            nis = float(np.mean(whitened[len(whitened) // 2 :] ** 2))
+        found[name] = (result.cost, error, best, nees((result.x - truth)[ARM], covariance), nis, result.converged)
+    return found

@@ -1,0 +1,52 @@
+"""A plane residual is not accuracy: without a prior, one plane is fitted perfectly by an arm of another size."""
+
+import dataclasses
+
+import numpy as np
+
+from casacal import Problem, bind, lm, plate, simulate
+from casacal.metrics import tip_rms, without_rigid, workspace_joints
+
+PLATE = plate((1350.0, 0.0, 500.0))
+
+
+def arm_size(result):
+    """Reach of the identified arm over its nominal reach: lengths and offsets together."""
+    values = {name: nominal + (0 if j is None else result.x[j]) for name, _, nominal, j in result.problem.parameters()}
+    nominal = {name: nominal for name, _, nominal, _ in result.problem.parameters()}
+    keys = [name for name in values if name[0] in "ad" and name[1:].isdigit()]
+    return np.linalg.norm([values[key] for key in keys]) / np.linalg.norm([nominal[key] for key in keys])
+
+
+def fit_one_plane(hsr, *, prior):
+    # the paper's situation: contact of a tool that is nearly normal to one plate; readings say nothing of length
+    dial = dataclasses.replace(hsr.problem.instruments[0], reading=False)
+    problem = Problem(hsr.problem.robot, dial)
+    cell = dataclasses.replace(hsr.cell, faces=PLATE, tilt=np.radians(15))
+    simulation = simulate(problem, cell, samples=160, seed=2)
+    if not prior:
+        problem = problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), np.inf))
+    rows = simulation.samples
+    fitted = bind(problem, rows.take(np.arange(120)))
+    result = lm(fitted, max_steps=400)
+    held = fitted.on(rows.take(np.arange(120, 160)))
+    residual = float(np.sqrt(np.mean(held.plain_residual(result.x) ** 2)))
+    joints = workspace_joints(problem.robot)
+    true = fitted.tips(simulation.truth(fitted), joints)
+    error = tip_rms(without_rigid((fitted.tips(result.x, joints) - true).ravel(), true))
+    nominal = tip_rms(without_rigid((fitted.tips(fitted.x0, joints) - true).ravel(), true))
+    return residual, arm_size(result), error, nominal
+
+
+def test_without_a_prior_the_planes_look_perfect_and_the_arm_is_lost(hsr):
+    residual, size, error, nominal = fit_one_plane(hsr, prior=False)
+    assert residual < 0.05
+    assert abs(size - 1) > 0.2
+    assert error > 10 * nominal
+
+
+def test_the_default_prior_prevents_it(hsr):
+    residual, size, error, nominal = fit_one_plane(hsr, prior=True)
+    assert residual < 0.02
+    assert abs(size - 1) < 0.002
+    assert error < 1.2 * nominal

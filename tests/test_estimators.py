@@ -1,0 +1,207 @@
+"""Estimators on problems whose answer is known, and filters against other people's filters."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from filterpy.kalman import CubatureKalmanFilter
+from linear import Matrix, as_symbols, random_linear
+from oracles import central_difference, cubature_step, posterior
+from scipy.optimize import least_squares
+
+from casacal import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+from casacal.errors import ProblemError
+from casacal.estimators.ekf import linear_update
+from casacal.estimators.sckf import Belief, cubature_update, predict
+from casacal.result import Status
+
+ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
+
+
+@pytest.mark.parametrize("method", ALL.values(), ids=ALL)
+@pytest.mark.parametrize("seed", range(3))
+def test_linear_problems_are_solved_to_the_closed_form(method, seed):
+    a, y, nominal, prior, noise = random_linear(seed)
+    mean, covariance = posterior(a / noise, y / noise, nominal, prior)
+    result = method(as_symbols(a, y, nominal, prior, noise))
+    assert result.converged
+    np.testing.assert_allclose(result.x + nominal, mean, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result.covariance, covariance, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("method", [lm, sckf, sckf_lm, ekf], ids=lambda m: m.__name__)
+def test_estimators_need_no_more_than_a_matrix(method):
+    a, y, nominal, prior, noise = random_linear(7)
+    mean, covariance = posterior(a / noise, y / noise, nominal, prior)
+    result = method(Matrix(a / noise, y / noise, nominal, prior))
+    np.testing.assert_allclose(result.x, mean, atol=1e-10)
+    np.testing.assert_allclose(result.covariance, covariance, atol=1e-10)
+    with pytest.raises(ProblemError, match="symbolic form"):
+        ipopt(result.problem)
+
+
+def test_plane_only_solves_its_own_unknowns_and_leaves_the_rest():
+    a, y, nominal, prior, noise = random_linear(8)
+    own = np.array([False, True, False, True, True])
+    result = plane_only(Matrix(a / noise, y / noise, nominal, prior, datum=own))
+    fixed = (y - a[:, ~own] @ nominal[~own]) / noise
+    mean, covariance = posterior(a[:, own] / noise, fixed, nominal[own], prior[own])
+    np.testing.assert_allclose(result.x[own], mean, atol=1e-10)
+    np.testing.assert_array_equal(result.x[~own], nominal[~own])
+    np.testing.assert_allclose(result.covariance[np.ix_(own, own)], covariance, atol=1e-10)
+    np.testing.assert_allclose(result.std[~own], prior[~own])
+
+
+@pytest.mark.parametrize("method", [*ALL.values(), plane_only], ids=[*ALL, "plane_only"])
+def test_estimators_repeat_themselves_and_mutate_nothing(method, corner_bound):
+    before = (corner_bound.x0.copy(), corner_bound.blocks[0].data.copy(), corner_bound.prior_std.copy())
+    first, second = method(corner_bound), method(corner_bound)
+    np.testing.assert_array_equal(first.x, second.x)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    after = (corner_bound.x0, corner_bound.blocks[0].data, corner_bound.prior_std)
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(old, new)
+    assert first.converged
+    assert first.residual_rows > 0
+
+
+def test_running_out_of_steps_is_said(corner_bound):
+    assert lm(corner_bound, max_steps=1).status is Status.MAX_STEPS
+    assert ipopt(corner_bound, max_steps=1).status is Status.MAX_STEPS
+    assert not lm(corner_bound, max_steps=1).converged
+
+
+def test_values_that_are_not_finite_are_said():
+    a, y, nominal, prior, noise = random_linear(9)
+    a[3, 2] = math.nan
+    for method in (lm, sckf, ekf):
+        assert method(Matrix(a, y, nominal, prior)).status is Status.NOT_FINITE
+
+
+class Circle(Matrix):
+    """A curved residual: distances from two points of the plane, far from linear."""
+
+    def __init__(self, x0):
+        super().__init__(np.zeros((2, 2)), np.array([5.0, 5.0]), np.array(x0), np.full(2, np.inf), np.full(2, 1.0))
+        self.anchors = np.array([[0.0, 0.0], [6.0, 0.0]])
+
+    def residual(self, x):
+        return np.linalg.norm(x - self.anchors, axis=1) - self.b
+
+    def jacobian(self, x):
+        away = x - self.anchors
+        return away / np.linalg.norm(away, axis=1)[:, None]
+
+
+def test_lm_finds_a_curved_zero_from_afar_and_its_cost_never_rises():
+    result = lm(Circle([40.0, 1.0]))
+    np.testing.assert_allclose(result.x, [3.0, 4.0], atol=1e-8)
+    assert all(after <= before + 1e-9 for before, after in pairwise(result.trace["cost"]))
+    assert result.kkt < 1e-8
+
+
+def test_lm_agrees_with_scipy_on_a_robot(corner_bound):
+    lam = np.sqrt(corner_bound.prior_information)
+    scipy_result = least_squares(
+        lambda x: np.concatenate([corner_bound.residual(x), lam * x]),
+        corner_bound.x0,
+        jac=lambda x: np.vstack([corner_bound.jacobian(x), np.diag(lam)]),
+        x_scale=corner_bound.start_std,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-12,
+    )
+    result = lm(corner_bound)
+    assert result.cost == pytest.approx(scipy_result.cost, rel=1e-9)
+    np.testing.assert_allclose(result.x / result.std, scipy_result.x / result.std, atol=1e-4)
+
+
+def test_lm_from_nominal_needs_few_evaluations(corner_bound):
+    assert lm(corner_bound).steps <= 8
+
+
+# --- filters ---------------------------------------------------------------------------------------------------------
+
+
+def curved(x):
+    return float(np.sin(x[0]) + x[1] * x[2] + 0.3 * x[0] ** 2)
+
+
+def test_the_square_root_step_equals_the_plain_cubature_filter():
+    rng = np.random.default_rng(5)
+    a = rng.normal(size=(3, 3))
+    mean, covariance = rng.normal(size=3), a @ a.T + np.eye(3)
+    belief = Belief(mean, np.linalg.cholesky(covariance))
+    for measured in (0.4, -1.3, 2.0):
+        belief = cubature_update(belief, lambda s: np.array([curved(x) for x in s]), measured, 0.3).belief
+        mean, covariance = cubature_step(mean, covariance, curved, measured, 0.09)
+        np.testing.assert_allclose(belief.mean, mean, atol=1e-12)
+        np.testing.assert_allclose(belief.root @ belief.root.T, covariance, atol=1e-12)
+
+
+def test_the_square_root_step_equals_filterpy():
+    other = CubatureKalmanFilter(3, 1, 1.0, hx=lambda x: np.array([curved(x.ravel())]), fx=lambda x, dt: x)
+    other.x, other.P, other.R, other.Q = (
+        np.array([[0.1], [0.2], [0.3]]),
+        np.diag([1.0, 0.5, 2.0]),
+        0.25,
+        np.zeros((3, 3)),
+    )
+    belief = Belief(np.array([0.1, 0.2, 0.3]), np.diag(np.sqrt([1.0, 0.5, 2.0])))
+    for measured in (0.7, -0.2):
+        other.predict()
+        other.update(np.array([[measured]]))
+        belief = cubature_update(belief, lambda s: np.array([curved(x) for x in s]), measured, 0.5).belief
+    np.testing.assert_allclose(belief.mean, other.x.ravel(), atol=1e-10)
+    np.testing.assert_allclose(belief.root @ belief.root.T, other.P, atol=1e-10)
+
+
+def test_a_linear_step_equals_kalman_to_rounding():
+    rng = np.random.default_rng(6)
+    a, h = rng.normal(size=(4, 4)), rng.normal(size=4)
+    p = a @ a.T + np.eye(4)
+    x = rng.normal(size=4)
+    gain = p @ h / (h @ p @ h + 0.04)
+    expected_x, expected_p = x + gain * (1.5 - h @ x), p - np.outer(gain, h @ p)
+    update = cubature_update(Belief(x, np.linalg.cholesky(p)), lambda s: s @ h, 1.5, 0.2)
+    np.testing.assert_allclose(update.belief.mean, expected_x, atol=1e-12)
+    np.testing.assert_allclose(update.belief.root @ update.belief.root.T, expected_p, atol=1e-12)
+    assert update.innovation_std == pytest.approx(math.sqrt(h @ p @ h + 0.04))
+    ekf_x, ekf_p, _ = linear_update(x, p, h, 1.5 - h @ x, 0.2)
+    np.testing.assert_allclose(ekf_x, expected_x, atol=1e-12)
+    np.testing.assert_allclose(ekf_p, expected_p, atol=1e-12)
+
+
+def test_the_order_of_rows_does_not_matter_on_a_linear_problem():
+    a, y, nominal, prior, noise = random_linear(10)
+    order = np.random.default_rng(0).permutation(len(y))
+    for method in (sckf, ekf):
+        one = method(Matrix(a / noise, y / noise, nominal, prior))
+        other = method(Matrix(a[order] / noise, y[order] / noise, nominal, prior))
+        np.testing.assert_allclose(one.x, other.x, atol=1e-11)
+        np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-11)
+
+
+def test_drift_adds_its_covariance():
+    belief = Belief(np.zeros(2), np.array([[1.0, 0.0], [0.4, 0.8]]))
+    drifted = predict(belief, np.diag([0.3, 0.1]))
+    np.testing.assert_allclose(drifted.root @ drifted.root.T, belief.root @ belief.root.T + np.diag([0.09, 0.01]))
+    assert predict(belief, None) is belief
+
+
+def test_filters_take_a_flat_prior_from_start_std_only():
+    a, y, nominal, prior, noise = random_linear(11, rows=60)
+    flat = prior.copy()
+    flat[0] = np.inf
+    start = np.where(np.isfinite(flat), flat, 1e4)
+    problem = Matrix(a / noise, y / noise, nominal, flat, start)
+    mean, _ = posterior(a / noise, y / noise, nominal, np.where(np.isfinite(flat), flat, 1e12))
+    np.testing.assert_allclose(lm(problem).x, mean, atol=1e-9)
+    np.testing.assert_allclose(sckf(problem).x, mean, atol=1e-6)
+
+
+def test_jacobian_of_the_raw_circle_is_right():
+    circle = Circle([1.0, 2.0])
+    x = np.array([1.3, -0.7])
+    np.testing.assert_allclose(circle.jacobian(x), central_difference(circle.residual, x, [1e-6] * 2), atol=1e-8)

@@ -1,0 +1,86 @@
+"""What a plane can and cannot see: the seven set-ups of a contact-only HSR-JR680, kind by kind."""
+
+import math
+
+import numpy as np
+import pytest
+
+from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
+from casacal.identifiability import identifiability, sparse_basis, verdict
+from casacal.metrics import workspace_joints
+
+CENTRE = (1350.0, 0.0, 700.0)
+FLAT = plate((1350.0, 0.0, 500.0))
+INCLINED = plate((1350.0, 0.0, 500.0), normal=(-0.4, 0.3, 0.8))
+CORNER = corner(CENTRE)
+
+
+def facets():
+    """Twelve small faces around the corner's centre, none facing away from the base."""
+    rng = np.random.default_rng(0)
+    faces = []
+    for i in range(12):
+        normal = rng.normal(size=3)
+        normal[0], normal[2] = -abs(normal[0]), abs(normal[2])
+        normal /= np.linalg.norm(normal)
+        faces.append(Face(f"facet{i}", tuple(np.array(CENTRE) - 200 * normal), tuple(normal), (300, 300)))
+    return tuple(faces)
+
+
+# faces, largest tilt, rank, unknowns, (invisible, rigid, scale, blind), order of magnitude of the condition
+TABLE = {
+    "1 horizontal, tool normal": (FLAT, 0, 6, 27, (5, 2, 1, 13), 4e3),
+    "1 horizontal, tilt 15": (FLAT, 15, 17, 27, (5, 2, 1, 2), 1.5e5),
+    "1 inclined, tilt 30": (INCLINED, 30, 19, 27, (5, 2, 1, 0), 8e3),
+    "2 orthogonal, tilt 30": (CORNER[:2], 30, 22, 30, (5, 2, 1, 0), 8e3),
+    "3 orthogonal, tool normal": (CORNER, 0, 17, 33, (5, 2, 1, 8), 3e3),
+    "3 orthogonal, tilt 30": (CORNER, 30, 25, 33, (5, 2, 1, 0), 7e2),
+    "12 facets, tool normal": (facets(), 0, 44, 60, (5, 2, 1, 8), 4e3),
+}
+
+
+def judge(problem, faces, tilt):
+    # an exact contact of the nominal arm, as the table is defined
+    cell = Cell(faces=faces, tilt=math.radians(tilt), error_scale=0.0, repeatability=0.0)
+    bound = bind(problem, simulate(problem, cell, seed=1).samples)
+    joints = workspace_joints(problem.robot)
+    return identifiability(bound, bound.tip_jacobian(bound.x0, joints), bound.tips(bound.x0, joints))
+
+
+@pytest.mark.parametrize("row", TABLE.values(), ids=TABLE)
+def test_rank_and_null_space_by_kind(hsr, row):
+    faces, tilt, rank, unknowns, kinds, condition = row
+    contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, reading=False))
+    found = judge(contact, faces, tilt)
+    assert (found.rank, found.unknowns) == (rank, unknowns)
+    assert tuple(found.count(kind) for kind in ("invisible", "rigid", "scale", "blind")) == kinds
+    assert condition / 5 < found.condition < condition * 5
+
+
+def test_null_directions_are_named_by_the_unknowns_that_take_part(hsr):
+    contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, reading=False))
+    found = judge(contact, CORNER, 30)
+    said = {direction.words.split(":")[0] for direction in found.null}
+    assert "alpha6 moves alone" in said
+    assert "theta6 moves alone" in said
+    assert said & {"d2, d3 move together", "d3, d2 move together"}
+
+
+def test_a_dial_turns_null_directions_into_weak_ones(hsr):
+    found = judge(hsr.problem, FLAT, 15)
+    assert [found.count(kind) for kind in ("invisible", "rigid", "scale")] == [3, 2, 0]
+    assert found.count("blind") <= 1  # a1 against d2 + d3 falls to 1e-9 of the largest, at the edge of rank
+    assert len(found.weak) >= 5
+    assert all(direction.singular_value < 1 for direction in found.weak)
+
+
+def test_a_sparse_basis_spans_the_same_space():
+    basis = np.linalg.qr(np.random.default_rng(0).normal(size=(7, 3)))[0]
+    sparse = sparse_basis(basis)
+    assert np.linalg.matrix_rank(np.hstack([basis, sparse]), tol=1e-9) == 3
+    assert (np.abs(sparse) < 1e-12).sum() >= 6
+
+
+def test_verdicts():
+    assert [verdict(s, 1.0) for s in (0.1, 0.6, 0.99, math.inf)] == ["data", "prior", "no", "no"]
+    assert verdict(3.0, math.inf) == "data"

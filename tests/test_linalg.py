@@ -1,0 +1,35 @@
+"""Dense pieces against their definitions."""
+
+import numpy as np
+
+from casacal.linalg import correlation, damped_step, posterior_covariance, tria
+
+
+def test_tria_is_lower_triangular_with_the_same_product():
+    a = np.random.default_rng(0).normal(size=(5, 9))
+    s = tria(a)
+    assert np.array_equal(s, np.tril(s))
+    assert (np.diagonal(s) > 0).all()
+    np.testing.assert_allclose(s @ s.T, a @ a.T, atol=1e-12)
+
+
+def test_damped_step_solves_the_damped_system_or_says_it_cannot():
+    rng = np.random.default_rng(1)
+    j, g = rng.normal(size=(8, 4)), rng.normal(size=4)
+    step = damped_step(j.T @ j, g, 0.3)
+    np.testing.assert_allclose((j.T @ j + 0.3 * np.eye(4)) @ step, -g, atol=1e-10)
+    assert damped_step(-np.eye(3), np.ones(3), 0.1) is None
+
+
+def test_covariance_is_the_inverse_and_infinite_where_nothing_is_known():
+    rng = np.random.default_rng(2)
+    j = rng.normal(size=(9, 4))
+    prior = np.array([0.5, 2.0, np.inf, np.inf])
+    expected = np.linalg.inv(j.T @ j + np.diag([4.0, 0.25, 0, 0]))
+    np.testing.assert_allclose(posterior_covariance(j.T @ j, prior), expected, rtol=1e-10)
+    j[:, 3] = 0.0
+    unseen = posterior_covariance(j.T @ j, prior)
+    assert np.isinf(unseen[3, 3])
+    np.testing.assert_allclose(unseen[:3, :3], np.linalg.inv(j[:, :3].T @ j[:, :3] + np.diag([4, 0.25, 0])), rtol=1e-10)
+    assert correlation(unseen)[3, 3] == 0
+    np.testing.assert_allclose(np.diagonal(correlation(expected)), 1)

@@ -1,0 +1,56 @@
+"""Many seeds of the three-face corner: agreement, efficiency against the bound, consistency of the covariances."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+import numpy as np
+import pytest
+from monte_carlo import METHODS, trial
+from scipy.stats import chi2
+
+TRIALS, COMPARED = 200, 100
+COST, ERROR, BOUND, NEES, NIS, CONVERGED = range(6)
+
+
+@pytest.fixture(scope="module")
+def trials():
+    """Results (method -> array (trials, 6)); the first COMPARED seeds run every method, the others LM and SCKF."""
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        rows = list(pool.map(partial(trial, methods=tuple(METHODS)), range(COMPARED), chunksize=10))
+        more = list(pool.map(partial(trial, methods=("lm", "sckf")), range(COMPARED, TRIALS), chunksize=10))
+    return {name: np.array([row[name] for row in rows + more if name in row], dtype=float) for name in METHODS}
+
+
+def test_all_seeds_converge(trials):
+    for rows in trials.values():
+        assert rows[:, CONVERGED].all()
+
+
+def test_costs_of_the_minimisers_agree(trials):
+    reference = trials["ipopt"][:, COST]
+    for name in ("lm", "sckf_lm"):
+        np.testing.assert_allclose(trials[name][:COMPARED, COST], reference, rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_tip_error_reaches_the_bound(trials, name):
+    rows = trials[name][:COMPARED]
+    ratio = float(np.sqrt(np.mean((rows[:, ERROR] / rows[:, BOUND]) ** 2)))
+    assert ratio <= 1.15
+    if name not in ("sckf", "ekf"):
+        assert ratio >= 0.85
+
+
+@pytest.mark.parametrize("name", ["lm", "sckf"])
+def test_covariances_are_honest(trials, name):
+    total = trials[name][:, NEES].sum()
+    low, high = chi2.ppf([0.0005, 0.9995], 24 * TRIALS)
+    assert low < total < high
+
+
+@pytest.mark.parametrize("name", ["sckf", "ekf"])
+def test_innovations_are_as_large_as_predicted(trials, name):
+    # the later 60 scalar innovations of each trial have mean square one; the earlier ones are smaller, because the
+    # planes start at a fit to the same samples, far better than their 10 mrad and 10 mm
+    assert np.mean(trials[name][:COMPARED, NIS]) == pytest.approx(1.0, abs=0.05)

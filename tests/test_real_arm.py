@@ -1,0 +1,88 @@
+"""A real arm, calibrated from plane contacts alone, must not get worse for the laser tracker that watched it."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from casacal import Problem, TrackedPoint, bind, ipopt, lm, load_problem, sckf_lm
+
+SETS = ("tracker_free.csv", "tracker_wall.csv")
+
+
+@pytest.fixture(scope="module")
+def motoman():
+    return load_problem(ROOT / "problems" / "motoman_ma1400").problem
+
+
+@pytest.fixture(scope="module")
+def contacts(motoman, motoman_data):
+    return motoman.read(motoman_data / "contacts.csv")
+
+
+def moved(robot, result):
+    """The robot with its parameters held at an estimate."""
+    change = {slot.key: result.x[list(slot.columns)] for slot in result.problem.slots if slot.key in robot.parameters}
+    return dataclasses.replace(
+        robot,
+        parameters={
+            key: dataclasses.replace(p, values=tuple(np.array(p.values) + change.get(key, 0.0)), free=False)
+            for key, p in robot.parameters.items()
+        },
+    )
+
+
+def tracker_rms(robot, path):
+    """Distance (mm RMS) of predicted from tracked reflector, fitting the reflector point and the tracker frame only."""
+    problem = Problem(robot, TrackedPoint(noise_std=0.1))
+    bound = bind(problem, problem.read(path))
+    result = lm(bound)
+    assert result.converged
+    return math.sqrt(float((bound.plain_residual(result.x).reshape(-1, 3) ** 2).sum(axis=1).mean()))
+
+
+def held(robot):
+    return dataclasses.replace(
+        robot, parameters={key: dataclasses.replace(p, free=False) for key, p in robot.parameters.items()}
+    )
+
+
+def test_the_nominal_arm_is_as_published(motoman, motoman_data):
+    before = [tracker_rms(held(motoman.robot), motoman_data / name) for name in SETS]
+    assert before == pytest.approx([0.246, 0.224], abs=5e-4)
+
+
+def test_the_tracker_sees_the_arm_get_better(motoman, motoman_data, contacts):
+    result = sckf_lm(bind(motoman, contacts))
+    ratios = []
+    for name in SETS:
+        before = tracker_rms(held(motoman.robot), motoman_data / name)
+        ratios.append(tracker_rms(moved(motoman.robot, result), motoman_data / name) / before)
+    assert max(ratios) <= 1.05
+    assert math.sqrt(math.prod(ratios)) < 0.95
+
+
+def test_half_of_the_contacts_or_other_plates_do_not_harm_either(motoman, motoman_data, contacts):
+    # poses and plates the default was not judged on: each half, and each plate left out
+    labels = np.array(contacts.labels["plane"])
+    subsets = [np.arange(k, len(contacts), 2) for k in (0, 1)]
+    subsets += [np.flatnonzero(~np.char.startswith(labels, plate)) for plate in ("wall", "higher", "lower")]
+    before = [tracker_rms(held(motoman.robot), motoman_data / name) for name in SETS]
+    for rows in subsets:
+        robot = moved(motoman.robot, lm(bind(motoman, contacts.take(rows))))
+        after = [tracker_rms(robot, motoman_data / name) for name in SETS]
+        assert max(a / b for a, b in zip(after, before, strict=True)) <= 1.05
+
+
+def test_loose_priors_fit_the_planes_better_and_ruin_the_arm(motoman, motoman_data, contacts):
+    loose = motoman.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})
+    tight, wild = lm(bind(motoman, contacts)), lm(bind(loose, contacts))
+    assert np.std(wild.problem.plain_residual(wild.x)) < 0.75 * np.std(tight.problem.plain_residual(tight.x))
+    assert tracker_rms(moved(motoman.robot, wild), motoman_data / SETS[0]) > 1.0
+
+
+def test_ipopt_agrees_on_real_contacts(motoman, contacts):
+    bound = bind(motoman, contacts)
+    assert ipopt(bound).cost == pytest.approx(lm(bound).cost, rel=1e-8)
