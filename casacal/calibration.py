@@ -183,7 +183,10 @@ def split(samples: Samples, holdout: float, seed: int) -> tuple[NDArray[np.intp]
     held: list[int] = []
     for label in ordered_labels(groups):
         rows = np.array([i for i, group in enumerate(groups) if group == label])
-        held += rng.permutation(rows)[: round(holdout * len(rows))].tolist()
+        chosen = rng.permutation(rows)[: round(holdout * len(rows))]
+        if len(chosen) == len(rows):
+            raise CasacalError(f"Holding out {holdout:g} leaves no row of '{label}' to fit", "Hold fewer rows out")
+        held += chosen.tolist()
     mask = np.zeros(len(samples), dtype=bool)
     mask[held] = True
     return np.flatnonzero(~mask), np.flatnonzero(mask)

@@ -15,7 +15,7 @@ _JOINTS = workspace_joints(_SOURCE.problem.robot)
 
 
 def trial(seed, methods):
-    """Costs, tip error over bound, NEES of the 24 DH parameters, and NIS of the later half, by method."""
+    """Costs, tip error over bound, NEES of the 24 DH parameters, and NIS of the last third, by method."""
     simulation = simulate(_SOURCE.problem, _SOURCE.cell, seed=seed)
     bound = bind(_SOURCE.problem, simulation.samples)
     truth = simulation.truth(bound)
@@ -29,6 +29,6 @@ def trial(seed, methods):
         nis = np.nan
         if "innovation" in result.trace:
             whitened = result.trace["innovation"] / result.trace["innovation_std"]
-            nis = float(np.mean(whitened[len(whitened) // 2 :] ** 2))
+            nis = float(np.mean(whitened[2 * len(whitened) // 3 :] ** 2))
         found[name] = (result.cost, error, best, nees((result.x - truth)[ARM], covariance), nis, result.converged)
     return found

@@ -73,7 +73,7 @@ def test_running_out_of_steps_is_said(corner_bound):
 
 
 def test_values_that_are_not_finite_are_said():
-    a, y, nominal, prior, noise = random_linear(9)
+    a, y, nominal, prior, _ = random_linear(9)
     a[3, 2] = math.nan
     for method in (lm, sckf, ekf):
         assert method(Matrix(a, y, nominal, prior)).status is Status.NOT_FINITE

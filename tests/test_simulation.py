@@ -15,11 +15,9 @@ from casacal.simulation import default_cell
 
 def true_tips(simulation, joints, readings, sign=1):
     """Tips (N, 3) and plunger directions of the true HSR-JR680 by NumPy alone."""
-    nominal = simulation.problem.robot.parameters
+    nominal, last = simulation.problem.robot.parameters, np.array([0, 0, 0, 0, 0, 1.0])
     alpha, a, d, theta = (np.array(nominal[k].values) + simulation.local[k] for k in ("alpha", "a", "d", "theta"))
-    poses = [
-        dh_chain(alpha, a, d + [0, 0, 0, 0, 0, sign * r], theta + q) for q, r in zip(joints, readings, strict=True)
-    ]
+    poses = [dh_chain(alpha, a, d + sign * r * last, theta + q) for q, r in zip(joints, readings, strict=True)]
     return np.array([pose[:3, 3] for pose in poses]), np.array([pose[:3, 2] for pose in poses])
 
 

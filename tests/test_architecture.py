@@ -1,0 +1,111 @@
+"""The house: imports point one way, files stay small, nothing hidden; found by reading the source."""
+
+import ast
+import re
+
+import pytest
+from conftest import ROOT
+
+PACKAGE = ROOT / "casacal"
+FILES = sorted(PACKAGE.rglob("*.py"))
+FLOORS = [
+    {"errors"},
+    {"kinematics", "linalg", "tables", "unknowns"},
+    {"robot", "instruments", "samples", "least_squares", "result"},
+    {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
+    {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability"},
+    {"files", "calibration", "documents", "prediction", "report", "plots"},
+    {"cli"},
+]
+FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+NUMPY_ONLY = {"least_squares", "linalg", "result", "metrics", "identifiability"}
+
+
+def name_of(path):
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__")
+
+
+def imports(path):
+    """Modules of casacal (dotted, without the prefix) and foreign packages that a file imports at any depth."""
+    own, foreign = set(), set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+        for name in names:
+            if name.split(".")[0] == "casacal":
+                own.add(name.removeprefix("casacal").removeprefix("."))
+            else:
+                foreign.add(name.split(".")[0])
+    return own - {""}, foreign
+
+
+def test_every_module_has_a_floor_and_imports_from_its_own_or_lower_ones():
+    for path in FILES:
+        name = name_of(path)
+        if not name:
+            continue
+        floor = FLOOR[name.split(".")[0]]
+        for other in imports(path)[0]:
+            assert FLOOR[other.split(".")[0]] <= floor, f"{name} imports {other} from a higher floor"
+
+
+def test_there_are_no_cycles():
+    graph = {name_of(path): imports(path)[0] for path in FILES if name_of(path)}
+    done, path = set(), []
+
+    def visit(name):
+        assert name not in path, " -> ".join([*path, name])
+        if name in done or name not in graph:
+            return
+        path.append(name)
+        for other in graph[name]:
+            visit(other)
+        done.add(path.pop())
+
+    for name in graph:
+        visit(name)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_files_and_functions_stay_small(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 250
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef):
+            docstring = ast.get_docstring(node, clean=False) or ""
+            body = node.end_lineno - node.lineno + 1 - len(docstring.splitlines())
+            assert body <= 52, f"{node.name} has {body} lines"
+            assert node.args.kwarg is None, f"{node.name} takes **{node.args.kwarg.arg if node.args.kwarg else ''}"
+
+
+def test_below_the_seam_there_is_no_casadi():
+    for path in FILES:
+        name = name_of(path)
+        below = name.split(".")[0] in NUMPY_ONLY or (name.startswith("estimators.") and name != "estimators.ipopt")
+        if below:
+            assert "casadi" not in imports(path)[1], name
+
+
+def test_only_declared_packages_are_imported():
+    allowed = {"casadi", "numpy", "scipy", "pandas", "matplotlib"}
+    standard = __import__("sys").stdlib_module_names
+    for path in FILES:
+        assert imports(path)[1] <= allowed | standard, name_of(path)
+
+
+def test_the_library_does_not_print_and_knows_no_problem_or_study():
+    for path in FILES:
+        text = path.read_text(encoding="utf-8")
+        if path.name != "cli.py":
+            assert not re.search(r"\bprint\(", text), path
+        assert not re.search(r"^\s*(from|import) (problems|studies)\b", text, re.M), path
+
+
+def test_no_derivative_is_a_difference_quotient():
+    for path in FILES:
+        assert "2-point" not in path.read_text(encoding="utf-8")
+        assert not re.search(r"approx_derivative|approx_fprime|finite_diff", path.read_text(encoding="utf-8"))

@@ -1,0 +1,302 @@
+"""The command line as a user meets it: exit codes, files, and one line for every refusal."""
+
+import csv
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from oracles import dh_chain
+
+import casacal
+from casacal.cli import METHOD_NAMES, main
+
+HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrated") / "out"
+    assert main(["calibrate", HSR, "--holdout", "0.25", "--seed", "1", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_calibrate_writes_all_it_promises(calibrated):
+    document = json.loads((calibrated / "result.json").read_text(encoding="utf-8"))
+    assert document["problem"]["name"] == "hsr_jr680"
+    assert document["method"] == "sckf-lm"
+    assert document["converged"] is True
+    assert document["data"]["samples"] == 120
+    assert document["data"]["heldout"] == 30
+    names = [row["name"] for row in document["parameters"]]
+    assert names[:6] == [f"alpha{i}" for i in range(1, 7)]
+    assert {"a3", "theta2", "tool_x"} <= set(names)
+    assert {row["identifiable"] for row in document["parameters"]} <= {"data", "prior", "no"}
+    for plane in document["planes"].values():
+        assert np.linalg.norm(plane["normal"]) == pytest.approx(1)
+    assert set(document["planes"]) == {"floor", "wall", "side"}
+    for when in ("before", "after"):
+        for part in ("fit", "heldout"):
+            assert set(document["metrics"][when][part]) == {"rmse_mm", "mae_mm", "std_mm", "max_mm"}
+    assert (
+        document["metrics"]["after"]["heldout"]["rmse_mm"] < 0.2 * document["metrics"]["before"]["heldout"]["rmse_mm"]
+    )
+    found = document["identifiability"]
+    assert len(found["null"]) == found["unknowns"] - found["rank"]
+    reference = document["reference"]
+    assert reference["solver"] == "ipopt"
+    assert abs(reference["relative_gap"]) < 1e-8
+    assert set(document["seconds"]) == {"build", "solve", "total"}
+    assert set(document["versions"]) == {"casacal", "casadi", "numpy", "python"}
+    assert set(document["evaluations"]) == {"residual_rows", "jacobian_rows"}
+    with (calibrated / "parameters.csv").open(encoding="utf-8") as stream:
+        table = list(csv.DictReader(stream))
+    assert [row["name"] for row in table] == names
+    assert {row["identifiable"] for row in table} <= {"data", "prior", "no"}
+    for picture in ("residuals.png", "convergence.png"):
+        assert (calibrated / picture).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_normals_point_towards_the_tool(calibrated):
+    document = json.loads((calibrated / "result.json").read_text(encoding="utf-8"))
+    assert document["planes"]["floor"]["normal"][2] > 0.99
+    assert document["planes"]["wall"]["normal"][0] < -0.99
+
+
+def test_the_same_input_gives_the_same_bytes(calibrated, tmp_path, run):
+    code, *_ = run("calibrate", HSR, "--holdout", 0.25, "--seed", 1, "--out", tmp_path)
+    assert code == 0
+    for name in ("parameters.csv", "residuals.png", "convergence.png"):
+        assert (tmp_path / name).read_bytes() == (calibrated / name).read_bytes()
+    one, two = (json.loads((folder / "result.json").read_text()) for folder in (tmp_path, calibrated))
+    assert one.pop("seconds").keys() == two.pop("seconds").keys()
+    assert json.dumps(one) == json.dumps(two)
+
+
+def test_the_summary_says_what_a_person_needs(run):
+    code, out, err = run("calibrate", HSR, "--holdout", 0.25)
+    assert code == 0
+    assert err == ""
+    for words in ("before", "after", "held out", "not accuracy", "std", "known from", "rank", "ipopt agrees"):
+        assert words in out
+
+
+@pytest.mark.parametrize("method", METHOD_NAMES)
+def test_every_method_runs(run, method):
+    code, out, _ = run("calibrate", HSR, "--method", method)
+    assert code == 0
+    assert method in out.splitlines()[0]
+
+
+def test_fixing_and_priors(run, tmp_path):
+    code, out, _ = run("calibrate", HSR, "--fix", "alpha,a3", "--prior", "d=0.1", "--no-reference", "--out", tmp_path)
+    assert code == 0
+    assert "Reference: not run" in out
+    rows = {row["name"]: row for row in json.loads((tmp_path / "result.json").read_text())["parameters"]}
+    assert rows["alpha2"]["estimate"] == rows["alpha2"]["nominal"]
+    assert rows["a3"]["note"] == "held at nominal"
+    assert rows["d1"]["std"] <= 0.1 + 1e-12
+
+
+def test_a_method_that_does_not_converge_exits_with_one(run, tmp_path, monkeypatch):
+    import casacal.calibration as calibration
+    from casacal import lm
+
+    monkeypatch.setitem(calibration.METHODS, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
+    code, out, _ = run("calibrate", HSR, "--method", "lm")
+    assert code == 1
+    assert "Ran out of steps" in out
+
+
+def test_simulate_then_calibrate_then_predict(run, tmp_path):
+    samples, truth, out = tmp_path / "s.csv", tmp_path / "s.truth.json", tmp_path / "out"
+    assert run("simulate", HSR, "--out", samples, "--samples", 90, "--seed", 4, "--repeatability", 0.005)[0] == 0
+    assert run("calibrate", HSR, samples, "--out", out)[0] == 0
+    document = json.loads(truth.read_text())
+    assert document["method"] == "truth"
+    positions = {}
+    for name, source, options in (
+        ("true", truth, ()),
+        ("estimated", out / "result.json", ()),
+        ("nominal", truth, ("--nominal",)),
+    ):
+        poses = tmp_path / f"{name}.csv"
+        assert run("predict", source, samples, "--out", poses, "--frame", "tip", *options)[0] == 0
+        with poses.open() as stream:
+            assert stream.readline().strip() == "x_mm,y_mm,z_mm,qw,qx,qy,qz"
+            positions[name] = np.loadtxt(stream, delimiter=",")
+    np.testing.assert_allclose(np.linalg.norm(positions["true"][:, 3:], axis=1), 1, atol=1e-9)
+    error = {n: np.sqrt(((p[:, :3] - positions["true"][:, :3]) ** 2).sum(1).mean()) for n, p in positions.items()}
+    assert error["estimated"] < 0.6 * error["nominal"]
+
+
+def test_the_truth_reproduces_the_samples_by_numpy_alone(run, tmp_path):
+    samples = tmp_path / "s.csv"
+    assert run("simulate", HSR, "--out", samples, "--seed", 9)[0] == 0
+    truth = json.loads((tmp_path / "s.truth.json").read_text())
+    value = {row["name"]: row["estimate"] for row in truth["parameters"]}
+    table = {k: np.array([value[f"{k}{i}"] for i in range(1, 7)]) for k in ("alpha", "a", "d", "theta")}
+    with samples.open() as stream:
+        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    misses = []
+    for row in rows:
+        q = [math.radians(float(row[f"q{i}_deg"])) for i in range(1, 7)]
+        d = table["d"] + np.array([0, 0, 0, 0, 0, float(row["reading_mm"])])
+        tip = dh_chain(table["alpha"], table["a"], d, table["theta"] + q)[:3, 3]
+        plane = truth["planes"][row["plane"]]
+        misses.append(np.dot(plane["normal"], tip - np.array(plane["point_mm"])))
+    assert np.std(misses) == pytest.approx(0.0093, abs=0.002)  # 0.01 mm along the plunger, tilted up to 30 degrees
+    assert abs(np.mean(misses)) < 0.003
+
+
+def test_predict_flange_is_the_pose(run, calibrated, tmp_path):
+    joints = tmp_path / "q.csv"
+    joints.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n")
+    assert run("predict", calibrated / "result.json", joints, "--out", tmp_path / "p.csv", "--nominal")[0] == 0
+    pose = np.loadtxt(tmp_path / "p.csv", delimiter=",", skiprows=1)
+    expected = dh_chain(
+        np.radians([-90, 0, 90, -90, 90, 0]),
+        [249.85003, 900.32123, -206.14449, 0, 0, 0],
+        [653.5, 0, 0, 1030.37534, 0, 200.6],
+        np.radians([10, -70, 210, 40, 140, 60]),
+    )
+    np.testing.assert_allclose(pose[:3], expected[:3, 3], atol=1e-5)
+    w, *v = pose[3:]
+    trace = 4 * w * w - 1
+    assert trace == pytest.approx(np.trace(expected[:3, :3]), abs=1e-9)
+    np.testing.assert_allclose(np.array(v) * 4 * w, [expected[2, 1] - expected[1, 2], expected[0, 2] - expected[2, 0],
+                                                    expected[1, 0] - expected[0, 1]], atol=1e-9)  # fmt: skip
+
+
+PROBLEMS = {
+    "raises": ("import math\n\nx = 1 / 0\n", "line 3: ZeroDivisionError"),
+    "syntax": ("def broken(:\n", "line 1: SyntaxError"),
+    "nothing": ("x = 1\n", "does not define `problem`"),
+    "other": ("problem = 'an arm'\n", "does not define `problem`"),
+    "imports": ("import nonsense_module\n", "ModuleNotFoundError"),
+    "exits": ("raise SystemExit(3)\n", "SystemExit"),
+    "dh": (
+        "from casacal import Robot\n\nRobot.from_dh('r', alpha=(0,), a=(1, 2), d=(0,), theta=(0,), length_std=1,\n"
+        "              angle_std=1)\n",
+        "line 3: The DH table of 'r'",
+    ),
+    "pose": (
+        "from casacal import DialOnPlane, Problem, Robot\n"
+        "problem = Problem(Robot('r', 6, lambda p, q: p.nothing, {}), DialOnPlane(noise_std=1))\n",
+        "pose of 'r' failed",
+    ),
+    "shape": (
+        "from casacal import DialOnPlane, Problem, Robot\n"
+        "problem = Problem(Robot('r', 6, lambda p, q: q, {}), DialOnPlane(noise_std=1))\n",
+        "shape (6, 1)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
+    content, says = PROBLEMS[name]
+    (tmp_path / "problem.py").write_text(content)
+    code, out, err = run("calibrate", tmp_path, ROOT / "problems" / "hsr_jr680" / "samples.csv")
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert says in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "COMMAND"),
+        (["nonsense"], "invalid choice"),
+        (["calibrate"], "PROBLEM"),
+        (["calibrate", "nowhere"], "no problem at 'nowhere'"),
+        (["calibrate", HSR, "none.csv"], "no such file"),
+        (["calibrate", HSR, "--method", "magic"], "magic"),
+        (["calibrate", HSR, "--holdout", "1"], "fraction"),
+        (["calibrate", HSR, "--holdout", "0.99"], "leaves no row of 'floor'"),
+        (["calibrate", HSR, "--holdout", "0.8"], "24 rows are fitted"),
+        (["calibrate", HSR, "--fix", "a7"], "no free unknown named 'a7'"),
+        (["calibrate", HSR, "--prior", "a3"], "NAME=STD"),
+        (["calibrate", HSR, "--prior", "a3=0"], "positive"),
+        (["calibrate", HSR, "--prior", "a3=nan"], "NAME=STD"),
+        (["simulate", HSR, "--out", "x.csv", "--samples", "0"], "at least one"),
+        (["simulate", HSR, "--out", "x.csv", "--tilt", "95"], "tilt"),
+        (["simulate", HSR, "--out", "x.csv", "--outliers", "2"], "outliers"),
+        (["predict", "none.json", "x.csv", "--out", "y.csv"], "no such file"),
+        (["predict", HSR + "/samples.csv", "x.csv", "--out", "y.csv"], "not a result"),
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(run, arguments, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert says in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_few_rows_for_the_unknowns(run, tmp_path):
+    lines = (ROOT / "problems" / "hsr_jr680" / "samples.csv").read_text().splitlines()
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join(lines[:22]) + "\n")
+    code, _, err = run("calibrate", HSR, few)
+    assert code == 2
+    assert "20 rows are fitted for 33 unknowns" in err
+
+
+def test_a_problem_that_changed_since_is_noticed(run, tmp_path):
+    folder = tmp_path / "mine"
+    shutil.copytree(HSR, folder)
+    assert run("calibrate", folder, "--no-reference", "--method", "lm", "--out", tmp_path / "out")[0] == 0
+    joints = folder / "samples.csv"
+    assert run("predict", tmp_path / "out" / "result.json", joints, "--out", tmp_path / "p.csv")[0] == 0
+    with (folder / "problem.py").open("a") as stream:
+        stream.write("# changed\n")
+    code, _, err = run("predict", tmp_path / "out" / "result.json", joints, "--out", tmp_path / "p2.csv")
+    assert code == 2
+    assert "has changed" in err
+
+
+def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatch):
+    from casacal import files
+
+    target = tmp_path / "result.json"
+    target.write_text("old")
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(casacal.CasacalError, match="No space"):
+        files.write_text(target, "new")
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from casacal.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'casadi', 'numpy', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "calibrate" in done.stdout

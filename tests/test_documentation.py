@@ -1,0 +1,66 @@
+"""What the README shows is run: its casacal commands and its Python."""
+
+import re
+import shlex
+
+import pytest
+from conftest import ROOT
+
+from casacal.cli import METHOD_NAMES, main
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    (tmp_path / "problems").symlink_to(ROOT / "problems")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_commands_run_in_order(workplace, capsys):
+    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("casacal ")]
+    assert len(commands) >= 6
+    for command in commands:
+        assert main(shlex.split(command)[1:]) == 0, f"{command}\n{capsys.readouterr().err}"
+    assert (workplace / "out" / "first" / "residuals.png").is_file()
+
+
+def test_the_two_commands_stand_alone():
+    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("pip install")]
+    assert commands == [
+        "pip install -e . && casacal calibrate problems/hsr_jr680",
+        'pip install -e ".[test]" && pytest',
+    ]
+
+
+def test_the_python_runs(workplace, capsys):
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), {})
+    assert float(capsys.readouterr().out.split()[0]) < 0.02
+
+
+def test_links_and_names_exist():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
+    table = README.split("| `--method` |")[1].split("\n\n")[0]
+    assert set(re.findall(r"`([a-z-]+)`", table)) - {"--method"} == set(METHOD_NAMES)
+
+
+def test_the_generating_command_makes_the_committed_samples(workplace, capsys):
+    folder = ROOT / "problems" / "hsr_jr680"
+    command = re.search(r"casacal (simulate problems/hsr_jr680 .*)", (folder / "README.md").read_text())[1]
+    assert main(shlex.split(command)) == 0
+    made = (workplace / "out" / "samples.csv").read_text().splitlines()
+    kept = (folder / "samples.csv").read_text().splitlines()
+    assert len(made) == len(kept)
+    for one, two in zip(made[2:], kept[2:], strict=True):
+        *numbers, label = one.split(",")
+        *others, same = two.split(",")
+        assert label == same
+        # another machine's linear algebra may round the last digit of a joint otherwise
+        assert [float(x) for x in numbers] == pytest.approx([float(x) for x in others], abs=2e-7)
