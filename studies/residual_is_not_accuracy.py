@@ -94,8 +94,8 @@ def main() -> None:
     lines = [
         "# A small plane residual does not mean an accurate arm",
         "",
-        f"Simulated HSR-JR680, seed {options.seed}: {FITTED} touches fitted, {HELD} held out, noise 0.01 mm. All figures",
-        "in mm RMS; the tip error is over 400 workspace poses that no touch visited, up to the base frame.",
+        f"Simulated HSR-JR680, seed {options.seed}: {FITTED} touches fitted, {HELD} held out, noise 0.01 mm. All",
+        "figures in mm RMS; the tip error is over 400 workspace poses that no touch visited, up to the base frame.",
         "",
         "| set-up | plane residual before | after | tip error before | after |",
         "|---|---|---|---|---|",
