@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from casacal.bound_problem import BoundProblem, bind
     from casacal.calibration import Calibration, calibrate
-    from casacal.cells import Cell, Face, corner, plate
+    from casacal.cells import Cell, Face, corner, gauge_block, plate
     from casacal.errors import CasacalError
     from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
     from casacal.files import ProblemFile, load_problem
-    from casacal.instruments import DialOnPlane, Instrument, TrackedPoint, tool_point
+    from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
     from casacal.kinematics import chain, deg, dh, modified_dh
     from casacal.problem import Problem
     from casacal.result import Result, Status
@@ -29,11 +29,11 @@ __version__ = "0.1.0"
 _HOMES = {
     "casacal.bound_problem": ("BoundProblem", "bind"),
     "casacal.calibration": ("Calibration", "calibrate"),
-    "casacal.cells": ("Cell", "Face", "corner", "plate"),
+    "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
     "casacal.errors": ("CasacalError",),
     "casacal.estimators": ("ekf", "ipopt", "lm", "plane_only", "sckf", "sckf_lm"),
     "casacal.files": ("ProblemFile", "load_problem"),
-    "casacal.instruments": ("DialOnPlane", "Instrument", "TrackedPoint", "tool_point"),
+    "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
     "casacal.problem": ("Problem",),
     "casacal.result": ("Result", "Status"),

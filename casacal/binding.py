@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casacal.compile import RowModel
 from casacal.errors import ProblemError
-from casacal.instruments import Sight
+from casacal.instruments import Instrument, Sight
 from casacal.problem import Problem
 from casacal.samples import Samples, ordered_labels
 from casacal.unknowns import Unknown
@@ -87,7 +87,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
     for i, instrument in enumerate(problem.instruments):
         sight = _nominal_sight(problem, i, samples[i])
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
-            for label, rows in _instances(unknown, samples[i]):
+            for label, rows in _instances(instrument, key, unknown, samples[i]):
                 _check_rows(problem, i, key, unknown, label, rows, samples[i])
                 nominal = unknown.nominal
                 if nominal is None:
@@ -136,8 +136,10 @@ def _patterns(
         names = []
         for key, unknown in problem.models[i].unknowns.items():
             full = key if key in problem.robot.parameters else problem.prefix(i) + key
-            names.append(full if unknown.per is None else f"{full}.{here[unknown.per]}")
-            if names[-1] not in by_name:
+            if unknown.per is not None:
+                full = f"{full}.{problem.instruments[i].instance(key, here[unknown.per])}"
+            names.append(full)
+            if full not in by_name:
                 raise ProblemError(
                     f"{samples.file}: some rows are labelled '{here[unknown.per or '']}', the fitted rows are not",
                     "Fit some rows of each label",
@@ -147,15 +149,26 @@ def _patterns(
 
 
 def _data(problem: Problem, i: int, samples: Samples) -> Array:
-    return np.column_stack([samples.joints, *(samples.columns[name] for name in problem.instruments[i].columns)])
+    return np.column_stack([samples.joints, *_columns(problem, i, samples).values()])
 
 
-def _instances(unknown: Unknown, samples: Samples) -> list[tuple[str | None, NDArray[np.intp]]]:
+def _columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:
+    """Columns that were read, then those known from labels, each (N,)."""
+    instrument = problem.instruments[i]
+    columns = {name: samples.columns[name] for name in instrument.columns}
+    for name, values in instrument.known_columns.items():
+        columns[name] = np.array([values.get(label, 0.0) for label in samples.labels[instrument.known_by]])
+    return columns
+
+
+def _instances(
+    instrument: Instrument, key: str, unknown: Unknown, samples: Samples
+) -> list[tuple[str | None, NDArray[np.intp]]]:
     """Labels of an unknown's instances (None when there is one for all), with the rows of each."""
     if unknown.per is None:
         return [(None, np.arange(len(samples)))]
-    have = np.array(samples.labels[unknown.per])
-    return [(label, np.flatnonzero(have == label)) for label in ordered_labels(samples.labels[unknown.per])]
+    have = [instrument.instance(key, label) for label in samples.labels[unknown.per]]
+    return [(label, np.flatnonzero(np.array(have) == label)) for label in ordered_labels(have)]
 
 
 def _nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
@@ -174,7 +187,7 @@ def _nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
             f"The tip of {type(instrument).__name__} is not finite at the nominal",
             "Check nominal values, and that tip uses no unknown without one",
         )
-    return Sight(flat.reshape(-1, 4, 4).transpose(0, 2, 1), tips, samples.columns)
+    return Sight(flat.reshape(-1, 4, 4).transpose(0, 2, 1), tips, _columns(problem, i, samples))
 
 
 def _part(sight: Sight, rows: NDArray[np.intp]) -> Sight:

@@ -179,7 +179,7 @@ def split(samples: Samples, holdout: float, seed: int) -> tuple[NDArray[np.intp]
     if not 0 <= holdout < 1:
         raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
     rng = np.random.default_rng(seed)
-    groups = samples.labels.get("plane", ("",) * len(samples))
+    groups = [" ".join(labels) for labels in zip(*samples.labels.values(), strict=True)] or ["all rows"] * len(samples)
     held: list[int] = []
     for label in ordered_labels(groups):
         rows = np.array([i for i, group in enumerate(groups) if group == label])

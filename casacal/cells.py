@@ -108,6 +108,18 @@ def corner(centre: Sequence[float], *, size: float = 600.0, towards: Sequence[fl
     )
 
 
+def gauge_block(
+    centre: Sequence[float], *, step: float = 100.0, size: float = 100.0, normal: Sequence[float] = (0, 0, 1)
+) -> tuple[Face, ...]:
+    """Two parallel faces `step` mm apart: "base" at `centre` (3, mm) and "top" beside it, further along `normal`.
+
+    Declare the length to the instrument with `steps={"top": Step(on="base", height=step)}`.
+    """
+    base = Face("base", _triple(centre), _triple(normal), (size, size))
+    unit, aside, _ = base.axes
+    return base, Face("top", _triple(np.asarray(centre) + step * unit + size * aside), _triple(normal), (size, size))
+
+
 def flatness_din_876(grade: str, length: float) -> float:
     """Permitted flatness (mm) of a surface plate of `length` mm; grades 0, I, II."""
     if grade not in DIN_876:

@@ -5,7 +5,7 @@ row and the raw form for the IPOPT reference come from the same graph. Coordinat
 
     z  local coordinates of the robot's parameters and the instrument's unknowns, in that order
     c  numbers that fix those nominal values which differ by label or are proposed by the data
-    d  the row itself: joint values, then the instrument's columns
+    d  the row itself: joint values, then the instrument's columns, then those known from labels
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
     """
     unknowns: dict[str, Unknown] = {**robot.parameters, **instrument.unknowns}
     q = ca.SX.sym("q", len(robot.axes))
-    row = {name: ca.SX.sym(name) for name in instrument.columns}
+    row = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
     d = ca.vertcat(q, *row.values())
     nominals = {key: _nominal(key, unknown) for key, unknown in unknowns.items()}
     constants = tuple(key for key, value in nominals.items() if isinstance(value, ca.SX))

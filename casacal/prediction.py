@@ -91,9 +91,10 @@ def predict(
     problem = result.source.problem
     model, instrument = problem.models[0], problem.instruments[0]
     z = np.concatenate([_local(key, unknown, result, nominal) for key, unknown in model.unknowns.items()])
-    missing = np.zeros(len(joints))
-    columns = [joints.columns.get(name, missing) for name in instrument.columns]
-    data = np.column_stack([joints.joints, *columns])
+    data = np.zeros((len(joints), model.pose.numel_in(2)))
+    data[:, : joints.joints.shape[1]] = joints.joints
+    for i, name in enumerate(instrument.columns):
+        data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
     constants = np.zeros(model.pose.numel_in(1))  # planes and the like move neither flange nor tip
     poses = model.batch.pose(z, constants, data)[0].reshape(-1, 4, 4).transpose(0, 2, 1)
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]

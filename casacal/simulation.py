@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from casacal.bound_problem import BoundProblem
 from casacal.cells import Cell, Face, corner
 from casacal.errors import SimulationError
+from casacal.estimators import lm
 from casacal.instruments import DialOnPlane
 from casacal.inverse_kinematics import Touch, random_joints
+from casacal.least_squares import Restricted
 from casacal.problem import Problem
 from casacal.samples import Samples
 from casacal.touching import find_touches, try_touches
@@ -45,6 +47,12 @@ class Simulation:
             elif isinstance(slot.unknown, Plane) and slot.unknown.size:
                 face = faces[slot.label] if slot.label is not None else self.cell.faces[0]
                 x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, face)
+        placed = np.array(
+            [slot.datum and not isinstance(slot.unknown, Plane) for slot in bound.slots for _ in slot.columns]
+        )
+        if placed.any():  # bodies and frames: where the true arm says they are
+            part = Restricted(bound, placed, x)
+            x = part.expand(lm(part).x)
         return x
 
 

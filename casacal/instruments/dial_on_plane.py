@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.instruments.instrument import Dimension, Instrument, Sight
@@ -21,6 +22,18 @@ def tool_point(
 ) -> Parameter:
     """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z."""
     return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A face parallel to another one at a known distance, as on a gauge block.
+
+    on: label of the other face. height: distance along its normal, towards the tool, mm. std: of the certificate, mm.
+    """
+
+    on: str
+    height: float
+    std: float = 0.0003
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +52,8 @@ class DialOnPlane(Instrument):
         tool: point of the plunger at reading zero, in the flange frame, mm.
         plunger: direction of the plunger, out of the tool, in the flange frame.
         plane: the face, or one for each label.
+        steps: faces that share the plane of another one at a known height, by label; a known length is what fixes the
+            size of the arm.
 
     """
 
@@ -50,6 +65,7 @@ class DialOnPlane(Instrument):
     tool: Parameter = tool_point(free=False)
     plunger: Direction = Direction((0.0, 0.0, 1.0), free=False)
     plane: Plane = Plane(per="plane")
+    steps: Mapping[str, Step] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 < self.noise_std < math.inf:
@@ -60,6 +76,13 @@ class DialOnPlane(Instrument):
             raise ProblemError(f"sign of the dial is {self.sign!r}", "Give +1 (extends the tool) or -1 (shortens it)")
         if not 0 < self.travel < math.inf:
             raise ProblemError(f"travel of the dial is {self.travel!r}", "Give a positive number of mm")
+        for label, step in self.steps.items():
+            if step.on in self.steps or step.on == label:
+                raise ProblemError(f"Step '{label}' stands on '{step.on}', itself a step", "Name a face that is none")
+            if not 0 < abs(step.height) < math.inf or not 0 < step.std < math.inf:
+                raise ProblemError(f"Step '{label}' is {step.height!r} +- {step.std!r} mm", "Give its certified height")
+        if self.steps and self.plane.per is None:
+            raise ProblemError("The dial has steps but one plane for all labels", 'Declare plane=Plane(per="plane")')
 
     @property
     def columns(self) -> Mapping[str, Dimension]:
@@ -73,8 +96,23 @@ class DialOnPlane(Instrument):
 
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
-        """Tool point, plunger direction, plane."""
-        return {"tool": self.tool, "plunger": self.plunger, "plane": self.plane}
+        """Tool point, plunger direction, plane, and the error of each step's certificate."""
+        errors = {
+            f"step_{i}": Parameter(0.0, unit="mm", prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)
+        }
+        return {"tool": self.tool, "plunger": self.plunger, "plane": self.plane, **errors}
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Height of a row's face above its plane, and which step it is."""
+        if not self.steps:
+            return {}
+        height = {"height": {label: step.height for label, step in self.steps.items()}}
+        return height | {f"on_step_{i}": {label: 1.0} for i, label in enumerate(self.steps, 1)}
+
+    def instance(self, key: str, label: str) -> str:
+        """A step shares the plane of the face it stands on."""
+        return self.steps[label].on if key == "plane" and label in self.steps else label
 
     @property
     def datum(self) -> tuple[str, ...]:
@@ -97,8 +135,10 @@ class DialOnPlane(Instrument):
         return transform_point(pose, p.tool + reach * p.plunger)
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Signed distance of the tip from the plane, mm."""
-        return p.plane.distance(self.tip(pose, p, row))
+        """Signed distance of the tip from the face, mm."""
+        known = sum(getattr(row, f"on_step_{i}") * getattr(p, f"step_{i}") for i in range(1, len(self.steps) + 1))
+        height = row.height if self.steps else 0.0
+        return p.plane.distance(self.tip(pose, p, row)) - height - known
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Total-least-squares plane through the nominal tips, its normal towards the tool.
@@ -107,12 +147,18 @@ class DialOnPlane(Instrument):
         """
         if key != "plane":
             return super().propose(key, sight)
-        centre = sight.tips.mean(axis=0)
-        _, sizes, axes = np.linalg.svd(sight.tips - centre, full_matrices=False)
-        if len(sight.tips) < 3 or sizes[1] <= 1e-9 * max(sizes[0], 1.0):
+        heights = sight.columns.get("height", np.zeros(len(sight.tips)))
+        values, counts = np.unique(heights, return_counts=True)
+        normal = self._normal(sight, heights == values[np.argmax(counts)])
+        return Plane.encode(normal, (sight.tips - heights[:, None] * normal).mean(axis=0))
+
+    def _normal(self, sight: Sight, rows: NDArray[np.bool_]) -> Array:
+        """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger."""
+        tips = sight.tips[rows]
+        _, sizes, axes = np.linalg.svd(tips - tips.mean(axis=0), full_matrices=False)
+        if len(tips) < 3 or sizes[1] <= 1e-9 * max(sizes[0], 1.0):
             raise ProblemError(
-                f"A plane was touched at {len(sight.tips)} tips that lie on a line", "Spread the touches over the face"
+                f"A plane was touched at {len(tips)} tips that lie on a line", "Spread the touches over the face"
             )
-        plunger = sight.poses[:, :3, :3] @ unit_vector(self.plunger.vector, "The plunger")
-        towards = float((plunger @ axes[2]).mean())
-        return Plane.encode(-axes[2] if towards > 0 else axes[2], centre)
+        plunger = sight.poses[rows, :3, :3] @ unit_vector(self.plunger.vector, "The plunger")
+        return np.asarray(-axes[2] if float((plunger @ axes[2]).mean()) > 0 else axes[2])

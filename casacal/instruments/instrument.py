@@ -24,7 +24,7 @@ class Sight:
     tips: Array
     """Nominal tips, (N, 3), mm."""
     columns: Mapping[str, Array]
-    """The rows' own columns, each (N,), in mm, rad or the user's unit."""
+    """The rows' own columns and those known from labels, each (N,), in mm, rad or the user's unit."""
 
 
 class Instrument(ABC):
@@ -37,6 +37,21 @@ class Instrument(ABC):
     def columns(self) -> Mapping[str, Dimension]:
         """Columns it reads from a row, beside the joints: name to dimension."""
         return {}
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Columns that follow from the row's `known_by` label instead of being read: name to label to value, else 0."""
+        return {}
+
+    @property
+    def known_by(self) -> str:
+        """The label column that `known_columns` follow from."""
+        return "plane"
+
+    def instance(self, key: str, label: str) -> str:
+        """Which instance of an unknown a label shares; its own unless overridden."""
+        del key
+        return label
 
     @property
     def refused_columns(self) -> Mapping[str, str]:

@@ -34,6 +34,7 @@ class Frame(Unknown):
         matrix: nominal 4x4 transform, mm; None when the data are to propose it.
         prior_std: (rotation in rad, translation in mm) standard deviations; `math.inf` is flat.
         start_std: the same, where filters and populations start when the prior is flat.
+        turns_only: True when only the three rotations are unknown.
         free: False holds the frame.
         per: name of a label column; one frame for each of its values.
 
@@ -42,6 +43,7 @@ class Frame(Unknown):
     matrix: Sequence[Sequence[float]] | None = None
     prior_std: float | tuple[float, float] = math.inf
     start_std: tuple[float, float] = (0.01, 10.0)
+    turns_only: bool = False
     free: bool = True
     per: str | None = None
 
@@ -54,8 +56,8 @@ class Frame(Unknown):
 
     @property
     def size(self) -> int:
-        """Six, or none when held."""
-        return 6 if self.free else 0
+        """Six, three when only it turns, or none when held."""
+        return (3 if self.turns_only else 6) if self.free else 0
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -70,7 +72,8 @@ class Frame(Unknown):
     @property
     def start_stds(self) -> Array:
         """Prior or start standard deviations."""
-        return start_stds(self.prior_stds, np.repeat(np.array(self.start_std), 3), self.units, "a frame")
+        start = np.repeat(np.array(self.start_std), 3)[: self.size]
+        return start_stds(self.prior_stds, start, self.units, "a frame")
 
     @property
     def nominal(self) -> Array | None:
@@ -84,8 +87,8 @@ class Frame(Unknown):
 
     @property
     def raw_size(self) -> int:
-        """A quaternion and a translation, or none when held."""
-        return 7 if self.free else 0
+        """A quaternion and a translation, where they are free."""
+        return self.size + 1 if self.free else 0
 
     @staticmethod
     def encode(matrix: Array) -> Array:
@@ -110,25 +113,25 @@ class Frame(Unknown):
             return self._assemble(nominal, ca.DM.eye(3), ca.DM.zeros(3, 1))
         # a rotation by angle phi is the unit quaternion at phi / 2 from the pole
         w, xyz = stereographic(local[:3] / 2)
-        return self._assemble(nominal, rotation_of_quaternion(ca.vertcat(w, xyz)), local[3:6])
+        return self._assemble(nominal, rotation_of_quaternion(ca.vertcat(w, xyz)), self._shift(local[3:]))
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""
         del nominal
-        return np.array([1.0, 0, 0, 0, 0, 0, 0]) if self.free else np.zeros(0)
+        return np.eye(self.raw_size)[0] if self.free else np.zeros(0)
 
     def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
         """4x4 transform of a raw quaternion, rigid only where the constraint holds."""
         if not self.free:
             return self.at(nominal, raw)
-        return self._assemble(nominal, rotation_of_quaternion(raw[:4]), raw[4:7])
+        return self._assemble(nominal, rotation_of_quaternion(raw[:4]), self._shift(raw[4:]))
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Six local coordinates of a raw frame with unit quaternion."""
         del nominal
         if not self.free:
             return ca.DM.zeros(0, 1)
-        return ca.vertcat(2 * stereographic_local(raw[0], raw[1:4]), raw[4:7])
+        return ca.vertcat(2 * stereographic_local(raw[0], raw[1:4]), raw[4:])
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """q'q - 1."""
@@ -140,7 +143,11 @@ class Frame(Unknown):
 
     def with_prior(self, stds: Sequence[float]) -> Frame:
         """Copy with another prior; rotations share one standard deviation (the largest), translations another."""
-        return replace(self, prior_std=(float(max(stds[:3])), float(max(stds[3:]))))
+        shift = float(spread(self.prior_std, 2, "prior_std of a frame")[1]) if self.turns_only else float(max(stds[3:]))
+        return replace(self, prior_std=(float(max(stds[:3])), shift))
+
+    def _shift(self, local: Expression) -> Expression:
+        return ca.DM.zeros(3, 1) if self.turns_only else local
 
     @staticmethod
     def _assemble(nominal: Expression, turn: Expression, shift: Expression) -> Expression:

@@ -20,7 +20,8 @@ class Parameter(Unknown):
     """A number or a vector of numbers, each with a nominal value, a unit and a prior.
 
     Args:
-        values: nominal value, a float (then the value is a scalar) or a sequence (then a vector).
+        values: nominal value, a float (then the value is a scalar) or a sequence (then a vector); None for a scalar
+            that the data are to propose.
         unit: "mm", "rad" or any other word; only "mm" and "rad" have a default `start_std`.
         prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat.
         start_std: where filters start components with a flat prior; never part of the cost.
@@ -32,7 +33,7 @@ class Parameter(Unknown):
 
     """
 
-    values: float | Sequence[float]
+    values: float | Sequence[float] | None
     unit: str = "mm"
     prior_std: float | Sequence[float] = math.inf
     start_std: float | Sequence[float] | None = None
@@ -47,12 +48,14 @@ class Parameter(Unknown):
             raise ProblemError(
                 f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label a value"
             )
+        if self.values is None and not self._free.all():
+            raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
         check_stds(self._prior, "prior_std of a parameter")
         start_stds(self.prior_stds, self._start, self.units, "a parameter")
 
     @cached_property
     def _all(self) -> Array:
-        return np.asarray(self.values, dtype=np.float64)
+        return np.asarray(0.0 if self.values is None else self.values, dtype=np.float64)
 
     @cached_property
     def _free(self) -> NDArray[np.bool_]:
@@ -87,9 +90,9 @@ class Parameter(Unknown):
         return start_stds(self.prior_stds, self._start, self.units, "a parameter")
 
     @property
-    def nominal(self) -> Array:
-        """All components, free or held."""
-        return np.atleast_1d(self._all)
+    def nominal(self) -> Array | None:
+        """All components, free or held; None when the data must propose them."""
+        return None if self.values is None else np.atleast_1d(self._all)
 
     @property
     def nominal_size(self) -> int:

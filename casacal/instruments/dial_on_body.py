@@ -1,0 +1,88 @@
+"""A dial indicator on faces whose angles to each other are certified, such as those of a square or a cube."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import ProblemError
+from casacal.instruments.dial_on_plane import DialOnPlane
+from casacal.instruments.instrument import Sight
+from casacal.kinematics import Expression, rotation
+from casacal.unknowns import Frame, Parameter, Unknown
+from casacal.unknowns.unknown import Array, unit_vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class DialOnBody(DialOnPlane):
+    """Faces of one body: their normals are known up to a common rotation, each face's place along its normal is not.
+
+    Three unknowns for the body and one a face, instead of three a face. Angles fix shape, not size: for that a face
+    must stand at a known distance from another one (`DialOnPlane.steps`).
+
+    Args:
+        normals: normal of each face in the body's own axes, out of the material, by label.
+        body: orientation of the body in the base frame; proposed from the data when not given.
+        offset: place of each face along its normal, mm.
+
+    """
+
+    normals: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    body: Frame = Frame(turns_only=True)
+    offset: Parameter = Parameter(None, unit="mm", per="plane")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        directions = np.array([unit_vector(n, f"The normal of '{label}'") for label, n in self.normals.items()])
+        if len(directions) < 2 or np.linalg.matrix_rank(directions, tol=1e-3) < 2:
+            raise ProblemError("The body has fewer than two directions of faces", "Give normals that are not parallel")
+        if self.steps:
+            raise ProblemError("A body with certified angles has steps", "Use DialOnPlane for the stepped faces")
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Tool point, plunger direction, orientation of the body, offset of each face."""
+        return {"tool": self.tool, "plunger": self.plunger, "body": self.body, "offset": self.offset}
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """The body and its faces."""
+        return ("body", "offset")
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Components of the row's normal in the body's axes."""
+        units = {label: unit_vector(n, "A normal") for label, n in self.normals.items()}
+        return {f"n{axis}": {label: float(n[i]) for label, n in units.items()} for i, axis in enumerate("xyz")}
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Signed distance of the tip from its face, mm."""
+        normal = ca.mtimes(rotation(p.body), ca.vertcat(row.nx, row.ny, row.nz))
+        return ca.dot(normal, self.tip(pose, p, row)) - p.offset
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Rotation that carries the certified normals to fitted ones; then the mean place of each face along its own.
+
+        Raises ProblemError for rows whose label has no normal.
+        """
+        normals = np.column_stack([sight.columns[name] for name in ("nx", "ny", "nz")])
+        if (np.linalg.norm(normals, axis=1) < 0.5).any():
+            raise ProblemError("Some rows are labelled with a face of which the body has no normal", "Add its normal")
+        if key == "body":
+            seen = []
+            distinct, which = np.unique(normals, axis=0, return_inverse=True)
+            for i in range(len(distinct)):
+                seen.append(self._normal(sight, which.ravel() == i))
+            left, _, right = np.linalg.svd(distinct.T @ np.array(seen))
+            matrix = np.eye(4)
+            matrix[:3, :3] = right.T @ np.diag([1.0, 1.0, np.linalg.det(right.T @ left.T)]) @ left.T
+            return Frame.encode(matrix)
+        if key == "offset":
+            return np.array(
+                [float((self._normal(sight, np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
+            )
+        return super().propose(key, sight)
