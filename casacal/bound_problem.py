@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
-from casacal.least_squares import LeastSquares, Normal
+from casacal.least_squares import LeastSquares, Normal, accumulate
+from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
 from casacal.samples import Samples
@@ -72,14 +73,9 @@ class BoundProblem(LeastSquares):
         """Whitened Jacobian (rows, n) at x (n,)."""
         return np.vstack([jacobian for _, jacobian in self._linearised(x, chunk=max(self.rows, 1))])
 
-    def normal(self, x: Array) -> Normal:
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data, accumulated without holding the whole Jacobian."""
-        cost, gradient, information = 0.0, np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
-        for r, jacobian in self._linearised(x, chunk=CHUNK):
-            cost += float(r @ r) / 2
-            gradient += jacobian.T @ r
-            information += jacobian.T @ jacobian
-        return Normal(cost, gradient, information)
+        return accumulate(self._linearised(x, chunk=CHUNK), self.unknowns, loss)
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""

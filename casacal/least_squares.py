@@ -11,11 +11,14 @@ with e_k the residual of row k, w_k its standard deviation and s_j the prior sta
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -27,6 +30,20 @@ class Normal:
     cost: float
     gradient: Array
     information: Array
+
+
+def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss | None = None) -> Normal:
+    """Normal equations of rows that come in parts of residuals (m,) and Jacobian (m, n).
+
+    With a loss the gradient is J'Wr and the information J'WJ, W the loss's weights at r: Gauss-Newton on sum rho(r).
+    """
+    cost, gradient, information = 0.0, np.zeros(unknowns), np.zeros((unknowns, unknowns))
+    for r, jacobian in parts:
+        weighted = jacobian if loss is None else jacobian * loss.weight(r)[:, None]
+        cost += float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())
+        gradient += weighted.T @ r
+        information += weighted.T @ jacobian
+    return Normal(cost, gradient, information)
 
 
 class LeastSquares(ABC):
@@ -66,10 +83,9 @@ class LeastSquares(ABC):
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
 
-    def normal(self, x: Array) -> Normal:
-        """Cost, gradient and information of the data at x (n,), without the prior."""
-        r, jacobian = self.residual(x), self.jacobian(x)
-        return Normal(float(r @ r) / 2, jacobian.T @ r, jacobian.T @ jacobian)
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Cost, gradient and information of the data at x (n,), without the prior; rows weighted by a loss."""
+        return accumulate([(self.residual(x), self.jacobian(x))], self.unknowns, loss)
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
@@ -133,7 +149,7 @@ class Restricted(LeastSquares):
         r, gradient = self.whole.row_jacobian(k, self.expand(x))
         return r, gradient[self.free]
 
-    def normal(self, x: Array) -> Normal:
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Normal equations of the free unknowns."""
-        whole = self.whole.normal(self.expand(x))
+        whole = self.whole.normal(self.expand(x), loss)
         return Normal(whole.cost, whole.gradient[self.free], whole.information[np.ix_(self.free, self.free)])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares
 from casacal.linalg import column_scales
+from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -52,11 +53,20 @@ class Result:
     steps: int
     residual_rows: int
     jacobian_rows: int
+    loss: Loss | None = None
 
     @cached_property
     def cost(self) -> float:
-        """The objective at x, recomputed from the problem."""
-        return self.problem.cost(self.x)
+        """The objective at x, recomputed from the problem; with the loss where there is one."""
+        if self.loss is None:
+            return self.problem.cost(self.x)
+        return float(self.loss.cost(self.problem.residual(self.x)).sum()) + self.problem.prior_cost(self.x)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weight of each row (rows,) under the loss: one keeps its full pull, zero is ignored."""
+        r = self.problem.residual(self.x)
+        return np.ones_like(r) if self.loss is None else self.loss.weight(r)
 
     @property
     def converged(self) -> bool:
@@ -76,6 +86,6 @@ class Result:
     @cached_property
     def kkt(self) -> float:
         """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
-        normal = self.problem.normal(self.x)
+        normal = self.problem.normal(self.x, self.loss)
         gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
         return float(np.abs(column_scales(normal.information, self.problem.prior_std) * gradient).max(initial=0.0))

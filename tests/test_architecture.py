@@ -10,7 +10,7 @@ PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     {"errors"},
-    {"kinematics", "linalg", "tables", "unknowns"},
+    {"kinematics", "linalg", "losses", "tables", "unknowns"},
     {"robot", "instruments", "samples", "least_squares", "result"},
     {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
     {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability"},

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares, Normal
 from casacal.linalg import damped_step, posterior_covariance
+from casacal.losses import Loss
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -50,6 +51,7 @@ def lm(
     max_steps: int = 100,
     tolerance: float = 1e-9,
     damping: float = 1e-3,
+    loss: Loss | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:
     """Minimise f by damped Gauss-Newton steps in all unknowns at once.
@@ -60,10 +62,11 @@ def lm(
         max_steps: steps tried at most.
         tolerance: stop when the step, in posterior standard deviations, sqrt(step' H step), falls below it.
         damping: first mu.
+        loss: what replaces r^2 / 2 in f, such as `huber()`; the covariance then counts rows by their weights.
         progress: called with (step, cost) after each accepted step.
 
     """
-    here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64))
+    here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
     mu, growth, tried, last_unseen = damping, 2.0, 0, math.inf
     trace = [(here.cost, mu, math.nan, math.nan)]
     status = Status.MAX_STEPS if math.isfinite(here.cost) else Status.NOT_FINITE
@@ -73,7 +76,7 @@ def lm(
         if step is None:
             mu, growth = mu * growth, growth * 2
             continue
-        there, tried = _point(problem, here.x + problem.start_std * step), tried + 1
+        there, tried = _point(problem, here.x + problem.start_std * step, loss), tried + 1
         length = math.sqrt(max(float(step @ information @ step), 0.0))
         predicted = float(step @ (mu * step - gradient)) / 2
         # so near the minimum the cost differs by rounding alone: the step is judged by its length instead
@@ -101,6 +104,7 @@ def lm(
         steps=tried,
         residual_rows=(tried + 1) * problem.rows,
         jacobian_rows=(tried + 1) * problem.rows,
+        loss=loss,
     )
 
 
@@ -113,8 +117,8 @@ def scaled_system(problem: LeastSquares, normal: Normal, x: Array) -> tuple[Arra
     return information, gradient
 
 
-def _point(problem: LeastSquares, x: Array) -> Point:
-    normal = problem.normal(x)
+def _point(problem: LeastSquares, x: Array, loss: Loss | None) -> Point:
+    normal = problem.normal(x, loss)
     return Point(x, normal, normal.cost + problem.prior_cost(x))
 
 
