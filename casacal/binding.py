@@ -85,7 +85,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
             raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Declare one")
         add(key, unknown, None, unknown.nominal, False)
     for i, instrument in enumerate(problem.instruments):
-        sight = _nominal_sight(problem, i, samples[i])
+        sight = nominal_sight(problem, i, samples[i])
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in _instances(instrument, key, unknown, samples[i]):
                 _check_rows(problem, i, key, unknown, label, rows, samples[i])
@@ -171,7 +171,8 @@ def _instances(
     return [(label, np.flatnonzero(np.array(have) == label)) for label in ordered_labels(have)]
 
 
-def _nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
+def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
+    """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     model, instrument = problem.models[i], problem.instruments[i]
     z = np.zeros(sum(u.size for u in model.unknowns.values()))
     known = [

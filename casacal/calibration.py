@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from casacal.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
 from casacal.identifiability import Identifiability, identifiability
-from casacal.metrics import bayesian_bound, residual_figures, workspace_joints
+from casacal.metrics import bayesian_bound, noise_interval, residual_figures, workspace_joints
 from casacal.problem import Problem
 from casacal.result import Result
 from casacal.samples import Samples, ordered_labels
@@ -111,17 +110,10 @@ class Calibration:
         joints = workspace_joints(self.fit.problem.robot)
         return identifiability(self.fit, self.fit.tip_jacobian(self.fit.x0, joints), self.fit.tips(self.fit.x0, joints))
 
-    @property
-    def noise_ratio(self) -> float:
-        """Root mean square of the whitened residuals, corrected for the unknowns the data determined; one expected."""
-        x, problem = self.result.x, self.fit
-        influence = (
-            self.result.covariance @ problem.normal(x).information
-            if np.isfinite(self.result.covariance).all()
-            else np.eye(problem.unknowns)
-        )
-        free = max(problem.rows - float(np.trace(influence)), 1.0)
-        return math.sqrt(float((problem.residual(x) ** 2).sum()) / free)
+    @cached_property
+    def noise(self) -> tuple[float, float, float]:
+        """Found over stated noise, with its 95 % interval."""
+        return noise_interval(self.fit, self.result.x, self.result.covariance)
 
 
 def calibrate(

@@ -46,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_calibrate(commands.add_parser("calibrate", help="fit the arm's parameters to samples"))
     _add_simulate(commands.add_parser("simulate", help="samples of a simulated cell, with the truth behind them"))
+    _add_check(commands.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
     _add_predict(commands.add_parser("predict", help="poses of a calibrated arm at joint values"))
     return parser
 
@@ -89,6 +90,13 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(command=_simulate)
 
 
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
+    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
+    parser.set_defaults(command=_check)
+
+
 def _add_predict(parser: argparse.ArgumentParser) -> None:
     parser.description = "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values."
     parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
@@ -106,9 +114,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior)
-    if options.samples is None and not source.samples.is_file():
-        raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
-    samples = problem.read(options.samples or source.samples.as_posix())
+    samples = problem.read(_samples_of(source, options.samples))
     with _Progress(options.method) as progress:
         calibration = calibrate(
             problem,
@@ -166,6 +172,27 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
     if options.tilt is not None:
         given["tilt"] = math.radians(options.tilt)
     return replace(cell, **given)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from casacal.doctor import check
+    from casacal.files import load_problem
+
+    source = load_problem(options.problem)
+    samples = source.problem.read(_samples_of(source, options.samples), absurd=True)
+    findings = check(source.problem, samples)
+    for finding in findings:
+        print(finding)
+    counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
+    said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
+    print(f"{len(samples)} samples of {samples.file}: {said}")
+    return FAILED if counts["error"] else DONE
+
+
+def _samples_of(source: ProblemFile, given: str | None) -> str:
+    if given is None and not source.samples.is_file():
+        raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
+    return given or source.samples.as_posix()
 
 
 def _predict(options: argparse.Namespace) -> int:

@@ -46,7 +46,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
         "parameters": parameter_rows(fit, result),
         **_geometry(fit, result),
         "metrics": calibration.metrics,
-        "tip": {"expected_rms_mm": tip, "prior_rms_mm": prior_tip, "noise_ratio": calibration.noise_ratio},
+        "tip": {"expected_rms_mm": tip, "prior_rms_mm": prior_tip, "noise_ratio": calibration.noise},
         "identifiability": {
             "unknowns": found.unknowns,
             "rank": found.rank,

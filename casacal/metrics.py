@@ -7,8 +7,10 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from casacal.inverse_kinematics import random_joints
+from casacal.least_squares import LeastSquares
 from casacal.linalg import posterior_covariance
 from casacal.robot import Robot
 
@@ -66,6 +68,19 @@ def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, ti
     if (np.abs(projected[:, blind]) > 1e-9).any():
         return math.inf
     return math.sqrt(float(np.einsum("ij,jk,ik->", projected, seen, projected)) / len(tips))
+
+
+def noise_interval(problem: LeastSquares, x: Array, covariance: Array) -> tuple[float, float, float]:
+    """Found over stated noise: the estimate and its 95 % interval, from the whitened residuals at x.
+
+    The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined.
+    """
+    information = problem.normal(x).information
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    free = max(problem.rows - float(np.einsum("ij,ji->", held, information)), 1.0)
+    total = float((problem.residual(x) ** 2).sum())
+    low, high = (total / float(chi2.ppf(p, free)) for p in (0.975, 0.025))
+    return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
 
 
 def nees(error: Array, covariance: Array) -> float:

@@ -60,9 +60,9 @@ class Problem:
             refused=MappingProxyType(dict(chosen.refused_columns)),
         )
 
-    def read(self, path: str | Path, instrument: int = 0) -> Samples:
-        """Read a samples file of one instrument; raises SamplesError."""
-        return Samples.from_csv(path, self.layout(instrument))
+    def read(self, path: str | Path, instrument: int = 0, *, absurd: bool = False) -> Samples:
+        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass."""
+        return Samples.from_csv(path, self.layout(instrument), absurd=absurd)
 
     def prefix(self, instrument: int) -> str:
         """What the names of an instrument's unknowns begin with: nothing when there is only one."""

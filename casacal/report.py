@@ -11,8 +11,8 @@ from casacal.calibration import AGREEMENT, Calibration
 from casacal.documents import parameter_rows
 
 SHOWN_DIRECTIONS = 6
-NOISE_BAND = (0.7, 1.4)
-"""Ratios of found to stated noise outside this band are worth a warning."""
+NOISE_BAND = (0.9, 1.1)
+"""Found over stated noise: an interval outside this band is worth a warning."""
 
 VERDICTS = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
 
@@ -86,10 +86,10 @@ def _accuracy(calibration: Calibration) -> str:
         f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
         "if the stated noise and priors are right and nothing else bends the arm.",
     ]
-    ratio = calibration.noise_ratio
-    if not NOISE_BAND[0] <= ratio <= NOISE_BAND[1]:
+    ratio, low, high = calibration.noise
+    if low > NOISE_BAND[1] or high < NOISE_BAND[0]:
         lines.append(
-            f"Warning: residuals are {ratio:.2f} times what the stated noise explains; "
+            f"Warning: residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f}); "
             + ("the model lacks something or the noise is larger" if ratio > 1 else "the stated noise is too large")
             + ", and the standard deviations below are off by about as much."
         )

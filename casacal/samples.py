@@ -79,12 +79,12 @@ class Samples:
         )
 
     @staticmethod
-    def from_csv(path: str | Path, layout: Layout) -> Samples:
-        """Read a samples file.
+    def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Read a samples file; `absurd` lets values pass that no robot has, for those who look for their cause.
 
         Raises SamplesError that names file, line, column, what is wrong and the fix.
         """
-        return Samples.from_table(read_table(path), layout)
+        return Samples.from_table(read_table(path), layout, absurd=absurd)
 
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
@@ -99,11 +99,12 @@ class Samples:
         return Samples.from_table(table, layout)
 
     @staticmethod
-    def from_table(table: Table, layout: Layout) -> Samples:
-        """Samples from the text cells of a table."""
+    def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Samples from the text cells of a table; raises SamplesError."""
         found = match_columns(table, layout)
         values = {
-            name: _quantity(table, column, factor, layout.quantities[name]) for name, (column, factor) in found.items()
+            name: _quantity(table, column, factor, math.inf if absurd else LARGEST[layout.quantities[name]])
+            for name, (column, factor) in found.items()
         }
         joint_names = [f"q{i + 1}" for i in range(len(layout.joints))]
         labels = {name: _labels(table, name) for name in layout.labels}
@@ -159,10 +160,10 @@ def _find(table: Table, name: str, dimension: Dimension, refuse: Any) -> tuple[s
     raise refuse(f"there is no column for {name}: {seen}", f"Add {wanted}", None)
 
 
-def _quantity(table: Table, column: str, factor: float, dimension: Dimension) -> Array:
+def _quantity(table: Table, column: str, factor: float, largest: float) -> Array:
     values = np.array(table.numbers(column)) * factor
-    for i in np.flatnonzero(np.abs(values) > LARGEST[dimension])[:1]:
-        limit = "10 turns" if dimension == "angle" else "100 m"
+    for i in np.flatnonzero(np.abs(values) > largest)[:1]:
+        limit = "100 m" if largest == LARGEST["length"] else "10 turns"
         raise SamplesError(
             table.file,
             f"{table.column(column)[i]} is absurd (beyond {limit})",

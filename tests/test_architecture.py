@@ -14,7 +14,7 @@ FLOORS = [
     {"robot", "instruments", "samples", "least_squares", "result"},
     {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
     {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability"},
-    {"files", "calibration", "documents", "prediction", "report", "plots"},
+    {"files", "calibration", "doctor", "documents", "prediction", "report", "plots"},
     {"cli"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -1,0 +1,139 @@
+"""The data doctor names planted faults, and says nothing of clean samples."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+
+from casacal import DialOnPlane, Problem, check, simulate
+from casacal.cli import main
+from casacal.files import write_samples
+
+REPLACE = dataclasses.replace
+
+
+def moved(samples, change):
+    return REPLACE(samples, joints=change(samples.joints.copy()))
+
+
+def with_reading(samples, reading):
+    return REPLACE(samples, columns={"reading": reading})
+
+
+def flipped(samples, joint):
+    return moved(samples, lambda q: q * np.where(np.arange(6) == joint - 1, -1, 1))
+
+
+def relabelled(samples):
+    labels = list(samples.labels["plane"])
+    for i, label in ((0, "wall"), (3, "wall"), (6, "wall"), (1, "floor"), (4, "floor")):
+        labels[i] = label
+    return REPLACE(samples, labels={"plane": tuple(labels)})
+
+
+def with_outliers(samples):
+    reading = samples.columns["reading"].copy()
+    reading[7] += 1.0
+    reading[50] -= 0.5
+    return with_reading(samples, reading)
+
+
+def beyond_travel(samples):
+    reading = samples.columns["reading"].copy()
+    reading[[7, 50]] = 11.0, -2.0
+    return with_reading(samples, reading)
+
+
+def in_cell(**changes):
+    def make(hsr, samples):
+        return simulate(hsr.problem, REPLACE(hsr.cell, **changes), seed=3).samples
+
+    return make
+
+
+def small_faces(hsr, samples):
+    return in_cell(faces=tuple(REPLACE(face, size=(20.0, 20.0)) for face in hsr.cell.faces))(hsr, samples)
+
+
+def wrong_sign(hsr, samples):
+    turned = Problem(hsr.problem.robot, REPLACE(hsr.problem.instruments[0], sign=-1))
+    return simulate(turned, hsr.cell, seed=3).samples
+
+
+# how it is planted, what it must be called, whether it makes a result wrong, and the lines it must name
+PLANTED = {
+    "wrong dial sign": (wrong_sign, "wrong dial sign", True, ()),
+    "degrees as radians": (lambda _, s: moved(s, np.degrees), "unit of the joints", True, ()),
+    "radians as degrees": (lambda _, s: moved(s, np.radians), "unit of the joints", True, ()),
+    "readings in inches": (lambda _, s: with_reading(s, s.columns["reading"] / 25.4), "unit of the readings", True, ()),
+    "joints 2 and 3 swapped": (lambda _, s: moved(s, lambda q: q[:, [0, 2, 1, 3, 4, 5]]), "joints 2 and 3 swapped",
+                               True, ()),
+    "joint 2 flipped": (lambda _, s: flipped(s, 2), "joint 2 flipped", True, ()),
+    "joint 4 flipped": (lambda _, s: flipped(s, 4), "joint 4 flipped", True, ()),
+    "three repeated rows": (lambda _, s: s.take([*range(120), 3, 4, 5]), "repeated rows", False, (121, 122, 123)),
+    "two gross outliers": (lambda _, s: with_outliers(s), "outliers", True, (8, 51)),
+    "readings outside travel": (lambda _, s: beyond_travel(s), "readings outside travel", True, (8, 51)),
+    "tilts below 2 degrees": (in_cell(tilt=math.radians(2)), "tilt too small", False, ()),
+    "faces of 20 mm": (small_faces, "faces too small", False, ()),
+    "joints rounded": (lambda _, s: moved(s, lambda q: np.radians(np.round(np.degrees(q), 1))), "joints rounded",
+                       True, ()),
+    "labels exchanged": (lambda _, s: relabelled(s), "labels exchanged", True, (1, 2, 4, 5, 7)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys):
+    plant, about, wrong, lines = PLANTED[name]
+    samples = plant(hsr, corner_simulation.samples)
+    file = tmp_path / "planted.csv"
+    write_samples(file, hsr.problem, samples, ["planted"])
+    if name == "degrees as radians":
+        write_samples(file, hsr.problem, corner_simulation.samples, ["planted"])
+        file.write_text(file.read_text().replace("_deg", "_rad"))
+    code = main(["check", str(hsr.path), str(file)])
+    out = capsys.readouterr().out
+    named = [line for line in out.splitlines() if re.match(rf"(error|warning): {about}( \(|:)", line)]
+    assert named, out
+    assert code == (1 if wrong else 0)
+    if lines:
+        found = {int(n) for line in named for n in re.findall(r"\d+", re.search(r"\(lines? ([^)]*)\)", line)[1])}
+        assert found == {line + 2 for line in lines}  # a comment and the header stand above
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clean_corners_raise_nothing_above_a_remark(hsr, seed):
+    findings = check(hsr.problem, simulate(hsr.problem, hsr.cell, seed=seed).samples)
+    assert [finding for finding in findings if finding.severity != "remark"] == []
+
+
+def test_the_wrong_sign_is_seen_before_any_fit(hsr, corner_simulation):
+    findings = check(hsr.problem, wrong_sign(hsr, corner_simulation.samples))
+    assert any("already at the nominal" in finding.cause for finding in findings)
+
+
+def test_what_cannot_be_told_is_said(hsr, corner_simulation):
+    constant = with_reading(corner_simulation.samples, np.full(120, 5.0))
+    assert any(finding.about == "dial sign not tested" for finding in check(hsr.problem, constant))
+    # an exact arm with its tip on the last axis looks the same whichever way joint 6 turns
+    contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.05, reading=False))
+    exact = simulate(contact, REPLACE(hsr.cell, error_scale=0.0), seed=1).samples
+    assert any(finding.about == "joint 6 flipped?" for finding in check(contact, exact))
+
+
+def test_noise_that_is_not_as_stated_is_a_warning(hsr):
+    noisy = simulate(hsr.problem, REPLACE(hsr.cell, repeatability=0.016), seed=2).samples
+    assert [f.about for f in check(hsr.problem, noisy) if f.severity == "warning"] == ["noise"]
+
+
+def test_few_rows_and_parallel_faces_are_warned_about(hsr):
+    one = REPLACE(hsr.cell, faces=hsr.cell.faces[:1])
+    findings = {f.about: f.severity for f in check(hsr.problem, simulate(hsr.problem, one, samples=40, seed=1).samples)}
+    assert findings["few rows"] == "warning"
+    assert findings["faces nearly parallel"] == "warning"
+
+
+def test_unexplained_misfit_is_an_error(hsr):
+    bent = simulate(hsr.problem, REPLACE(hsr.cell, joint_std=1e-3), seed=1).samples
+    assert "misfit" in {f.about for f in check(hsr.problem, bent) if f.severity == "error"}
