@@ -6,15 +6,17 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.bound_problem import BoundProblem, bind
+from casacal.cures import cure_for, cures
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
-from casacal.identifiability import Identifiability, identifiability
+from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
+from casacal.losses import Loss
 from casacal.metrics import bayesian_bound, noise_interval, residual_figures, workspace_joints
 from casacal.problem import Problem
 from casacal.result import Result
@@ -35,6 +37,11 @@ METHODS: Mapping[str, Callable[..., Result]] = {
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")
 """Methods that promise the minimum; filters and controls may honestly miss it."""
+
+HARMLESS = 0.01
+"""Tip motion (mm under the prior) below which an unseen direction needs no cure."""
+
+NOT_NEEDED = "none needed"
 
 AGREEMENT = 1e-8
 """Largest relative gap between the costs of two solvers that found the same minimum."""
@@ -111,6 +118,29 @@ class Calibration:
         return identifiability(self.fit, self.fit.tip_jacobian(self.fit.x0, joints), self.fit.tips(self.fit.x0, joints))
 
     @cached_property
+    def advice(self) -> tuple[str, ...]:
+        """The cheapest cure of each null, then each weak direction, in words; none needed where it moves no tip."""
+        found = self.identifiability
+        directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+        if all(direction.tip_mm < HARMLESS for direction in directions):
+            return (NOT_NEEDED,) * len(directions)
+        offers, scale = cures(self.fit), natural_scale(self.fit)
+        return tuple(
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.fit, offers, direction, scale)
+            for direction in directions
+        )
+
+    @cached_property
+    def down_weighted(self) -> tuple[int, ...]:
+        """Lines of the rows that a robust loss gave less than half of their weight."""
+        if self.result.loss is None:
+            return ()
+        (samples,) = self.fit.samples
+        per_row = self.fit.rows // len(samples)
+        low = np.flatnonzero(self.result.weights < 0.5)
+        return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
+
+    @cached_property
     def noise(self) -> tuple[float, float, float]:
         """Found over stated noise, with its 95 % interval."""
         return noise_interval(self.fit, self.result.x, self.result.covariance)
@@ -124,6 +154,7 @@ def calibrate(
     holdout: float = 0.0,
     seed: int = 0,
     reference: bool = True,
+    loss: Loss | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit the unknowns of a problem with one instrument to its samples.
@@ -134,7 +165,8 @@ def calibrate(
         method: a name of `METHODS`.
         holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows.
-        reference: whether an independent solver checks the minimum.
+        reference: whether an independent solver checks the minimum; it knows no robust loss.
+        loss: a robust loss, for the method "lm" alone.
         progress: called with (step, cost) now and then.
 
     Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
@@ -142,6 +174,8 @@ def calibrate(
     """
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
+    if loss is not None and method != "lm":
+        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
     began = time.perf_counter()
     fitted, held = split(samples, holdout, seed)
     fit = bind(problem, samples.take(fitted))
@@ -154,11 +188,13 @@ def calibrate(
         )
     built = time.perf_counter()
     # controls and the reference have nothing to report on the way
-    options = {"progress": progress} if method not in ("ipopt", "plane-only") else {}
+    options: dict[str, Any] = {"progress": progress} if method not in ("ipopt", "plane-only") else {}
+    if loss is not None:
+        options["loss"] = loss
     result = METHODS[method](fit, **options)
     solved = time.perf_counter()
     before = plane_only(fit)
-    checked = _check(fit, method, result) if reference else None
+    checked = _check(fit, method, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibration(method, seed, samples, fit, heldout, result, before, checked, seconds)
 

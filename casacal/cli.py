@@ -8,8 +8,9 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
+from casacal.arguments import build_parser
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -18,13 +19,12 @@ if TYPE_CHECKING:
     from casacal.problem import Problem
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "ipopt", "plane-only")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 done, 1 not converged or a check failed, 2 bad input."""
     try:
-        options = _parser().parse_args(arguments)
+        options = build_parser(COMMANDS).parse_args(arguments)
         return int(options.command(options))
     except CasacalError as error:
         print(f"casacal: {' '.join(str(error).split())}", file=sys.stderr)
@@ -34,86 +34,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILED
 
 
-class _Parser(argparse.ArgumentParser):
-    """Refuses in one line, as every other refusal of casacal."""
-
-    def error(self, message: str) -> NoReturn:
-        raise CasacalError(f"{self.prog}: {message}", f"See {self.prog} --help")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="casacal", description="Calibrate a robot arm with a dial indicator and a flat face.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
-    _add_calibrate(commands.add_parser("calibrate", help="fit the arm's parameters to samples"))
-    _add_simulate(commands.add_parser("simulate", help="samples of a simulated cell, with the truth behind them"))
-    _add_check(commands.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
-    _add_predict(commands.add_parser("predict", help="poses of a calibrated arm at joint values"))
-    return parser
-
-
-def _add_calibrate(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Fit the arm's parameters to samples, and cross-check the minimum with IPOPT."
-    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
-    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
-    parser.add_argument("--method", choices=METHOD_NAMES, default="sckf-lm", help="default: sckf-lm")
-    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each plane's rows to hold out")
-    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of the choice of held-out rows")
-    parser.add_argument("--fix", action="append", default=[], metavar="NAMES", help="hold at nominal: alpha,a3,...")
-    parser.add_argument(
-        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation, mm or rad, or inf"
-    )
-    parser.add_argument("--no-reference", action="store_true", help="skip the cross-check")
-    parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
-    parser.set_defaults(command=_calibrate)
-
-
-def _add_simulate(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Let a simulated arm, drawn from the problem's prior, touch the faces of a cell."
-    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
-    parser.add_argument("--out", required=True, metavar="FILE", help="samples CSV; the truth goes to FILE.truth.json")
-    parser.add_argument("--samples", type=int, default=120, metavar="N", help="default: 120")
-    parser.add_argument("--seed", type=int, default=0, metavar="K")
-    numbers = {
-        "tilt": ("DEG", "largest angle between plunger and face normal"),
-        "travel": ("MM", "range of the dial"),
-        "repeatability": ("MM", "standard deviation of the reading, or of the touch without a dial"),
-        "resolution": ("MM", "step of the dial's display, 0 for none"),
-        "joint-std": ("RAD", "standard deviation of joint repeatability"),
-        "flatness": ("MM", "peak-to-valley form error of the faces"),
-        "compliance": ("MM", "sag of the tip under gravity, RMS"),
-        "outliers": ("F", "fraction of gross rows"),
-        "outlier-size": ("MM", "their size"),
-        "error-scale": ("X", "size of the true errors in prior standard deviations"),
-    }
-    for name, (unit, words) in numbers.items():
-        parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
-    parser.set_defaults(command=_simulate)
-
-
-def _add_check(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
-    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
-    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
-    parser.set_defaults(command=_check)
-
-
-def _add_predict(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values."
-    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
-    parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
-    parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
-    parser.add_argument("--frame", choices=("flange", "tip"), default="flange", help="default: flange")
-    parser.add_argument("--nominal", action="store_true", help="the arm as drawn, not as calibrated")
-    parser.set_defaults(command=_predict)
-
-
 def _calibrate(options: argparse.Namespace) -> int:
     from casacal.calibration import calibrate
     from casacal.files import load_problem
+    from casacal.losses import huber, tukey
     from casacal.report import summary
 
     source = load_problem(options.problem)
-    problem = _adjusted(source.problem, options.fix, options.prior)
+    problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
     samples = problem.read(_samples_of(source, options.samples))
     with _Progress(options.method) as progress:
         calibration = calibrate(
@@ -123,6 +51,7 @@ def _calibrate(options: argparse.Namespace) -> int:
             holdout=options.holdout,
             seed=options.seed,
             reference=not options.no_reference,
+            loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
             progress=progress,
         )
     print(summary(calibration, source.name), end="")
@@ -199,15 +128,18 @@ def _predict(options: argparse.Namespace) -> int:
     from casacal.prediction import predict, read_joints, read_result, write_prediction
 
     result = read_result(options.result)
-    prediction = predict(
-        result, read_joints(options.joints, result.source), frame=options.frame, nominal=options.nominal
-    )
+    joints = read_joints(options.joints, result.source)
+    prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
     write_prediction(options.out, prediction)
     print(f"Written: {options.out} ({len(prediction.positions)} poses of the {options.frame})")
     return DONE
 
 
-def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str]) -> Problem:
+def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], accuracy: float | None) -> Problem:
+    if accuracy is not None:
+        from casacal.priors import scaled_to_accuracy
+
+        problem = scaled_to_accuracy(problem, accuracy)
     stds = {}
     for setting in priors:
         name, equals, number = setting.partition("=")
@@ -240,6 +172,9 @@ class _Progress:
     def __exit__(self, *_: object) -> None:
         if self.shown:
             print(file=sys.stderr)
+
+
+COMMANDS = {"calibrate": _calibrate, "simulate": _simulate, "check": _check, "predict": _predict}
 
 
 if __name__ == "__main__":

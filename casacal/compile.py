@@ -89,6 +89,8 @@ class RowModel:
     """(z, c, d) -> tip (3), mm."""
     tip_jacobian: ca.Function
     """(z, c, d) -> tip (3), its derivative, row by row (3 * nz)."""
+    flange_jacobian: ca.Function
+    """(z, c, d) -> flange origin (3), mm, its derivative, row by row (3 * nz)."""
     pose: ca.Function
     """(z, c, d) -> flange pose (16), column by column."""
     raw_residual: ca.Function
@@ -102,7 +104,7 @@ class RowModel:
     @cached_property
     def batch(self) -> SimpleNamespace:
         """The same functions, each as a `Batch`."""
-        names = ("residual", "jacobian", "noise", "tip", "tip_jacobian", "pose")
+        names = ("residual", "jacobian", "noise", "tip", "tip_jacobian", "flange_jacobian", "pose")
         return SimpleNamespace(**{name: Batch(getattr(self, name)) for name in names})
 
 
@@ -140,6 +142,7 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
         noise=_function("noise", [z, c, d], [_noise(robot, instrument, residual, q, row)]),
         tip=_function("tip", [z, c, d], [tip]),
         tip_jacobian=_function("tip_jacobian", [z, c, d], [tip, ca.jacobian(tip, z).T]),
+        flange_jacobian=_function("flange_jacobian", [z, c, d], [pose[:3, 3], ca.jacobian(pose[:3, 3], z).T]),
         pose=_function("pose", [z, c, d], [pose]),
         raw_residual=_function("raw_residual", [v, c, d], [raw_residual]),
     )

@@ -15,7 +15,8 @@ import casacal
 from casacal.bound_problem import BoundProblem, bind
 from casacal.calibration import Calibration
 from casacal.files import ProblemFile, write_json, write_samples, write_text
-from casacal.identifiability import verdict
+from casacal.guards import warnings
+from casacal.identifiability import correlated_pairs, verdict
 from casacal.result import Result, Status
 from casacal.simulation import Simulation
 from casacal.unknowns import Direction, Frame, Plane
@@ -46,14 +47,28 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
         "parameters": parameter_rows(fit, result),
         **_geometry(fit, result),
         "metrics": calibration.metrics,
-        "tip": {"expected_rms_mm": tip, "prior_rms_mm": prior_tip, "noise_ratio": calibration.noise},
+        "tip": {"expected_rms_mm": tip, "prior_rms_mm": prior_tip},
+        "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
         "identifiability": {
             "unknowns": found.unknowns,
             "rank": found.rank,
             "condition": found.condition,
-            "null": [{"kind": direction.kind, "words": direction.words} for direction in found.null],
-            "weak": [{"words": d.words, "singular_value": d.singular_value} for d in found.weak],
+            "singular_values": found.singular_values,
+            "null": [
+                {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": cure}
+                for d, cure in zip(found.null, calibration.advice[: len(found.null)], strict=True)
+            ],
+            "weak": [
+                {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": cure}
+                for d, cure in zip(found.weak, calibration.advice[len(found.null) :], strict=True)
+            ],
         },
+        "correlations": [
+            {"names": [one, two], "value": value} for one, two, value in correlated_pairs(result.covariance, fit.names)
+        ],
+        "covariance": result.covariance,
+        "warnings": warnings(calibration),
+        "down_weighted_lines": calibration.down_weighted,
         "reference": None
         if reference is None
         else {
@@ -79,6 +94,7 @@ def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed
         **_geometry(bound, truth),
         "metrics": None,
         "identifiability": None,
+        "covariance": truth.covariance,
         "reference": None,
         **_tail(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
     }

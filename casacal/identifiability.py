@@ -15,14 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares
-from casacal.metrics import without_rigid
+from casacal.linalg import correlation
+from casacal.metrics import FIELD_TOLERANCE, RANK_TOLERANCE, tip_rms, without_rigid
 
 Array: TypeAlias = NDArray[np.float64]
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 
-RANK_TOLERANCE = 1e-9
-FIELD_TOLERANCE = 1e-6
-"""Part of the largest tip motion below which a combination of null directions counts as not moving the tip."""
+PERTURBATIONS = 2
+"""Random parameter errors at which a structural null direction must still be null."""
+
+SAME_DIRECTION = 0.9
+"""Part of a null direction that must lie in the null space there."""
+
+CORRELATED = 0.95
 
 LEVER = 1000.0
 """Millimetres at which an angle counts when unknowns are named by their part in a direction."""
@@ -36,6 +41,9 @@ MEANING: dict[Kind, str] = {
 }
 
 
+WEAK = "known better from the prior than from these samples"
+
+
 @dataclass(frozen=True)
 class NullDirection:
     """A combination of unknowns (n,) that the samples do not see, in units of prior standard deviations."""
@@ -43,6 +51,10 @@ class NullDirection:
     kind: Kind
     direction: Array
     words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip: mm RMS over the workspace, up to the base frame."""
+    structural: bool
+    """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +64,8 @@ class WeakDirection:
     singular_value: float
     direction: Array
     words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip, as for null directions."""
 
 
 @dataclass(frozen=True)
@@ -80,30 +94,57 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
         tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
 
     """
-    flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
-    scale = np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+    scale = natural_scale(problem)
     # what takes part is judged by how far it moves things, an angle at a lever of a metre
     lever = scale * np.where(np.array(problem.units) == "rad", LEVER, 1.0)
-    jacobian = problem.jacobian(problem.x0) * scale
-    _, sizes, right = np.linalg.svd(np.vstack([jacobian, np.zeros((0, problem.unknowns))]), full_matrices=True)
-    sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
-    rank = int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
-    null = [
-        NullDirection(kind, direction, f"{_named(direction * lever, problem.names)}: {MEANING[kind]}")
-        for kind, basis in split_null_space(right[rank:].T, tip_jacobian * scale, tips)
-        for direction in sparse_basis(basis).T
-    ]
+    sizes, right, rank = _decompose(problem, problem.x0, scale)
+    field = tip_jacobian * scale
+    elsewhere = [_null_projector(problem, scale, seed) for seed in range(PERTURBATIONS)]
+
+    def cost(direction: Array) -> float:
+        return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
+
+    null = []
+    for kind, basis in split_null_space(right[rank:].T, field, tips):
+        for direction in sparse_basis(basis).T:
+            kept = [float(np.linalg.norm(project @ direction) / np.linalg.norm(direction)) for project in elsewhere]
+            words = f"{_named(direction * lever, problem.names)}: {MEANING[kind]}"
+            null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
     weak = [
-        WeakDirection(
-            float(sizes[i]),
-            right[i],
-            f"{_named(right[i] * lever, problem.names)}: known better from the prior than from these samples",
-        )
+        WeakDirection(float(sizes[i]), right[i], f"{_named(right[i] * lever, problem.names)}: {WEAK}", cost(right[i]))
         for i in range(rank)
         if sizes[i] < 1
     ]
     condition = float(sizes[0] / sizes[rank - 1]) if rank else float("inf")
     return Identifiability(problem.unknowns, rank, condition, sizes, tuple(null), tuple(weak))
+
+
+def natural_scale(problem: LeastSquares) -> Array:
+    """Prior standard deviation of each unknown (n,), or 1 mrad and 1 mm where the prior is flat."""
+    flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
+    return np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+
+
+def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Pairs of unknowns whose posterior correlation exceeds 0.95 in size, strongest first."""
+    matrix = correlation(covariance)
+    rows, columns = np.nonzero(np.triu(np.abs(matrix) > CORRELATED, k=1))
+    pairs = [(names[int(i)], names[int(j)], float(matrix[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def _decompose(problem: LeastSquares, x: Array, scale: Array) -> tuple[Array, Array, int]:
+    """Singular values (n,), right singular vectors (n, n; rows) and rank of the scaled whitened Jacobian at x."""
+    _, sizes, right = np.linalg.svd(problem.jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
+    sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
+    return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
+
+
+def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:
+    """Projector (n, n) on the null space where the parameters are off by a random prior error."""
+    x = problem.x0 + scale * np.random.default_rng(seed).normal(size=problem.unknowns)
+    _, right, rank = _decompose(problem, x, scale)
+    return np.asarray(right[rank:].T @ right[rank:])
 
 
 def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:

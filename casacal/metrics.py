@@ -18,6 +18,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 WORKSPACE_POSES = 400
 
+RANK_TOLERANCE = 1e-9
+"""Part of the largest singular value below which a direction counts as null."""
+
+FIELD_TOLERANCE = 1e-6
+"""Part of the largest tip motion below which a direction counts as not moving the tip."""
+
+BLIND_FIELD = 1e-9
+"""Motion (mm per unit) below which a tip does not see an unknown."""
+
 
 def residual_figures(residuals: Array) -> dict[str, float]:
     """RMSE, MAE, STD (about the mean) and MAX of residuals (N,) in mm.
@@ -38,16 +47,46 @@ def workspace_joints(robot: Robot, *, poses: int = WORKSPACE_POSES, seed: int = 
     return random_joints(robot, poses, np.random.default_rng([20220802, seed]))
 
 
+def rigid_fields(tips: Array, about: Array) -> Array:
+    """Six rigid displacement fields (3 N, 6) of tips (N, 3): three shifts, three turns about a point (3,)."""
+    arms = tips - about
+    turns = [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, len(tips)) for axis in np.eye(3)]
+    return np.column_stack([*shifts, *turns])
+
+
 def without_rigid(field: Array, tips: Array) -> Array:
     """A displacement of tips, or several as columns (3 N, m), with its best rigid motion taken out.
 
     Planes alone cannot see where the base frame stands, so six rigid fields of the tips (N, 3) are projected out.
     """
-    arms = tips - tips.mean(axis=0)
-    turns = [np.cross(axis, arms).ravel() for axis in np.eye(3)]
-    shifts = [np.tile(axis, len(tips)) for axis in np.eye(3)]
-    basis, _ = np.linalg.qr(np.column_stack([*shifts, *turns]))
+    basis, _ = np.linalg.qr(rigid_fields(tips, tips.mean(axis=0)))
     return np.asarray(field - basis @ (basis.T @ field))
+
+
+def up_to_base(field: Array, tips: Array, frame_field: Array, frame_tips: Array) -> Array:
+    """Displacements (3 N, m) of some tips with the rigid motion taken out that fits another set's displacements best.
+
+    The other set (3 M, m) of tips (M, 3), usually the workspace, says what counts as a move of the base frame.
+    """
+    about = frame_tips.mean(axis=0)
+    motion = np.linalg.lstsq(rigid_fields(frame_tips, about), frame_field, rcond=None)[0]
+    return np.asarray(field - rigid_fields(tips, about) @ motion)
+
+
+def tip_stds(covariance: Array, field: Array) -> Array:
+    """Standard deviation (N, 3; mm) of each tip along each axis.
+
+    Args:
+        covariance: of the unknowns (n, n); infinite variances count where the field sees them.
+        field: derivative (3 N, n) of the tips by the unknowns, up to the base frame where that is wanted.
+
+    """
+    lost = ~np.isfinite(np.diagonal(covariance))
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    variance = np.einsum("ij,jk,ik->i", field, held, field)
+    variance[(np.abs(field[:, lost]) > BLIND_FIELD).any(axis=1)] = np.inf
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
 
 
 def tip_rms(field: Array) -> float:
@@ -59,15 +98,25 @@ def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, ti
     """Smallest RMS tip error (mm) over the workspace, modulo rigid motion, that data and prior allow.
 
     sqrt(trace(H (F + Lambda0)^-1 H') / N): F the data's information (n, n), H the tips' Jacobian (3 N, n) with the
-    rigid fields projected out, N tips (N, 3).
+    rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.
     """
-    covariance = posterior_covariance(information, prior_std)
-    seen = np.where(np.isfinite(covariance), covariance, 0.0)
-    projected = without_rigid(tip_jacobian, tips)
-    blind = ~np.isfinite(np.diagonal(covariance))
-    if (np.abs(projected[:, blind]) > 1e-9).any():
-        return math.inf
-    return math.sqrt(float(np.einsum("ij,jk,ik->", projected, seen, projected)) / len(tips))
+    stds = tip_stds(posterior_covariance(information, prior_std), without_rigid(tip_jacobian, tips))
+    return math.sqrt(float((stds**2).sum(axis=1).mean()))
+
+
+def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Array) -> tuple[float, int]:
+    """The same without any prior, H F^+ H', and how many directions that move a tip the data do not see.
+
+    Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
+    """
+    _, sizes, right = np.linalg.svd(jacobian * scale, full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(len(scale) - len(sizes))])
+    seen = sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)
+    field = without_rigid(tip_jacobian * scale, tips)
+    lost = np.linalg.svd(field @ right[~seen].T, compute_uv=False)
+    blind = int((lost > FIELD_TOLERANCE * max(float(np.linalg.norm(field, axis=0).max()), 1e-300)).sum())
+    spread = (field @ right[seen].T) / sizes[seen]
+    return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind
 
 
 def noise_interval(problem: LeastSquares, x: Array, covariance: Array) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from casacal.errors import CasacalError
 from casacal.files import ProblemFile, load_problem, write_text
+from casacal.metrics import tip_stds, up_to_base, workspace_joints
 from casacal.samples import Layout, Samples
 from casacal.tables import read_table
 from casacal.unknowns import Parameter
@@ -22,10 +24,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame."""
+    """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame.
+
+    `std` (N,) is the standard deviation of the position, mm, its three axes together, up to the base frame; or None.
+    """
 
     positions: Array
     quaternions: Array
+    std: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,12 @@ def read_joints(path: str | Path, source: ProblemFile) -> Samples:
 
 
 def predict(
-    result: ResultFile, joints: Samples, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False
+    result: ResultFile,
+    joints: Samples,
+    *,
+    frame: Literal["flange", "tip"] = "flange",
+    nominal: bool = False,
+    std: bool = False,
 ) -> Prediction:
     """Pose of the flange, or position of the tip with the flange's orientation, at each row.
 
@@ -84,6 +95,9 @@ def predict(
         joints: rows of joint values; columns that are absent (a reading) count as zero.
         frame: "flange" is `robot.pose`; "tip" is where the instrument touches.
         nominal: use nominal values instead of the estimate.
+        std: whether to add standard deviations.
+
+    Raises CasacalError for standard deviations of the nominal arm, or of a result that holds no covariance.
 
     """
     from scipy.spatial.transform import Rotation
@@ -99,7 +113,43 @@ def predict(
     poses = model.batch.pose(z, constants, data)[0].reshape(-1, 4, 4).transpose(0, 2, 1)
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1))
+    spread = None
+    if std:
+        if nominal:
+            raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
+        spread = _spread(result, z, data, frame)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread)
+
+
+def _spread(result: ResultFile, z: Array, data: Array, frame: str) -> Array:
+    """Standard deviation (N,) of the position, mm, all axes together, up to the base frame that the workspace fits."""
+    problem = result.source.problem
+    model = problem.models[0]
+    evaluate = model.batch.tip_jacobian if frame == "tip" else model.batch.flange_jacobian
+    constants, workspace = np.zeros(model.pose.numel_in(1)), workspace_joints(problem.robot)
+    frame_data = np.zeros((len(workspace), data.shape[1]))
+    frame_data[:, : workspace.shape[1]] = workspace
+    covariance, columns = _covariance(result)
+    fields = []
+    for rows in (data, frame_data):
+        points, slopes = evaluate(z, constants, rows)
+        fields.append((slopes.reshape(3 * len(rows), z.size)[:, [i for i, _ in columns]], points))
+    field = up_to_base(*fields[0], *fields[1])
+    index = [j for _, j in columns]
+    stds = tip_stds(covariance[np.ix_(index, index)], field)
+    return np.asarray(np.linalg.norm(stds, axis=1))
+
+
+def _covariance(result: ResultFile) -> tuple[Array, list[tuple[int, int]]]:
+    """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
+    try:
+        rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
+        names = [row["name"] for row in result.document["unknowns"]]
+    except (KeyError, TypeError):
+        raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
+    places = {name: j for j, name in enumerate(names)}
+    local = [n for key, u in result.source.problem.models[0].unknowns.items() for n in u.names(key)]
+    return np.array(rows), [(i, places[name]) for i, name in enumerate(local) if name in places]
 
 
 def _local(key: str, unknown: Any, result: ResultFile, nominal: bool) -> Array:
@@ -117,8 +167,9 @@ def _local(key: str, unknown: Any, result: ResultFile, nominal: bool) -> Array:
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, one row a pose."""
-    rows = np.column_stack([prediction.positions, prediction.quaternions])
-    lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz"]
-    lines += [",".join([f"{v:.6f}" for v in row[:3]] + [f"{v:.12f}" for v in row[3:]]) for row in rows]
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one, a row a pose."""
+    lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
+    for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
+        cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
+        lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))
     write_text(path, "\n".join(lines) + "\n")

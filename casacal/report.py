@@ -6,13 +6,16 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 import casacal
-from casacal.calibration import AGREEMENT, Calibration
+from casacal.calibration import AGREEMENT, NOT_NEEDED, Calibration
 from casacal.documents import parameter_rows
+from casacal.guards import warnings
+from casacal.identifiability import NullDirection, WeakDirection, correlated_pairs
 
 SHOWN_DIRECTIONS = 6
-NOISE_BAND = (0.9, 1.1)
-"""Found over stated noise: an interval outside this band is worth a warning."""
+SHOWN_PAIRS = 4
 
 VERDICTS = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
 
@@ -86,13 +89,7 @@ def _accuracy(calibration: Calibration) -> str:
         f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
         "if the stated noise and priors are right and nothing else bends the arm.",
     ]
-    ratio, low, high = calibration.noise
-    if low > NOISE_BAND[1] or high < NOISE_BAND[0]:
-        lines.append(
-            f"Warning: residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f}); "
-            + ("the model lacks something or the noise is larger" if ratio > 1 else "the stated noise is too large")
-            + ", and the standard deviations below are off by about as much."
-        )
+    lines += [f"Warning: {sentence}" for sentence in warnings(calibration)]
     return "\n".join(lines)
 
 
@@ -102,18 +99,32 @@ def _blind_spots(calibration: Calibration) -> str:
         f"What these samples can tell: rank {found.rank} of {found.unknowns} unknowns "
         f"(condition {found.condition:.1e}); {len(found.null)} null and {len(found.weak)} weak directions"
     ]
-    said = [f"  {direction.kind + ':':<11}{direction.words}" for direction in found.null]
-    said += [f"  {'weak:':<11}{direction.words}" for direction in found.weak]
-    lines += said[:SHOWN_DIRECTIONS]
-    if len(said) > SHOWN_DIRECTIONS:
-        lines.append(f"  ... and {len(said) - SHOWN_DIRECTIONS} more, all in result.json")
+    named: list[tuple[float, str]] = []
+    directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+    for direction, cure in zip(directions, calibration.advice, strict=True):
+        kind = direction.kind if isinstance(direction, NullDirection) else "weak"
+        text = f"  {kind + ':':<11}{direction.words}"
+        if cure != NOT_NEEDED:
+            text += f"\n{'':<13}{direction.tip_mm:.2g} mm at the tip under the prior; cure: {cure}"
+        named.append((direction.tip_mm, text))
+    named.sort(key=lambda entry: -entry[0])  # the costly ones first
+    lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
+    if len(named) > SHOWN_DIRECTIONS:
+        lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight, all in result.json")
+    arm = np.flatnonzero(~calibration.fit.datum)  # planes are always correlated with each other and with the base
+    names = [calibration.fit.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.result.covariance[np.ix_(arm, arm)], names)
+    if pairs:
+        shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
+        more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        lines.append(f"  correlated above 0.95: {shown}{more}")
     return "\n".join(lines)
 
 
 def _reference(calibration: Calibration) -> str:
     reference = calibration.reference
     if reference is None:
-        return "Reference: not run."
+        return "Reference: not run" + (", IPOPT knows no robust loss." if calibration.result.loss else ".")
     verdict = "agrees" if reference.agrees else "DIFFERS"
     words = (
         f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.10g}, its cost {reference.cost:.10g} "

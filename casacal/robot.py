@@ -91,8 +91,8 @@ class Robot:
         a: Sequence[float],
         d: Sequence[float],
         theta: Sequence[float],
-        length_std: float | Sequence[float],
-        angle_std: float | Sequence[float],
+        length_std: float | Sequence[float] | None = None,
+        angle_std: float | Sequence[float] | None = None,
         twist_std: float | Sequence[float] | None = None,
         joints: int | str | Sequence[Joint] | None = None,
         convention: Literal["standard", "modified"] = "standard",
@@ -103,8 +103,8 @@ class Robot:
             name: what the report calls it.
             alpha, theta: twists and zero offsets (n,), rad.
             a, d: lengths and offsets (n,), mm.
-            length_std: prior standard deviation of a and d, one or one a row, mm.
-            angle_std: of theta, and of alpha unless `twist_std` is given, rad.
+            length_std: prior standard deviation of a and d, one or one a row, mm; default 0.7 (see `casacal.priors`).
+            angle_std: of theta, and of alpha unless `twist_std` is given, rad; default 1e-3.
             twist_std: of alpha, rad.
             joints: as for `Robot`; default all revolute. A prismatic joint adds its value to d, not to theta.
             convention: "standard" (eq (1) of arXiv:2208.02652) or "modified" (Craig's).

@@ -194,6 +194,20 @@ def _frozen(values: Array) -> Array:
     return values
 
 
+def joined(first: Samples, second: Samples) -> Samples:
+    """Rows of two sets after each other, with the provenance of the first."""
+    labels = {name: (*first.labels[name], *second.labels.get(name, (name,) * len(second))) for name in first.labels}
+    return Samples(
+        _frozen(np.vstack([first.joints, second.joints])),
+        MappingProxyType({k: _frozen(np.concatenate([v, second.columns[k]])) for k, v in first.columns.items()}),
+        MappingProxyType(labels),
+        (*first.lines, *second.lines),
+        MappingProxyType({}),
+        first.file,
+        first.sha256,
+    )
+
+
 def ordered_labels(labels: Iterable[str]) -> tuple[str, ...]:
     """Different labels, in order of first appearance."""
     return tuple(dict.fromkeys(labels))

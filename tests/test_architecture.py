@@ -13,9 +13,9 @@ FLOORS = [
     {"kinematics", "linalg", "losses", "tables", "unknowns"},
     {"robot", "instruments", "samples", "least_squares", "result"},
     {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
-    {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability"},
-    {"files", "calibration", "doctor", "documents", "prediction", "report", "plots"},
-    {"cli"},
+    {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability", "cures", "priors"},
+    {"files", "calibration", "guards", "doctor", "documents", "prediction", "report", "plots"},
+    {"arguments", "cli"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 NUMPY_ONLY = {"least_squares", "linalg", "result", "metrics", "identifiability"}

@@ -14,7 +14,8 @@ from conftest import ROOT
 from oracles import dh_chain
 
 import casacal
-from casacal.cli import METHOD_NAMES, main
+from casacal.arguments import METHOD_NAMES
+from casacal.cli import main
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 

@@ -6,7 +6,8 @@ import shlex
 import pytest
 from conftest import ROOT
 
-from casacal.cli import METHOD_NAMES, main
+from casacal.arguments import METHOD_NAMES
+from casacal.cli import main
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 

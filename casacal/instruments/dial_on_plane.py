@@ -20,7 +20,7 @@ from casacal.unknowns.unknown import Array, unit_vector
 def tool_point(
     x: float = 0.0, y: float = 0.0, z: float = 0.0, *, prior_std: float = math.inf, free: bool = True
 ) -> Parameter:
-    """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z."""
+    """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z; its prior is flat by default."""
     return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import Array, Expression, Unknown, check_stds, spread, start_stds
+from casacal.unknowns.unknown import PRIOR_STD, Array, Expression, Unknown, check_stds, spread, start_stds
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Parameter(Unknown):
         values: nominal value, a float (then the value is a scalar) or a sequence (then a vector); None for a scalar
             that the data are to propose.
         unit: "mm", "rad" or any other word; only "mm" and "rad" have a default `start_std`.
-        prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat.
+        prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat;
+            None takes 0.7 mm or 1 mrad (`casacal.priors` says why), or flat when the data are to propose the value.
         start_std: where filters start components with a flat prior; never part of the cost.
         free: False holds the value at nominal; a sequence says so component by component.
         labels: suffixes of the component names, such as ("_x", "_y", "_z"); default "1", "2", ...
@@ -35,7 +36,7 @@ class Parameter(Unknown):
 
     values: float | Sequence[float] | None
     unit: str = "mm"
-    prior_std: float | Sequence[float] = math.inf
+    prior_std: float | Sequence[float] | None = None
     start_std: float | Sequence[float] | None = None
     free: bool | Sequence[bool] = True
     labels: Sequence[str] | None = None
@@ -63,7 +64,14 @@ class Parameter(Unknown):
 
     @cached_property
     def _prior(self) -> Array:
-        return spread(self.prior_std, self._all.size, "prior_std of a parameter")
+        given = self.prior_std
+        if given is None and self.values is not None and self.unit not in PRIOR_STD:
+            raise ProblemError(
+                f"A parameter in '{self.unit}' has no prior_std", "Give one, or math.inf for a flat prior"
+            )
+        if given is None:
+            given = math.inf if self.values is None else PRIOR_STD[self.unit]
+        return spread(given, self._all.size, "prior_std of a parameter")
 
     @cached_property
     def _start(self) -> Array | None:

@@ -16,6 +16,9 @@ from casacal.errors import ProblemError
 Array: TypeAlias = NDArray[np.float64]
 Expression: TypeAlias = Any
 
+PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
+"""Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
+
 START_STD = {"mm": 10.0, "rad": 0.01}
 """Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""
 

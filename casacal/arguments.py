@@ -1,0 +1,87 @@
+"""The command line's arguments: names, units and help; what they do is in `cli`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from typing import NoReturn, TypeAlias
+
+from casacal.errors import CasacalError
+
+METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "ipopt", "plane-only")
+Command: TypeAlias = Callable[[argparse.Namespace], int]
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, as every other refusal of casacal."""
+
+    def error(self, message: str) -> NoReturn:
+        raise CasacalError(f"{self.prog}: {message}", f"See {self.prog} --help")
+
+
+def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentParser:
+    """Parser whose `command` is one of the given functions; it raises CasacalError in place of printing usage."""
+    parser = _Parser(prog="casacal", description="Calibrate a robot arm with a dial indicator and a flat face.")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_calibrate(subparsers.add_parser("calibrate", help="fit the arm's parameters to samples"))
+    _add_simulate(subparsers.add_parser("simulate", help="samples of a simulated cell, with the truth behind them"))
+    _add_check(subparsers.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
+    _add_predict(subparsers.add_parser("predict", help="poses of a calibrated arm at joint values"))
+    for name, command in commands_by_name.items():
+        subparsers.choices[name].set_defaults(command=command)
+    return parser
+
+
+def _add_calibrate(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Fit the arm's parameters to samples, and cross-check the minimum with IPOPT."
+    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
+    parser.add_argument("--method", choices=METHOD_NAMES, default="sckf-lm", help="default: sckf-lm")
+    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each plane's rows to hold out")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of the choice of held-out rows")
+    parser.add_argument("--fix", action="append", default=[], metavar="NAMES", help="hold at nominal: alpha,a3,...")
+    parser.add_argument(
+        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation, mm or rad, or inf"
+    )
+    parser.add_argument("--accuracy", type=float, metavar="MM", help="maker's accuracy: scale the arm's priors to it")
+    parser.add_argument("--loss", choices=("huber", "tukey"), help="robust against gross rows; with --method lm")
+    parser.add_argument("--no-reference", action="store_true", help="skip the cross-check")
+    parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
+
+
+def _add_simulate(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Let a simulated arm, drawn from the problem's prior, touch the faces of a cell."
+    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    parser.add_argument("--out", required=True, metavar="FILE", help="samples CSV; the truth goes to FILE.truth.json")
+    parser.add_argument("--samples", type=int, default=120, metavar="N", help="default: 120")
+    parser.add_argument("--seed", type=int, default=0, metavar="K")
+    numbers = {
+        "tilt": ("DEG", "largest angle between plunger and face normal"),
+        "travel": ("MM", "range of the dial"),
+        "repeatability": ("MM", "standard deviation of the reading, or of the touch without a dial"),
+        "resolution": ("MM", "step of the dial's display, 0 for none"),
+        "joint-std": ("RAD", "standard deviation of joint repeatability"),
+        "flatness": ("MM", "peak-to-valley form error of the faces"),
+        "compliance": ("MM", "sag of the tip under gravity, RMS"),
+        "outliers": ("F", "fraction of gross rows"),
+        "outlier-size": ("MM", "their size"),
+        "error-scale": ("X", "size of the true errors in prior standard deviations"),
+    }
+    for name, (unit, words) in numbers.items():
+        parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
+    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
+
+
+def _add_predict(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values."
+    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
+    parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
+    parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
+    parser.add_argument("--frame", choices=("flange", "tip"), default="flange", help="default: flange")
+    parser.add_argument("--std", action="store_true", help="add std_mm: standard deviation up to the base frame")
+    parser.add_argument("--nominal", action="store_true", help="the arm as drawn, not as calibrated")
