@@ -68,8 +68,8 @@ def _tip_beyond_what_was_seen(calibration: Calibration) -> str:
     spread = f"{std:.2f} mm" if math.isfinite(std) else "without bound"
     return (
         f"the nominal arm misses the {where}planes by {limit:.2f} mm RMS, yet somewhere in the workspace the "
-        f"calibrated tip lies {moved:.2f} mm from the nominal one, with a standard deviation of up to {spread}. The planes "
-        "cannot vouch for that; verify there before you rely on it."
+        f"calibrated tip lies {moved:.2f} mm from the nominal one, with a standard deviation of up to {spread}. "
+        "The planes cannot vouch for that; verify there before you rely on it."
     )
 
 

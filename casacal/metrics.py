@@ -21,8 +21,9 @@ WORKSPACE_POSES = 400
 RANK_TOLERANCE = 1e-9
 """Part of the largest singular value below which a direction counts as null."""
 
-FIELD_TOLERANCE = 1e-6
-"""Part of the largest tip motion below which a direction counts as not moving the tip."""
+FIELD_TOLERANCE = 1e-4
+"""Part of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre under
+usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 BLIND_FIELD = 1e-9
 """Motion (mm per unit) below which a tip does not see an unknown."""

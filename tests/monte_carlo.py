@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import bind, ekf, ipopt, lm, load_problem, sckf, sckf_lm, simulate
-from casacal.metrics import bayesian_bound, nees, tip_rms, without_rigid, workspace_joints
+from casacal.metrics import bayesian_bound, nees, tip_rms, tip_stds, without_rigid, workspace_joints
 
 METHODS = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
 ROOT = Path(__file__).parent.parent
@@ -15,7 +15,7 @@ _JOINTS = workspace_joints(_SOURCE.problem.robot)
 
 
 def trial(seed, methods):
-    """Costs, tip error over bound, NEES of the 24 DH parameters, and NIS of the last third, by method."""
+    """By method: cost, tip error, its bound, NEES of the DH parameters, NIS of the last third, convergence, coverage."""
     simulation = simulate(_SOURCE.problem, _SOURCE.cell, seed=seed)
     bound = bind(_SOURCE.problem, simulation.samples)
     truth = simulation.truth(bound)
@@ -30,5 +30,9 @@ def trial(seed, methods):
         if "innovation" in result.trace:
             whitened = result.trace["innovation"] / result.trace["innovation_std"]
             nis = float(np.mean(whitened[2 * len(whitened) // 3 :] ** 2))
-        found[name] = (result.cost, error, best, nees((result.x - truth)[ARM], covariance), nis, result.converged)
+        field = without_rigid((bound.tips(result.x, _JOINTS) - tips).ravel(), tips)
+        stds = tip_stds(result.covariance, without_rigid(bound.tip_jacobian(result.x, _JOINTS), tips)).ravel()
+        covered = float(np.mean(np.abs(field) < 1.96 * stds))
+        consistency = nees((result.x - truth)[ARM], covariance)
+        found[name] = (result.cost, error, best, consistency, nis, result.converged, covered)
     return found

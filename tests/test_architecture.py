@@ -13,7 +13,7 @@ FLOORS = [
     {"kinematics", "linalg", "losses", "tables", "unknowns"},
     {"robot", "instruments", "samples", "least_squares", "result"},
     {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
-    {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability", "cures", "priors"},
+    {"cells", "inverse_kinematics", "touching", "simulation", "metrics", "identifiability", "cures", "priors", "scale"},
     {"files", "calibration", "guards", "doctor", "documents", "prediction", "report", "plots"},
     {"arguments", "cli"},
 ]
