@@ -34,8 +34,8 @@ def marginal_scale_std(bound: BoundProblem) -> float:
     """Standard deviation of eps at the nominal when each other unknown errs by its prior, planes freely.
 
     Generalised least squares of eps as one more unknown without a prior: 1 / var = g'F g - g'F (F + Lambda)^-1 F g,
-    F the data's information. The prior lets the lengths err one by one, so some of eps hides among them: this is larger than
-    the posterior standard deviation of the arm's size, and the more so the looser the prior.
+    F the data's information. The prior lets the lengths err one by one, so some of eps hides among them: this is larger
+    than the posterior standard deviation of the arm's size, and the more so the looser the prior.
     """
     normal, direction = bound.normal(bound.x0), scale_direction(bound)
     scale = bound.start_std

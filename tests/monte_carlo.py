@@ -15,7 +15,7 @@ _JOINTS = workspace_joints(_SOURCE.problem.robot)
 
 
 def trial(seed, methods):
-    """By method: cost, tip error, its bound, NEES of the DH parameters, NIS of the last third, convergence, coverage."""
+    """By method: cost, tip error, its bound, NEES of the arm, NIS of the last third, convergence, coverage."""
     simulation = simulate(_SOURCE.problem, _SOURCE.cell, seed=seed)
     bound = bind(_SOURCE.problem, simulation.samples)
     truth = simulation.truth(bound)

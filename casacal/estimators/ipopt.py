@@ -95,7 +95,10 @@ def _program(
             "max_iter": max_steps,
             "tol": tolerance,
             "constr_viol_tol": 1e-12,
-            "acceptable_iter": 0,
+            # where rounding keeps the gradient above tol, stop once the objective stands still
+            "acceptable_tol": 1e-5,
+            "acceptable_obj_change_tol": 1e-11,
+            "acceptable_iter": 3,
             "nlp_scaling_method": "none",
             "linear_solver": "mumps",
             "print_level": 5 if verbose else 0,
