@@ -45,6 +45,9 @@ def _add_calibrate(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--accuracy", type=float, metavar="MM", help="maker's accuracy: scale the arm's priors to it")
     parser.add_argument("--loss", choices=("huber", "tukey"), help="robust against gross rows; with --method lm")
+    parser.add_argument(
+        "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also say what tip error to expect inside this box, mm, base frame"
+    )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check")
     parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
 

@@ -15,9 +15,10 @@ from casacal.bound_problem import BoundProblem, bind
 from casacal.cures import cure_for, cures
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+from casacal.expectation import expected_accuracy
 from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
 from casacal.losses import Loss
-from casacal.metrics import bayesian_bound, noise_interval, residual_figures, workspace_joints
+from casacal.metrics import noise_interval, residual_figures, workspace_joints
 from casacal.problem import Problem
 from casacal.result import Result
 from casacal.samples import Samples, ordered_labels
@@ -105,11 +106,7 @@ class Calibration:
     @cached_property
     def tip_std(self) -> tuple[float, float]:
         """Expected tip error (mm RMS over the workspace, up to the base frame): from the prior alone, and now."""
-        _, tips, slopes = self.workspace
-        nothing = np.zeros((self.fit.unknowns, self.fit.unknowns))
-        now = self.fit.normal(self.result.x).information
-        # without data a plane is nowhere; it moves no tip
-        return tuple(bayesian_bound(given, self.fit.prior_std, slopes, tips) for given in (nothing, now))  # type: ignore[return-value]
+        return expected_accuracy(self.fit, self.result.x)
 
     @cached_property
     def identifiability(self) -> Identifiability:

@@ -11,6 +11,7 @@ from conftest import ROOT
 from casacal import Parameter, bind, calibrate, lm, load_problem, simulate
 from casacal.cli import main
 from casacal.errors import CasacalError, ProblemError
+from casacal.expectation import accuracy_in_box, planned_accuracy
 from casacal.guards import tip_extremes, warnings
 from casacal.losses import huber, tukey
 from casacal.metrics import classical_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
@@ -141,3 +142,18 @@ def test_priors_scale_to_the_maker_s_accuracy(hsr):
     with pytest.raises(ProblemError, match="positive"):
         scaled_to_accuracy(hsr.problem, -1)
     assert main(["calibrate", str(hsr.path), "--accuracy", "1.2", "--method", "lm", "--no-reference"]) == 0
+
+
+def test_what_to_expect_of_a_plan_and_inside_a_box(hsr, capsys):
+    bound = bind(hsr.problem, simulate(hsr.problem, hsr.cell, seed=3).samples)
+    before, after = planned_accuracy(bound)
+    assert before > 2.5
+    assert 0.3 < after < 1.0
+    rms, worst = accuracy_in_box(bound, bound.x0, ((1000.0, 1700.0), (-400.0, 400.0), (400.0, 1000.0)))
+    assert rms <= worst < 2 * after
+    command = ["calibrate", str(hsr.path), "--method", "lm", "--no-reference", "--box"]
+    assert main([*command, "1000:1700,-400:400,400:1000"]) == 0
+    assert "Expected tip error inside" in capsys.readouterr().out
+    assert main([*command, "9000:9100,0:1,0:1"]) == 2
+    assert main([*command, "1000:1700,0:100"]) == 2
+    assert "X0:X1" in capsys.readouterr().err
