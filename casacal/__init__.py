@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from casacal.cells import Cell, Face, corner, gauge_block, plate
     from casacal.doctor import Finding, check
     from casacal.errors import CasacalError
-    from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+    from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
     from casacal.files import ProblemFile, load_problem
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
     from casacal.kinematics import chain, deg, dh, modified_dh
@@ -33,7 +33,17 @@ _HOMES = {
     "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
     "casacal.doctor": ("Finding", "check"),
     "casacal.errors": ("CasacalError",),
-    "casacal.estimators": ("ekf", "ipopt", "lm", "plane_only", "sckf", "sckf_lm"),
+    "casacal.estimators": (
+        "annealing",
+        "ekf",
+        "evolution",
+        "ipopt",
+        "lm",
+        "plane_only",
+        "sckf",
+        "sckf_lm",
+        "swarm",
+    ),
     "casacal.files": ("ProblemFile", "load_problem"),
     "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),

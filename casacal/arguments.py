@@ -8,7 +8,7 @@ from typing import NoReturn, TypeAlias
 
 from casacal.errors import CasacalError
 
-METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "ipopt", "plane-only")
+METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
 Command: TypeAlias = Callable[[argparse.Namespace], int]
 
 
@@ -38,7 +38,7 @@ def _add_calibrate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
     parser.add_argument("--method", choices=METHOD_NAMES, default="sckf-lm", help="default: sckf-lm")
     parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each plane's rows to hold out")
-    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of the choice of held-out rows")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of held-out rows and of random methods")
     parser.add_argument("--fix", action="append", default=[], metavar="NAMES", help="hold at nominal: alpha,a3,...")
     parser.add_argument(
         "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation, mm or rad, or inf"

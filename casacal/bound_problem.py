@@ -77,6 +77,21 @@ class BoundProblem(LeastSquares):
         """Cost, gradient and information of the data, accumulated without holding the whole Jacobian."""
         return accumulate(self._linearised(x, chunk=CHUNK), self.unknowns, loss)
 
+    def costs(self, states: Array) -> Array:
+        """Objective at many states (m, n): (m,), all rows of some states in one evaluation."""
+        total = ((states - self.x0) ** 2 @ self.prior_information) / 2
+        for block in self.blocks:
+            count = len(block.data)
+            some = max(CHUNK // count, 1)
+            for first in range(0, len(states), some):
+                part = states[first : first + some]
+                z = part[:, block.columns].reshape(len(part) * count, -1)
+                repeated = (np.tile(values, (len(part), 1)) for values in (block.constants, block.data))
+                (e,) = block.model.batch.residual(z, *repeated)
+                whitened = e.reshape(len(part), -1) / block.noise.ravel()
+                total[first : first + some] += (whitened**2).sum(axis=1) / 2
+        return np.asarray(total)
+
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""
         block, sample, component = self._locate(k)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casacal.bound_problem import BoundProblem, bind
 from casacal.cures import cure_for, cures
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
-from casacal.estimators import ekf, ipopt, lm, plane_only, sckf, sckf_lm
+from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.expectation import expected_accuracy
 from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
 from casacal.losses import Loss
@@ -31,6 +31,9 @@ METHODS: Mapping[str, Callable[..., Result]] = {
     "sckf": sckf,
     "sckf-lm": sckf_lm,
     "ekf": ekf,
+    "annealing": annealing,
+    "swarm": swarm,
+    "evolution": evolution,
     "ipopt": ipopt,
     "plane-only": plane_only,
 }
@@ -43,6 +46,9 @@ HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
 
 NOT_NEEDED = "none needed"
+
+RANDOM = ("annealing", "swarm", "evolution")
+"""Methods that draw random numbers."""
 
 AGREEMENT = 1e-8
 """Largest relative gap between the costs of two solvers that found the same minimum."""
@@ -161,7 +167,7 @@ def calibrate(
         samples: rows of that instrument.
         method: a name of `METHODS`.
         holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
-        seed: of the choice of those rows.
+        seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         loss: a robust loss, for the method "lm" alone.
         progress: called with (step, cost) now and then.
@@ -186,6 +192,8 @@ def calibrate(
     built = time.perf_counter()
     # controls and the reference have nothing to report on the way
     options: dict[str, Any] = {"progress": progress} if method not in ("ipopt", "plane-only") else {}
+    if method in RANDOM:
+        options["seed"] = seed
     if loss is not None:
         options["loss"] = loss
     result = METHODS[method](fit, **options)

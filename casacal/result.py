@@ -24,6 +24,7 @@ class Status(Enum):
     CONVERGED = "Converged: the step fell below a negligible part of a posterior standard deviation."
     PRECISION = "Converged: the cost cannot be lowered further in double precision."
     ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
+    BUDGET = "Spent its budget; such a method gives no sign of having arrived. Compare with lm, or raise the budget."
     TRUTH = "The truth of a simulation; nothing was estimated."
     MAX_STEPS = "Ran out of steps before converging. Raise max_steps, or start nearer."
     STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
@@ -33,7 +34,7 @@ class Status(Enum):
     @property
     def ok(self) -> bool:
         """Whether the estimator did all it promises."""
-        return self in (Status.CONVERGED, Status.PRECISION, Status.ONE_PASS, Status.TRUTH)
+        return self in (Status.CONVERGED, Status.PRECISION, Status.ONE_PASS, Status.BUDGET, Status.TRUTH)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,56 @@
+"""Simulated annealing (M1): SciPy's dual annealing on the common objective."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import dual_annealing
+
+from casacal.estimators.box import BUDGET, WIDTH, Search
+from casacal.least_squares import LeastSquares
+from casacal.result import Result
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def annealing(
+    problem: LeastSquares,
+    *,
+    seed: int = 0,
+    budget: int = BUDGET,
+    width: float = WIDTH,
+    local_search: bool = False,
+    progress: Callable[[int, float], None] | None = None,
+) -> Result:
+    """Search the box x0 +- width * start_std by generalised simulated annealing, one candidate after another.
+
+    Args:
+        problem: what to minimise.
+        seed: of all random numbers.
+        budget: rows of residuals to evaluate at most.
+        width: half width of the box, standard deviations.
+        local_search: whether SciPy refines accepted candidates with L-BFGS-B; its difference quotients then count
+            against the budget.
+        progress: called with (candidates, best cost) at each new best.
+
+    """
+    search = Search(problem, budget=budget, width=width)
+
+    def noted(_: Array, cost: float, __: int) -> None:
+        if progress is not None:
+            progress(search.spent, cost)
+
+    outcome = dual_annealing(
+        lambda point: float(search.costs(np.asarray(point)[None])[0]),
+        [(-1.0, 1.0)] * problem.unknowns,
+        maxiter=search.candidates,
+        maxfun=search.candidates,
+        no_local_search=not local_search,
+        x0=np.zeros(problem.unknowns),
+        rng=np.random.default_rng(seed),
+        callback=noted,
+    )
+    return search.result("annealing", int(outcome.nit))
