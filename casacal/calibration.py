@@ -15,7 +15,7 @@ from casacal.bound_problem import BoundProblem, bind
 from casacal.cures import cure_for, cures
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
-from casacal.expectation import expected_accuracy
+from casacal.expectation import classical_accuracy, expected_accuracy
 from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
 from casacal.losses import Loss
 from casacal.metrics import noise_interval, residual_figures, workspace_joints
@@ -44,6 +44,9 @@ MINIMISERS = ("lm", "sckf-lm", "ipopt")
 
 HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
+
+HALF_WEIGHT = 0.5
+"""Weight under a robust loss below which a row is reported as ignored."""
 
 NOT_NEEDED = "none needed"
 
@@ -115,6 +118,11 @@ class Calibration:
         return expected_accuracy(self.fit, self.result.x)
 
     @cached_property
+    def tip_std_without_prior(self) -> tuple[float, int]:
+        """The same from the samples alone, infinite when they do not see all that moves the tip: how many directions."""
+        return classical_accuracy(self.fit, self.result.x)
+
+    @cached_property
     def identifiability(self) -> Identifiability:
         """Rank, null and weak directions at the nominal."""
         joints = workspace_joints(self.fit.problem.robot)
@@ -140,13 +148,13 @@ class Calibration:
             return ()
         (samples,) = self.fit.samples
         per_row = self.fit.rows // len(samples)
-        low = np.flatnonzero(self.result.weights < 0.5)
+        low = np.flatnonzero(self.result.weights < HALF_WEIGHT)
         return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
 
     @cached_property
     def noise(self) -> tuple[float, float, float]:
         """Found over stated noise, with its 95 % interval."""
-        return noise_interval(self.fit, self.result.x, self.result.covariance)
+        return noise_interval(self.fit, self.result.x, self.result.covariance, self.result.weights >= HALF_WEIGHT)
 
 
 def calibrate(

@@ -73,6 +73,8 @@ def cure_for(bound: BoundProblem, offers: list[Cure], direction: NullDirection |
     part = direction.direction[arm] / np.linalg.norm(direction.direction)
     if not np.abs(part).max(initial=0.0) > 0:
         return "none needed"
+    if not offers:
+        return "none known for this instrument; rely on the prior"
     names = {bound.names[j]: float(scale[j]) * value for j, value in zip(arm, part, strict=True)}
     for offer in offers:
         if _seen(offer.bound, names) > SEES:

@@ -13,7 +13,7 @@ import numpy as np
 
 import casacal
 from casacal.bound_problem import BoundProblem, bind
-from casacal.calibration import Calibration
+from casacal.calibration import Calibration, Reference
 from casacal.files import ProblemFile, write_json, write_samples, write_text
 from casacal.guards import warnings
 from casacal.identifiability import correlated_pairs, verdict
@@ -32,9 +32,8 @@ NOTES = {
 def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[str, Any]:
     """The whole of result.json for a calibration."""
     result, fit = calibration.result, calibration.fit
-    found = calibration.identifiability
     prior_tip, tip = calibration.tip_std
-    reference = calibration.reference
+    without = calibration.tip_std_without_prior
     return {
         **_head(source, result, calibration.seed),
         "data": {
@@ -47,37 +46,21 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
         "parameters": parameter_rows(fit, result),
         **_geometry(fit, result),
         "metrics": calibration.metrics,
-        "tip": {"expected_rms_mm": tip, "prior_rms_mm": prior_tip},
-        "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
-        "identifiability": {
-            "unknowns": found.unknowns,
-            "rank": found.rank,
-            "condition": found.condition,
-            "singular_values": found.singular_values,
-            "null": [
-                {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": cure}
-                for d, cure in zip(found.null, calibration.advice[: len(found.null)], strict=True)
-            ],
-            "weak": [
-                {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": cure}
-                for d, cure in zip(found.weak, calibration.advice[len(found.null) :], strict=True)
-            ],
+        "tip": {
+            "expected_rms_mm": tip,
+            "prior_rms_mm": prior_tip,
+            "without_prior_rms_mm": without[0],
+            "unseen": without[1],
         },
+        "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
+        "identifiability": _identifiability(calibration),
         "correlations": [
             {"names": [one, two], "value": value} for one, two, value in correlated_pairs(result.covariance, fit.names)
         ],
         "covariance": result.covariance,
         "warnings": warnings(calibration),
         "down_weighted_lines": calibration.down_weighted,
-        "reference": None
-        if reference is None
-        else {
-            "solver": reference.solver,
-            "cost": reference.cost,
-            "relative_gap": reference.relative_gap,
-            "kkt": reference.result.kkt,
-            "iterations": reference.result.steps,
-        },
+        "reference": _reference(calibration.reference),
         **_tail(result, calibration.seconds),
     }
 
@@ -112,6 +95,36 @@ def parameter_rows(bound: BoundProblem, result: Result) -> list[dict[str, Any]]:
             row = {"estimate": nominal + float(result.x[j]), "std": std, "identifiable": word, "note": NOTES[word]}
         rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
     return rows
+
+
+def _identifiability(calibration: Calibration) -> dict[str, Any]:
+    found, cures = calibration.identifiability, iter(calibration.advice)
+    return {
+        "unknowns": found.unknowns,
+        "rank": found.rank,
+        "condition": found.condition,
+        "singular_values": found.singular_values,
+        "null": [
+            {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": next(cures)}
+            for d in found.null
+        ],
+        "weak": [
+            {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": next(cures)}
+            for d in found.weak
+        ],
+    }
+
+
+def _reference(reference: Reference | None) -> dict[str, Any] | None:
+    if reference is None:
+        return None
+    return {
+        "solver": reference.solver,
+        "cost": reference.cost,
+        "relative_gap": reference.relative_gap,
+        "kkt": reference.result.kkt,
+        "iterations": reference.result.steps,
+    }
 
 
 def _head(source: ProblemFile, result: Result, seed: int) -> dict[str, Any]:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from casacal.bound_problem import BoundProblem
 from casacal.errors import CasacalError
+from casacal.identifiability import natural_scale
 from casacal.inverse_kinematics import random_joints
 from casacal.linalg import posterior_covariance
-from casacal.metrics import WORKSPACE_POSES, bayesian_bound, tip_stds, up_to_base, workspace_joints
+from casacal.metrics import WORKSPACE_POSES, bayesian_bound, classical_bound, tip_stds, up_to_base, workspace_joints
 
 Array: TypeAlias = NDArray[np.float64]
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -39,6 +40,17 @@ def expected_accuracy(bound: BoundProblem, x: Array) -> tuple[float, float]:
     information = bound.normal(x).information
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
     return before, bayesian_bound(information, bound.prior_std, slopes, tips)
+
+
+def classical_accuracy(bound: BoundProblem, x: Array) -> tuple[float, int]:
+    """Tip error (mm RMS) that the rows alone allow at x (n,), without a prior, and how many unseen directions move it.
+
+    Infinite when there is such a direction.
+    """
+    joints = workspace_joints(bound.problem.robot)
+    return classical_bound(
+        bound.jacobian(x), natural_scale(bound), bound.tip_jacobian(x, joints), bound.tips(x, joints)
+    )
 
 
 def accuracy_in_box(bound: BoundProblem, x: Array, box: Box) -> tuple[float, float]:

@@ -120,15 +120,24 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
     return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind
 
 
-def noise_interval(problem: LeastSquares, x: Array, covariance: Array) -> tuple[float, float, float]:
+def noise_interval(
+    problem: LeastSquares, x: Array, covariance: Array, kept: NDArray[np.bool_]
+) -> tuple[float, float, float]:
     """Found over stated noise: the estimate and its 95 % interval, from the whitened residuals at x.
 
     The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined.
+
+    Args:
+        problem: whose noise is judged.
+        x: estimate (n,).
+        covariance: of x (n, n).
+        kept: rows (rows,) that count; a robust fit leaves out those that it down-weighted.
+
     """
-    information = problem.normal(x).information
+    jacobian = problem.jacobian(x)[kept]
     held = np.where(np.isfinite(covariance), covariance, 0.0)
-    free = max(problem.rows - float(np.einsum("ij,ji->", held, information)), 1.0)
-    total = float((problem.residual(x) ** 2).sum())
+    free = max(int(kept.sum()) - float(np.einsum("ki,ij,kj->", jacobian, held, jacobian)), 1.0)
+    total = float((problem.residual(x)[kept] ** 2).sum())
     low, high = (total / float(chi2.ppf(p, free)) for p in (0.975, 0.025))
     return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
 

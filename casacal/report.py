@@ -84,10 +84,13 @@ def _figures(figures: Mapping[str, Any]) -> str:
 
 def _accuracy(calibration: Calibration) -> str:
     before, after = calibration.tip_std
+    alone, unseen = calibration.tip_std_without_prior
+    samples_alone = f"unbounded; directions that move the tip unseen: {unseen}" if unseen else f"{_mm(alone)} RMS"
     lines = [
         "The distances above are not accuracy: a fit can look perfect on its planes while the arm is wrong elsewhere.",
         f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
         "if the stated noise and priors are right and nothing else bends the arm.",
+        f"From the samples alone, without any prior: {samples_alone}.",
     ]
     lines += [f"Warning: {sentence}" for sentence in warnings(calibration)]
     return "\n".join(lines)

@@ -306,3 +306,9 @@ def test_help_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "calibrate" in done.stdout
+
+
+def test_the_parser_knows_the_methods_of_the_library():
+    from casacal.calibration import METHODS
+
+    assert sorted(METHOD_NAMES) == sorted(METHODS)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from oracles import dh_chain
 
-from casacal import DialOnPlane, Joint, Parameter, Plane, Problem, Robot, bind, chain, ipopt, lm, sckf_lm
+from casacal import DialOnPlane, Joint, Parameter, Plane, Problem, Robot, TrackedPoint, bind, chain, ipopt, lm, sckf_lm
 from casacal.kinematics import rotate_z, translate_x
 from casacal.samples import Samples
 
@@ -78,3 +78,32 @@ def test_a_scara_with_a_prismatic_joint_on_two_plates():
     error = (result.x[:16] - truth) / result.std[:16]
     assert np.abs(error).max() < 4
     assert np.sqrt(np.mean(bound.plain_residual(result.x) ** 2)) < 0.012
+
+
+def test_a_tracked_reflector_calibrates_the_whole_arm(hsr):
+    rng = np.random.default_rng(2)
+    nominal = {key: np.array(hsr.problem.robot.parameters[key].values) for key in ("alpha", "a", "d", "theta")}
+    std = {"alpha": 1e-3, "a": 0.7, "d": 0.7, "theta": 1e-3}
+    true = {key: values + std[key] * rng.normal(size=6) for key, values in nominal.items()}
+    angle, shift, reflector = 0.7, np.array([3000.0, -500.0, 200.0]), np.array([40.0, -25.0, 60.0, 1.0])
+    turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
+    mounted = reflector + np.array([0.5, -0.3, 0.2, 0.0])
+    rows = []
+    for _ in range(80):
+        q = rng.uniform(-1.2, 1.2, 6)
+        point = dh_chain(true["alpha"], true["a"], true["d"], true["theta"] + q) @ mounted
+        rows.append([*np.degrees(q), *(turn @ point[:3] + shift + 0.03 * rng.normal(size=3))])
+    frame = pd.DataFrame(rows, columns=[*(f"q{i}_deg" for i in range(1, 7)), "x_mm", "y_mm", "z_mm"])
+    tool = Parameter(tuple(reflector[:3]), unit="mm", prior_std=2.0, labels=("_x", "_y", "_z"))
+    problem = Problem(hsr.problem.robot, TrackedPoint(noise_std=0.03, tool=tool))
+    bound = bind(problem, Samples.from_frame(frame, problem.layout()))
+    assert bound.rows == 240
+    result, reference = lm(bound), ipopt(bound)
+    assert result.converged
+    assert reference.converged
+    np.testing.assert_allclose(result.cost, reference.cost, rtol=1e-8)
+    error = np.concatenate([true[key] - nominal[key] for key in nominal]) - result.x[:24]
+    assert np.abs(error / result.std[:24]).max() < 4.5
+    np.testing.assert_allclose(sckf_lm(bound).cost, result.cost, rtol=1e-8)
+    sizes = dict(zip(bound.names, result.std, strict=True))
+    assert sizes["a2"] < 0.05

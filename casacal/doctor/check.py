@@ -16,7 +16,6 @@ from casacal.doctor.setup import setup_findings
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.instruments import DialOnPlane
-from casacal.linalg import posterior_covariance
 from casacal.losses import huber
 from casacal.metrics import noise_interval
 from casacal.problem import Problem
@@ -106,8 +105,7 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
     if outliers:
         return outliers
     plain = lm(bound, start=result.x)
-    covariance = posterior_covariance(plain.problem.normal(plain.x).information, bound.prior_std)
-    ratio, low, high = noise_interval(bound, plain.x, covariance)
+    ratio, low, high = noise_interval(bound, plain.x, plain.covariance, np.ones(bound.rows, dtype=bool))
     if low <= 1.1 and high >= 0.9:
         return []
     return [
