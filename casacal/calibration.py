@@ -119,7 +119,7 @@ class Calibration:
 
     @cached_property
     def tip_std_without_prior(self) -> tuple[float, int]:
-        """The same from the samples alone, infinite when they do not see all that moves the tip: how many directions."""
+        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
         return classical_accuracy(self.fit, self.result.x)
 
     @cached_property

@@ -62,6 +62,13 @@ class Samples:
     file: str
     sha256: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", _frozen(self.joints))
+        columns = {name: _frozen(values) for name, values in self.columns.items()}
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+        object.__setattr__(self, "labels", MappingProxyType(dict(self.labels)))
+        object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
+
     def __len__(self) -> int:
         return len(self.joints)
 
@@ -69,11 +76,11 @@ class Samples:
         """Return the given rows, in the given order, with the same provenance."""
         index = np.asarray(rows, dtype=np.intp)
         return Samples(
-            _frozen(self.joints[index]),
-            MappingProxyType({name: _frozen(values[index]) for name, values in self.columns.items()}),
-            MappingProxyType({name: tuple(values[i] for i in index) for name, values in self.labels.items()}),
+            self.joints[index],
+            {name: values[index] for name, values in self.columns.items()},
+            {name: tuple(values[i] for i in index) for name, values in self.labels.items()},
             tuple(self.lines[i] for i in index),
-            MappingProxyType({name: tuple(values[i] for i in index) for name, values in self.extra.items()}),
+            {name: tuple(values[i] for i in index) for name, values in self.extra.items()},
             self.file,
             self.sha256,
         )
@@ -110,11 +117,11 @@ class Samples:
         labels = {name: _labels(table, name) for name in layout.labels}
         used = {column for column, _ in found.values()} | set(layout.labels)
         return Samples(
-            _frozen(np.column_stack([values[name] for name in joint_names])),
-            MappingProxyType({name: _frozen(values[name]) for name in layout.columns}),
-            MappingProxyType(labels),
+            np.column_stack([values[name] for name in joint_names]),
+            {name: values[name] for name in layout.columns},
+            labels,
             table.lines,
-            MappingProxyType({name: tuple(table.column(name)) for name in table.header if name not in used}),
+            {name: tuple(table.column(name)) for name in table.header if name not in used},
             table.file,
             table.sha256,
         )
@@ -189,8 +196,10 @@ def _cell(value: Any) -> str:
 
 
 def _frozen(values: Array) -> Array:
-    values = np.ascontiguousarray(values)
-    values.setflags(write=False)
+    """The values as a read-only array of its own; one that is read-only already is kept."""
+    if values.flags.writeable or not values.flags.c_contiguous:
+        values = np.array(values, order="C")
+        values.setflags(write=False)
     return values
 
 
@@ -198,11 +207,11 @@ def joined(first: Samples, second: Samples) -> Samples:
     """Rows of two sets after each other, with the provenance of the first."""
     labels = {name: (*first.labels[name], *second.labels.get(name, (name,) * len(second))) for name in first.labels}
     return Samples(
-        _frozen(np.vstack([first.joints, second.joints])),
-        MappingProxyType({k: _frozen(np.concatenate([v, second.columns[k]])) for k, v in first.columns.items()}),
-        MappingProxyType(labels),
+        np.vstack([first.joints, second.joints]),
+        {k: np.concatenate([v, second.columns[k]]) for k, v in first.columns.items()},
+        labels,
         (*first.lines, *second.lines),
-        MappingProxyType({}),
+        {},
         first.file,
         first.sha256,
     )

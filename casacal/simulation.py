@@ -106,13 +106,9 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
         shown = readings + noise_rng.normal(size=samples) * noise + outlier
         columns["reading"] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
     labels = {"plane": tuple(cell.faces[i].label for i in which)} if instrument.plane.per else {}
-    return Simulation(problem, _samples(recorded, columns, labels, f"simulated-{seed}"), local, cell, seed)
-
-
-def _samples(joints: Array, columns: dict[str, Array], labels: dict[str, tuple[str, ...]], name: str) -> Samples:
-    lines = tuple(range(1, len(joints) + 1))
-    nothing: MappingProxyType[str, tuple[str, ...]] = MappingProxyType({})
-    return Samples(joints, MappingProxyType(columns), MappingProxyType(labels), lines, nothing, name, name)
+    name = f"simulated-{seed}"
+    rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name)
+    return Simulation(problem, rows, MappingProxyType(local), cell, seed)
 
 
 def dial_of(problem: Problem) -> DialOnPlane:
