@@ -17,6 +17,7 @@ from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.expectation import classical_accuracy, expected_accuracy
 from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
+from casacal.instruments import DialOnPlane
 from casacal.losses import Loss
 from casacal.metrics import noise_interval, residual_figures, workspace_joints
 from casacal.problem import Problem
@@ -94,6 +95,11 @@ class Calibration:
         if not self.result.converged:
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+
+    @property
+    def touches_planes(self) -> bool:
+        """Whether residuals are distances from planes, rather than of points from where they were seen."""
+        return any(isinstance(instrument, DialOnPlane) for instrument in self.fit.problem.instruments)
 
     @cached_property
     def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:

@@ -40,7 +40,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
-            "heldout": 0 if calibration.heldout is None else calibration.heldout.rows,
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.samples[0]),
         },
         "cost": result.cost,
         "parameters": parameter_rows(fit, result),

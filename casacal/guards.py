@@ -64,12 +64,14 @@ def _tip_beyond_what_was_seen(calibration: Calibration) -> str:
     limit = seen["rmse_mm"]
     if moved <= limit and std <= limit:
         return ""
-    where = "held-out " if before["heldout"] is not None else ""
+    where = ("held-out " if before["heldout"] is not None else "") + (
+        "planes" if calibration.touches_planes else "points"
+    )
     spread = f"{std:.2f} mm" if math.isfinite(std) else "without bound"
     return (
-        f"the nominal arm misses the {where}planes by {limit:.2f} mm RMS, yet somewhere in the workspace the "
+        f"the nominal arm misses the {where} by {limit:.2f} mm RMS, yet somewhere in the workspace the "
         f"calibrated tip lies {moved:.2f} mm from the nominal one, with a standard deviation of up to {spread}. "
-        "The planes cannot vouch for that; verify there before you rely on it."
+        "The samples cannot vouch for that; verify there before you rely on it."
     )
 
 

@@ -56,9 +56,11 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
     """
     if not np.isfinite(data_information).all():
         return np.diag(np.full(len(prior_std), np.inf))
-    scale = column_scales(data_information, prior_std)
-    scaled = scale[:, None] * data_information * scale
-    scaled[np.diag_indices_from(scaled)] += np.where(np.isfinite(prior_std), 1.0, 0.0)
+    information = data_information + np.diag(np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0))
+    # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
+    diagonal = np.diagonal(information)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = scale[:, None] * information * scale
     values, vectors = np.linalg.eigh(scaled)
     held = values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0)
     if held.all():

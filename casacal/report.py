@@ -58,18 +58,21 @@ def parameter_table(calibration: Calibration) -> str:
 def _opening(calibration: Calibration, name: str) -> str:
     fit, held = calibration.fit, calibration.heldout
     planes = sum(slot.key == "plane" for slot in fit.slots)
-    rows = f"{fit.rows} fitted" + (f", {held.rows} held out" if held is not None else ", none held out")
+    rows = f"{len(fit.samples[0])} fitted, {'none' if held is None else len(held.samples[0])} held out"
     return (
         f"casacal {casacal.__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
-        f"{planes} plane{'s' if planes != 1 else ''}, {fit.unknowns} unknowns"
+        + (f"{planes} plane{'s' if planes != 1 else ''}, " if planes else "")
+        + f"{fit.unknowns} unknowns"
     )
 
 
 def _residuals(calibration: Calibration) -> str:
-    lines = [f"{'distance from the planes, mm':<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
-    words = {"before": "before (planes fitted alone)", "after": "after"}
+    planes = calibration.touches_planes
+    title = "distance from the planes, mm" if planes else "residual of each coordinate, mm"
+    lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
+    words = {"before": f"before ({'planes' if planes else 'station'} fitted alone)", "after": "after"}
     for when, parts in calibration.metrics.items():
         for part, figures in parts.items():
             if figures is not None:
@@ -87,7 +90,7 @@ def _accuracy(calibration: Calibration) -> str:
     alone, unseen = calibration.tip_std_without_prior
     samples_alone = f"unbounded; directions that move the tip unseen: {unseen}" if unseen else f"{_mm(alone)} RMS"
     lines = [
-        "The distances above are not accuracy: a fit can look perfect on its planes while the arm is wrong elsewhere.",
+        "The residuals above are not accuracy: a fit can look perfect where it touched while the arm is wrong elsewhere.",
         f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
         "if the stated noise and priors are right and nothing else bends the arm.",
         f"From the samples alone, without any prior: {samples_alone}.",
