@@ -64,9 +64,8 @@ def _tip_beyond_what_was_seen(calibration: Calibration) -> str:
     limit = seen["rmse_mm"]
     if moved <= limit and std <= limit:
         return ""
-    where = ("held-out " if before["heldout"] is not None else "") + (
-        "planes" if calibration.touches_planes else "points"
-    )
+    things = "planes" if calibration.touches_planes else "points"
+    where = things if before["heldout"] is None else f"held-out {things}"
     spread = f"{std:.2f} mm" if math.isfinite(std) else "without bound"
     return (
         f"the nominal arm misses the {where} by {limit:.2f} mm RMS, yet somewhere in the workspace the "

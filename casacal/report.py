@@ -90,7 +90,7 @@ def _accuracy(calibration: Calibration) -> str:
     alone, unseen = calibration.tip_std_without_prior
     samples_alone = f"unbounded; directions that move the tip unseen: {unseen}" if unseen else f"{_mm(alone)} RMS"
     lines = [
-        "The residuals above are not accuracy: a fit can look perfect where it touched while the arm is wrong elsewhere.",
+        "The residuals above are not accuracy: a fit can look perfect where it touched and the arm be wrong elsewhere.",
         f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
         "if the stated noise and priors are right and nothing else bends the arm.",
         f"From the samples alone, without any prior: {samples_alone}.",

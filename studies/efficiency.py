@@ -51,6 +51,7 @@ def trials(seeds: list[int], *, setting: str, methods: tuple[str, ...]) -> np.nd
         for name in methods:
             result = METHODS[name](bound)
             error = without_rigid((bound.tips(result.x, joints) - tips).ravel(), tips)
+            assert np.isfinite(result.covariance).all(), f"{name} lost a direction in seed {seed}"
             stds = tip_stds(result.covariance, without_rigid(bound.tip_jacobian(result.x, joints), tips)).ravel()
             nis = np.nan
             if "innovation" in result.trace:

@@ -1,7 +1,6 @@
 """Shared fixtures: the problems of this project, a simulated corner, and the real data where they are present."""
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from casacal import BoundProblem, ProblemFile, Simulation, bind, load_problem, simulate
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
 
 
 @pytest.fixture(scope="session")
