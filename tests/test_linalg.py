@@ -33,3 +33,12 @@ def test_covariance_is_the_inverse_and_infinite_where_nothing_is_known():
     np.testing.assert_allclose(unseen[:3, :3], np.linalg.inv(j[:, :3].T @ j[:, :3] + np.diag([4, 0.25, 0])), rtol=1e-10)
     assert correlation(unseen)[3, 3] == 0
     np.testing.assert_allclose(np.diagonal(correlation(expected)), 1)
+
+
+def test_a_direction_that_only_the_prior_holds_is_not_lost_beside_a_sharp_one():
+    # x0 is known 1e8 times better than its prior; x1 (flat) and x2 are only seen in sum, so the prior of x2 holds both
+    information = np.array([[1e16, 0, 0], [0, 1e9, 1e9], [0, 1e9, 1e9]])
+    prior = np.array([1.0, np.inf, 0.5])
+    covariance = posterior_covariance(information, prior)
+    expected = np.array([[1 / (1e16 + 1), 0, 0], [0, 0.25 + 1e-9, -0.25], [0, -0.25, 0.25]])
+    np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-18)
