@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,20 +67,20 @@ def read_table(path: str | Path) -> Table:
         raise SamplesError(file, "the file is empty", "Give a header line and one line a sample")
     header_line, header_text = lines[0]
     delimiter = max(",;\t", key=header_text.count)
-    header = tuple(_split(header_text, delimiter, file, header_line))
+    cells = _cells(lines, delimiter, file)
+    header = tuple(next(cells))
     _check_header(header, file, header_line)
     rows, numbers = [], []
-    for number, text in lines[1:]:
-        cells = _split(text, delimiter, file, number)
-        if len(cells) != len(header):
+    for (number, _), row in zip(lines[1:], cells, strict=True):
+        if len(row) != len(header):
             hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
             raise SamplesError(
                 file,
-                f"the line has {len(cells)} cells where the header has {len(header)}",
+                f"the line has {len(row)} cells where the header has {len(header)}",
                 f"Give {len(header)} cells separated by {_named(delimiter)}{hint}",
                 line=number,
             )
-        rows.append(tuple(cells))
+        rows.append(tuple(row))
         numbers.append(number)
     if not rows:
         raise SamplesError(file, "there is a header but no line of data", "Give one line a sample", line=header_line)
@@ -111,12 +111,17 @@ def _logical_lines(text: str) -> list[tuple[int, str]]:
     return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
 
 
-def _split(text: str, delimiter: str, file: str, line: int) -> list[str]:
-    try:
-        cells = next(csv.reader(io.StringIO(text), delimiter=delimiter, strict=True))
-    except (csv.Error, StopIteration):
-        raise SamplesError(file, "a quoted cell does not end on its line", "Close the quote", line=line) from None
-    return [cell.strip() for cell in cells]
+def _cells(lines: list[tuple[int, str]], delimiter: str, file: str) -> Iterator[list[str]]:
+    """Cells of each logical line, without surrounding blanks; a quoted cell must end on its line."""
+    reader = csv.reader((text for _, text in lines), delimiter=delimiter, strict=True)
+    for count, (number, _) in enumerate(lines, 1):
+        try:
+            row = next(reader)
+        except csv.Error:
+            row = []
+        if not row or reader.line_num != count:
+            raise SamplesError(file, "a quoted cell does not end on its line", "Close the quote", line=number)
+        yield [cell.strip() for cell in row]
 
 
 def _check_header(header: tuple[str, ...], file: str, line: int) -> None:
