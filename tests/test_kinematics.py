@@ -1,6 +1,7 @@
 """Forward kinematics against hand-multiplied transforms, published poses and hand geometry."""
 
 import math
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -96,3 +97,16 @@ def test_elementary_transforms():
     np.testing.assert_allclose(total, [1, 2, 3])
     assert deg(180) == pytest.approx(math.pi)
     assert deg(0, 90) == (0.0, pytest.approx(math.pi / 2))
+
+
+def test_the_same_residual_runs_on_floats(hsr: ProblemFile, corner_bound, corner_simulation):
+    robot, dial = hsr.problem.robot, hsr.problem.instruments[0]
+    samples, truth = corner_simulation.samples, corner_simulation.truth(corner_bound)
+    values = {slot.name: slot.value(truth) for slot in corner_bound.slots}
+    expected = corner_bound.plain_residual(truth)
+    for k in (0, 1, 2, 50):
+        plane = values[f"plane.{samples.labels['plane'][k]}"]
+        p = SimpleNamespace(**{key: value for key, value in values.items() if "." not in key}, plane=plane)
+        row = SimpleNamespace(reading=float(samples.columns["reading"][k]))
+        residual = dial.residual(robot.pose(p, [float(q) for q in samples.joints[k]]), p, row)
+        assert float(residual) == pytest.approx(expected[k], abs=1e-9)
