@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import importlib.util
+import io
 import json
 import math
 import os
@@ -119,13 +121,15 @@ def write_samples(path: str | Path, problem: Problem, samples: Samples, comments
     header = [f"q{i + 1}_{'deg' if turn else 'mm'}" for i, turn in enumerate(revolute)]
     header += [f"{name}_mm" for name in samples.columns] + list(samples.labels)
     factors = np.where(revolute, 180 / math.pi, 1.0)
-    lines = [f"# {comment}" for comment in comments] + [",".join(header)]
+    text = io.StringIO()
+    text.writelines(f"# {comment}\n" for comment in comments)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
     for i in range(len(samples)):
         cells = [f"{value:.7f}" for value in samples.joints[i] * factors]
         cells += [f"{values[i]:.4f}" for values in samples.columns.values()]
-        cells += [labels[i] for labels in samples.labels.values()]
-        lines.append(",".join(cells))
-    write_text(path, "\n".join(lines) + "\n")
+        writer.writerow([*cells, *(labels[i] for labels in samples.labels.values())])
+    write_text(path, text.getvalue())
 
 
 def _plain(value: Any) -> Any:

@@ -312,3 +312,15 @@ def test_the_parser_knows_the_methods_of_the_library():
     from casacal.calibration import METHODS
 
     assert sorted(METHOD_NAMES) == sorted(METHODS)
+
+
+def test_an_interruption_is_one_line(run, monkeypatch):
+    import casacal.calibration as calibration
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(calibration.METHODS, "lm", stop)
+    code, out, err = run("calibrate", HSR, "--method", "lm")
+    assert (code, out) == (130, "")
+    assert err.count("\n") == 1

@@ -104,9 +104,9 @@ def test_the_same_residual_runs_on_floats(hsr: ProblemFile, corner_bound, corner
     samples, truth = corner_simulation.samples, corner_simulation.truth(corner_bound)
     values = {slot.name: slot.value(truth) for slot in corner_bound.slots}
     expected = corner_bound.plain_residual(truth)
-    for k in (0, 1, 2, 50):
-        plane = values[f"plane.{samples.labels['plane'][k]}"]
+    for i in (0, 1, 2, 50):
+        plane = values[f"plane.{samples.labels['plane'][i]}"]
         p = SimpleNamespace(**{key: value for key, value in values.items() if "." not in key}, plane=plane)
-        row = SimpleNamespace(reading=float(samples.columns["reading"][k]))
-        residual = dial.residual(robot.pose(p, [float(q) for q in samples.joints[k]]), p, row)
-        assert float(residual) == pytest.approx(expected[k], abs=1e-9)
+        row = SimpleNamespace(reading=float(samples.columns["reading"][i]))
+        residual = dial.residual(robot.pose(p, [float(q) for q in samples.joints[i]]), p, row)
+        assert float(residual) == pytest.approx(expected[i], abs=1e-9)

@@ -1,5 +1,6 @@
 """The samples file: what is understood, and what is refused with file, line, column and fix."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 import pytest
 
 from casacal.errors import SamplesError
+from casacal.files import write_samples
 from casacal.samples import Layout, Samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
@@ -124,6 +126,15 @@ def test_a_data_frame_reads_like_the_file(tmp_path):
     check_good(Samples.from_frame(frame, LAYOUT))
     with pytest.raises(SamplesError, match="line 2, column 'q2_mm'"):
         Samples.from_frame(frame.assign(q2_mm=[1.0, math.nan]), LAYOUT)
+
+
+def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
+    odd = dataclasses.replace(corner_simulation.samples, labels={"plane": tuple(f'a "{i % 3}", b' for i in range(120))})
+    write_samples(tmp_path / "w.csv", hsr.problem, odd, ["a comment"])
+    again = hsr.problem.read(tmp_path / "w.csv")
+    assert again.labels["plane"] == odd.labels["plane"]
+    np.testing.assert_allclose(again.joints, odd.joints, atol=2e-9)
+    np.testing.assert_allclose(again.columns["reading"], odd.columns["reading"], atol=6e-5)
 
 
 def test_without_labels_all_rows_share_one(tmp_path):
