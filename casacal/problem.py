@@ -81,12 +81,18 @@ class Problem:
     def with_prior(self, stds: Mapping[str, float]) -> Problem:
         """Copy with other prior standard deviations, mm or rad, by key or component; `math.inf` is flat.
 
-        Raises UnknownNameError for a name that does not exist or is held.
+        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units.
         """
         changed = self
         for name, std in stds.items():
 
-            def edit(unknown: Unknown, chosen: list[bool], std: float = std) -> Unknown:
+            def edit(unknown: Unknown, chosen: list[bool], name: str = name, std: float = std) -> Unknown:
+                units = sorted({unit for unit, hit in zip(unknown.units, chosen, strict=True) if hit})
+                if len(units) > 1:
+                    raise ProblemError(
+                        f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
+                        f"Name a component: {', '.join(unknown.names(name))}",
+                    )
                 present = unknown.prior_stds
                 return unknown.with_prior([std if hit else float(present[i]) for i, hit in enumerate(chosen)])
 

@@ -89,6 +89,16 @@ def test_population_methods_come_within_a_gap_inside_their_budget(method):
         method(problem, budget=3)
 
 
+def test_annealing_with_its_local_search_ends_at_the_minimum(corner_bound):
+    best = lm(corner_bound)
+    plain = annealing(corner_bound, seed=1, budget=60_000)
+    refined = annealing(corner_bound, seed=1, budget=60_000, local_search=True)
+    assert refined.jacobian_rows > corner_bound.rows
+    assert best.cost <= refined.cost < best.cost + 0.1 * (plain.cost - best.cost)
+    linear = as_symbols(*random_linear(14))
+    assert annealing(linear, budget=60_000, local_search=True).cost == pytest.approx(lm(linear).cost, rel=1e-8)
+
+
 def test_population_methods_agree_with_scipy_called_directly():
     a, y, nominal, prior, noise = random_linear(13)
     problem = Matrix(a / noise, y / noise, nominal, prior)

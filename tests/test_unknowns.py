@@ -78,6 +78,17 @@ def test_a_held_component_stays_and_the_others_keep_their_names():
     np.testing.assert_allclose(parameter.with_prior([9, 8]).prior_stds, [9, 8])
 
 
+def test_coordinates_that_share_a_prior_change_together(hsr):
+    np.testing.assert_allclose(Direction((0, 0, 1)).with_prior([0.01, math.inf]).prior_stds, [0.01, 0.01])
+    plane = Plane(per="plane").with_prior([0.01, math.inf, math.inf])
+    np.testing.assert_allclose(plane.prior_stds, [0.01, 0.01, math.inf])
+    np.testing.assert_allclose(plane.with_prior([0.01, 0.02, 3.0]).prior_stds, [0.02, 0.02, 3.0])
+    frame = Frame(prior_std=(0.1, 5.0)).with_prior([0.1, 0.1, 0.1, 5.0, 2.0, 5.0])
+    np.testing.assert_allclose(frame.prior_stds, [0.1] * 3 + [2.0] * 3)
+    changed = hsr.problem.with_prior({"plane.tilt1": 0.001, "plane.offset": 0.5})
+    np.testing.assert_allclose(changed.instruments[0].plane.prior_stds, [0.001, 0.001, 0.5])
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [

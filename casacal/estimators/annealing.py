@@ -32,12 +32,13 @@ def annealing(
         seed: of all random numbers.
         budget: rows of residuals to evaluate at most.
         width: half width of the box, standard deviations.
-        local_search: whether SciPy refines accepted candidates with L-BFGS-B; its difference quotients then count
-            against the budget.
+        local_search: whether SciPy refines accepted candidates with L-BFGS-B, from exact gradients; a refinement that
+            has begun may end beyond the budget.
         progress: called with (candidates, best cost) at each new best.
 
     """
     search = Search(problem, budget=budget, width=width)
+    bounds = [(-1.0, 1.0)] * problem.unknowns
 
     def noted(_: Array, cost: float, __: int) -> None:
         if progress is not None:
@@ -45,10 +46,11 @@ def annealing(
 
     outcome = dual_annealing(
         lambda point: float(search.costs(np.asarray(point)[None])[0]),
-        [(-1.0, 1.0)] * problem.unknowns,
+        bounds,
         maxiter=search.candidates,
         maxfun=search.candidates,
         no_local_search=not local_search,
+        minimizer_kwargs={"method": "L-BFGS-B", "jac": search.gradient, "bounds": bounds},
         x0=np.zeros(problem.unknowns),
         rng=np.random.default_rng(seed),
         callback=noted,

@@ -32,7 +32,7 @@ class Search:
         self.problem, self.scale = problem, width * problem.start_std
         self.candidates = max(budget // problem.rows, 1)
         """How many candidates the budget allows."""
-        self.spent = 0
+        self.spent, self.gradients = 0, 0
         self.best_cost, self.best = np.inf, problem.x0.copy()
         self.history: list[tuple[int, float]] = []
 
@@ -48,6 +48,13 @@ class Search:
         self.history.append((self.spent, self.best_cost))
         return np.asarray(found)
 
+    def gradient(self, point: Array) -> Array:
+        """Exact gradient (n,) of the objective at one point (n,) of the box."""
+        state = self.problem.x0 + self.scale * point
+        self.gradients += 1
+        pull = self.problem.prior_information * (state - self.problem.x0)
+        return np.asarray(self.scale * (self.problem.normal(state).gradient + pull))
+
     def result(self, method: str, steps: int) -> Result:
         """The best candidate, with the curvature there as covariance."""
         counts, costs = np.array(self.history).T
@@ -60,6 +67,6 @@ class Search:
             status=Status.BUDGET if np.isfinite(self.best_cost) else Status.NOT_FINITE,
             trace={"cost": costs, "candidates": counts},
             steps=steps,
-            residual_rows=self.spent * self.problem.rows,
-            jacobian_rows=self.problem.rows,
+            residual_rows=(self.spent + self.gradients) * self.problem.rows,
+            jacobian_rows=(self.gradients + 1) * self.problem.rows,
         )

@@ -15,6 +15,7 @@ from casacal.unknowns.unknown import (
     Unknown,
     all_or_nothing,
     check_stds,
+    shared_std,
     start_stds,
     stereographic,
     stereographic_local,
@@ -118,5 +119,5 @@ class Direction(Unknown):
         return replace(self, free=all_or_nothing(free, "a direction"))
 
     def with_prior(self, stds: Sequence[float]) -> Direction:
-        """Copy with another prior; both tilts share one standard deviation (the larger)."""
-        return replace(self, prior_std=float(max(stds)))
+        """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""
+        return replace(self, prior_std=shared_std(stds, self.prior_stds))

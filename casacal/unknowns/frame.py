@@ -17,6 +17,7 @@ from casacal.unknowns.unknown import (
     Unknown,
     all_or_nothing,
     check_stds,
+    shared_std,
     spread,
     start_stds,
     stereographic,
@@ -142,9 +143,11 @@ class Frame(Unknown):
         return replace(self, free=all_or_nothing(free, "a frame"))
 
     def with_prior(self, stds: Sequence[float]) -> Frame:
-        """Copy with another prior; rotations share one standard deviation (the largest), translations another."""
-        shift = float(spread(self.prior_std, 2, "prior_std of a frame")[1]) if self.turns_only else float(max(stds[3:]))
-        return replace(self, prior_std=(float(max(stds[:3])), shift))
+        """Copy with another prior; rotations share one standard deviation, translations another."""
+        present, shift = self.prior_stds, float(spread(self.prior_std, 2, "prior_std of a frame")[1])
+        turn = shared_std(stds[:3], present[:3])
+        shift = shift if self.turns_only else shared_std(stds[3:], present[3:])
+        return replace(self, prior_std=(turn, shift))
 
     def _shift(self, local: Expression) -> Expression:
         return ca.DM.zeros(3, 1) if self.turns_only else local

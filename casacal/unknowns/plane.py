@@ -16,6 +16,7 @@ from casacal.unknowns.unknown import (
     Unknown,
     all_or_nothing,
     check_stds,
+    shared_std,
     spread,
     start_stds,
     stereographic,
@@ -160,5 +161,5 @@ class Plane(Unknown):
         return replace(self, free=all_or_nothing(free, "a plane"))
 
     def with_prior(self, stds: Sequence[float]) -> Plane:
-        """Copy with another prior; both tilts share one standard deviation (the larger)."""
-        return replace(self, prior_std=(float(max(stds[:2])), float(stds[2])))
+        """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""
+        return replace(self, prior_std=(shared_std(stds[:2], self.prior_stds[:2]), float(stds[2])))

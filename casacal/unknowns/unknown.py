@@ -146,6 +146,12 @@ def all_or_nothing(free: Sequence[bool], what: str) -> bool:
     return bool(free) and bool(free[0])
 
 
+def shared_std(stds: Sequence[float], present: Array) -> float:
+    """One standard deviation for coordinates that share it: that of a changed one, so that naming any sets them all."""
+    changed = [float(new) for new, old in zip(stds, present, strict=True) if new != old]
+    return max(changed) if changed else float(present[0])
+
+
 def stereographic(local: Expression) -> tuple[Expression, Expression]:
     """Point of the unit sphere at local coordinates u: (along the pole, across it).
 
