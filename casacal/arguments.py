@@ -27,6 +27,7 @@ def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentPa
     _add_simulate(subparsers.add_parser("simulate", help="samples of a simulated cell, with the truth behind them"))
     _add_check(subparsers.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
     _add_predict(subparsers.add_parser("predict", help="poses of a calibrated arm at joint values"))
+    _add_study(subparsers.add_parser("study", help="many trials of many methods, recorded and reported"))
     for name, command in commands_by_name.items():
         subparsers.choices[name].set_defaults(command=command)
     return parser
@@ -64,6 +65,7 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
         "repeatability": ("MM", "standard deviation of the reading, or of the touch without a dial"),
         "resolution": ("MM", "step of the dial's display, 0 for none"),
         "joint-std": ("RAD", "standard deviation of joint repeatability"),
+        "backlash": ("RAD", "play of each joint"),
         "flatness": ("MM", "peak-to-valley form error of the faces"),
         "compliance": ("MM", "sag of the tip under gravity, RMS"),
         "outliers": ("F", "fraction of gross rows"),
@@ -88,3 +90,17 @@ def _add_predict(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frame", choices=("flange", "tip"), default="flange", help="default: flange")
     parser.add_argument("--std", action="store_true", help="add std_mm: standard deviation up to the base frame")
     parser.add_argument("--nominal", action="store_true", help="the arm as drawn, not as calibrated")
+
+
+def _add_study(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Run a study file and write its report; trials are recorded one by one and can be resumed."
+    parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
+    parser.add_argument("--quick", action="store_true", help="the study's small form, under a minute")
+    parser.add_argument("--trials", type=int, metavar="N", help="trials a setting; default: what the study says")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
+    parser.add_argument("--shard", metavar="I/N", help="only the I-th of N parts of the trials, to merge later")
+    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing: put the records of shards together")
+    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and make the missing ones")
+    parser.add_argument("--report", action="store_true", help="run nothing: write the report from the records in DIR")
+    parser.add_argument("--out", metavar="DIR", help="records and report; default: out/NAME")

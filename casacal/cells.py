@@ -18,6 +18,18 @@ Array: TypeAlias = NDArray[np.float64]
 DIN_876 = {"0": (4.0, 250.0), "I": (10.0, 100.0), "II": (20.0, 50.0)}
 """Flatness of surface plates by grade: (a, b) of a + L / b in micrometres, L in mm."""
 
+AMOUNTS = (
+    "travel",
+    "repeatability",
+    "resolution",
+    "joint_std",
+    "backlash",
+    "flatness",
+    "compliance",
+    "error_scale",
+)
+"""Numbers of a cell that are zero or positive."""
+
 
 @dataclass(frozen=True)
 class Face:
@@ -46,6 +58,7 @@ class Cell:
         repeatability: standard deviation of the reading (or of the touch, without a dial); None takes the instrument's.
         resolution: step of the dial's display; 0 for none.
         joint_std: standard deviation of joint repeatability, rad (mm for a prismatic joint).
+        backlash: play of each joint, rad (mm for a prismatic joint); a joint lags half of it behind its last move.
         flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
         compliance: sag of the tip under gravity, RMS over the samples.
         outliers: fraction of rows that are gross.
@@ -60,6 +73,7 @@ class Cell:
     repeatability: float | None = None
     resolution: float = 0.001
     joint_std: float = 0.0
+    backlash: float = 0.0
     flatness: float = 0.0
     compliance: float = 0.0
     outliers: float = 0.0
@@ -79,8 +93,7 @@ class Cell:
             raise SimulationError(f"The tilt is {math.degrees(self.tilt):g} degrees", "Give 0 to less than 90")
         if not 0 <= self.outliers < 1:
             raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")
-        amounts = ("travel", "repeatability", "resolution", "joint_std", "flatness", "compliance", "error_scale")
-        for name in amounts:
+        for name in AMOUNTS:
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
                 raise SimulationError(f"{name} of the cell is {value!r}", "Give zero or a positive number")

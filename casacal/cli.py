@@ -116,6 +116,7 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
         "repeatability",
         "resolution",
         "joint_std",
+        "backlash",
         "flatness",
         "compliance",
         "outliers",
@@ -199,7 +200,13 @@ class _Progress:
             print(file=sys.stderr)
 
 
-COMMANDS = {"calibrate": _calibrate, "simulate": _simulate, "check": _check, "predict": _predict}
+def _study(options: argparse.Namespace) -> int:
+    from casacal.study_cli import study_command
+
+    return study_command(options)
+
+
+COMMANDS = {"calibrate": _calibrate, "simulate": _simulate, "check": _check, "predict": _predict, "study": _study}
 
 
 if __name__ == "__main__":

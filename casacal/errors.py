@@ -14,6 +14,10 @@ class CasacalError(Exception):
         self.fix = fix
         super().__init__(f"{what}. {fix}.")
 
+    def __reduce__(self) -> tuple[type[CasacalError], tuple[str, str]]:
+        """Let a refusal travel from a worker process: what it says arrives, as the general kind."""
+        return CasacalError, (self.what, self.fix)
+
 
 class SamplesError(CasacalError):
     """A samples file that cannot be read as declared: names the file and, where known, line and column."""
@@ -34,6 +38,10 @@ class ProblemError(CasacalError):
 
 class SimulationError(CasacalError):
     """A cell in which the robot cannot touch the faces as asked."""
+
+
+class StudyError(CasacalError):
+    """A study, its records or its workers that are not as they must be."""
 
 
 class UnknownNameError(CasacalError):

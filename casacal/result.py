@@ -26,6 +26,8 @@ class Status(Enum):
     ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
     BUDGET = "Spent its budget; such a method gives no sign of having arrived. Compare with lm, or raise the budget."
     TRUTH = "The truth of a simulation; nothing was estimated."
+    NOMINAL = "The arm as drawn; nothing was estimated."
+    UNSAID = "An estimate came back without a word on convergence. Compare with lm."
     MAX_STEPS = "Ran out of steps before converging. Raise max_steps, or start nearer."
     STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
     NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
@@ -34,7 +36,7 @@ class Status(Enum):
     @property
     def ok(self) -> bool:
         """Whether the estimator did all it promises."""
-        return self in (Status.CONVERGED, Status.PRECISION, Status.ONE_PASS, Status.BUDGET, Status.TRUTH)
+        return self not in (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.SOLVER)
 
 
 @dataclass(frozen=True)

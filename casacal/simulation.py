@@ -68,7 +68,7 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     """Draw a true arm from the prior and let it touch the faces of a cell.
 
     The true tip, at joint values inside the limits, touches a face within the dial's travel; what is recorded are the
-    joint values without sag and repeatability, and the reading with its faults.
+    joint values without sag, backlash and repeatability, and the reading with its faults.
 
     Args:
         problem: one robot with one `DialOnPlane`.
@@ -101,6 +101,7 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     joints, readings = find_touches(touch, instrument, cell, which, lift, pose_rng, form_rng)
     recorded = joints - _sag(touch, joints, readings, cell.compliance)
     recorded -= noise_rng.normal(size=joints.shape) * cell.joint_std
+    recorded += _lag(joints, cell.backlash)
     columns = {}
     if instrument.reading:
         shown = readings + noise_rng.normal(size=samples) * noise + outlier
@@ -175,3 +176,12 @@ def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Arr
     yielding = -lever * turns
     sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
     return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
+
+
+def _lag(joints: Array, backlash: float) -> Array:
+    """How far joints (N, n) stand behind what they were sent to: half the backlash against each joint's last move.
+
+    The arm moves from row to row as they come, to the first one from all joints at zero.
+    """
+    moves = np.diff(joints, axis=0, prepend=np.zeros((1, joints.shape[1])))
+    return np.asarray(np.sign(moves) * backlash / 2)

@@ -5,9 +5,25 @@ from casacal.estimators.ekf import ekf
 from casacal.estimators.evolution import evolution
 from casacal.estimators.ipopt import ipopt
 from casacal.estimators.lm import lm
+from casacal.estimators.nominal import nominal
+from casacal.estimators.null_step import null_step
 from casacal.estimators.plane_only import plane_only
+from casacal.estimators.scipy_least_squares import scipy_least_squares
 from casacal.estimators.sckf import sckf
 from casacal.estimators.sckf_lm import sckf_lm
 from casacal.estimators.swarm import swarm
 
-__all__ = ["annealing", "ekf", "evolution", "ipopt", "lm", "plane_only", "sckf", "sckf_lm", "swarm"]
+__all__ = [
+    "annealing",
+    "ekf",
+    "evolution",
+    "ipopt",
+    "lm",
+    "nominal",
+    "null_step",
+    "plane_only",
+    "scipy_least_squares",
+    "sckf",
+    "sckf_lm",
+    "swarm",
+]

@@ -1,0 +1,23 @@
+"""The control that does nothing: the arm as drawn, its planes fitted to it when the samples were bound."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casacal.least_squares import LeastSquares
+from casacal.result import Result, Status
+
+
+def nominal(problem: LeastSquares) -> Result:
+    """Return the prior's mean with the prior's covariance; evaluates nothing."""
+    return Result(
+        method="nominal",
+        problem=problem,
+        x=problem.x0.copy(),
+        covariance=np.diag(problem.prior_std**2),
+        status=Status.NOMINAL,
+        trace={},
+        steps=0,
+        residual_rows=0,
+        jacobian_rows=0,
+    )

@@ -1,0 +1,49 @@
+"""SciPy's trust region as a second reference: the same residuals and exact Jacobian, other steps."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from casacal.least_squares import LeastSquares
+from casacal.linalg import posterior_covariance
+from casacal.result import Result, Status
+
+TOLERANCE = 1e-14
+
+
+def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) -> Result:
+    """Minimise f by `scipy.optimize.least_squares` (trust region, exact Jacobian), the prior as further residuals.
+
+    Args:
+        problem: what to minimise.
+        max_evaluations: of all residuals.
+
+    """
+    scale, pull = problem.start_std, np.sqrt(problem.prior_information)
+    outcome = least_squares(
+        lambda y: np.concatenate([problem.residual(problem.x0 + scale * y), pull * scale * y]),
+        np.zeros(problem.unknowns),
+        lambda y: np.vstack([problem.jacobian(problem.x0 + scale * y) * scale, np.diag(pull * scale)]),
+        method="trf",
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
+        gtol=TOLERANCE,
+        max_nfev=max_evaluations,
+    )
+    x = problem.x0 + scale * outcome.x
+    if not np.isfinite(outcome.cost):
+        status = Status.NOT_FINITE
+    else:
+        status = Status.CONVERGED if outcome.success else Status.MAX_STEPS
+    return Result(
+        method="scipy",
+        problem=problem,
+        x=x,
+        covariance=posterior_covariance(problem.normal(x).information, problem.prior_std),
+        status=status,
+        trace={"cost": np.array([outcome.cost])},
+        steps=int(outcome.nfev),
+        residual_rows=int(outcome.nfev) * problem.rows,
+        jacobian_rows=int(outcome.njev) * problem.rows,
+    )

@@ -1,0 +1,1 @@
+"""What a study needs besides its description: counting, keys, records, executors, statistics."""

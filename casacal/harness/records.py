@@ -1,0 +1,137 @@
+"""Records of trials: one line of JSON each, appended whole, safe against being killed at any moment."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from casacal.errors import StudyError
+from casacal.files import write_text
+
+try:  # one writer a folder, where the system knows how
+    import fcntl
+except ImportError:  # pragma: no cover - Windows
+    fcntl = None  # type: ignore[assignment]
+
+Record: TypeAlias = dict[str, Any]
+Key: TypeAlias = tuple[str, int]
+
+DIGITS = 10
+"""Significant digits that a record keeps of a number."""
+TIMINGS = "seconds"
+"""The one entry of a record that may differ when it is made again."""
+
+
+def key_of(record: Mapping[str, Any]) -> Key:
+    """What determines a record: the fingerprint of setting, method, seed and code; and the trial."""
+    return str(record["fingerprint"]), int(record["trial"])
+
+
+def to_line(record: Mapping[str, Any]) -> str:
+    """A record as one line of JSON with sorted keys; numbers to ten digits, null where not finite."""
+    return json.dumps(_rounded(record), sort_keys=True, separators=(",", ":"), allow_nan=False) + "\n"
+
+
+def read_records(path: Path) -> list[Record]:
+    """Records of a file, without the last line where a kill cut it short; none when there is no file.
+
+    Raises StudyError for a line that is no record.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise StudyError(f"'{path}' cannot be read ({error.strerror})", "Check the folder") from error
+    records = []
+    for number, line in enumerate(content[: content.rfind(b"\n") + 1].splitlines(), start=1):
+        try:
+            record = json.loads(line)
+            key_of(record)
+        except (ValueError, KeyError, TypeError):
+            raise StudyError(
+                f"Line {number} of '{path}' is not a record", "Restore the file, or remove that line and resume"
+            ) from None
+        records.append(record)
+    return records
+
+
+@contextlib.contextmanager
+def appending(path: Path) -> Iterator[Appender]:
+    """Open a record file for appending, mending a cut last line first; raises StudyError when another run has it."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    except OSError as error:
+        raise StudyError(f"'{path}' cannot be written ({error.strerror})", "Choose another folder") from error
+    try:
+        if fcntl is not None:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise StudyError(f"Another run is writing '{path}'", "Wait for it, or choose another folder") from None
+        os.ftruncate(handle, path.read_bytes().rfind(b"\n") + 1)
+        yield Appender(handle)
+    finally:
+        os.close(handle)
+
+
+class Appender:
+    """Appends records to an open file, some at a time in one write."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+
+    def append(self, records: Iterable[Record]) -> None:
+        """Write whole lines and wait until they are on the disk."""
+        data = "".join(to_line(record) for record in records).encode()
+        while data:
+            data = data[os.write(self._handle, data) :]
+        os.fsync(self._handle)
+
+
+def write_records(path: Path, records: Iterable[Record]) -> None:
+    """Write a whole file of records, put in place at once."""
+    write_text(path, "".join(to_line(record) for record in records))
+
+
+def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:
+    """All records of several runs, each key once.
+
+    Raises StudyError when two records of one key differ in more than their timings.
+    """
+    found: dict[Key, Record] = {}
+    for record in (record for part in parts for record in part):
+        other = found.setdefault(key_of(record), record)
+        if _content(other) != _content(record):
+            raise StudyError(
+                f"Two records of setting '{record['setting']}', method '{record['method']}', trial {record['trial']} "
+                "differ",
+                "They come from machines or packages that compute differently; run these parts on one kind of machine",
+            )
+    return list(found.values())
+
+
+def records_digest(records: Iterable[Record]) -> str:
+    """SHA-256 of records in their order, timings aside: equal runs have equal digests."""
+    return hashlib.sha256("".join(_content(record) for record in records).encode()).hexdigest()
+
+
+def _content(record: Mapping[str, Any]) -> str:
+    return to_line({name: value for name, value in record.items() if name != TIMINGS})
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    return value

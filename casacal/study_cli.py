@@ -1,0 +1,127 @@
+"""The command `casacal study`: run, resume, share out, merge, report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.errors import CasacalError
+from casacal.harness.executors import one_thread_each
+
+if TYPE_CHECKING:
+    from casacal.study import Run, Study
+    from casacal.study_file import StudyFile
+
+SAID_EVERY = {True: 0.5, False: 20.0}
+"""Seconds between progress lines, where someone looks (they overwrite one another) and in a log."""
+
+
+def study_command(options: argparse.Namespace) -> int:
+    """Run a study file as the options say; returns 0, also where it says why it is skipped."""
+    one_thread_each()
+    from casacal.study import Run
+    from casacal.study_file import load_study
+    from casacal.study_report import machine, note_machines, write_report
+
+    source = load_study(options.study)
+    if source.skipped:
+        print(f"Skipped: {source.skipped}")
+        return 0
+    study = source.form(quick=options.quick, trials=options.trials)
+    out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
+    if study is None:
+        run = Run(None, (), out, options.quick)
+        note_machines(out, [machine(1)])
+    else:
+        run = _made(source, study, out, options)
+        print(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+        if options.shard is not None:
+            print(
+                f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
+            )
+            return 0
+    print(f"Written: {write_report(source, run, _command(source, options)).as_posix()}")
+    return 0
+
+
+def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
+    """Records that exist, that others made, or that are made now."""
+    from casacal.study import merge, missing, open_run, run
+    from casacal.study_report import machine, note_machines, read_machines
+
+    if options.report:
+        return open_run(study, out, quick=options.quick)
+    if options.merge:
+        parts = [Path(part) for part in options.merge]
+        found = merge(study, parts, out, quick=options.quick)
+        note_machines(out, [made for part in parts for made in read_machines(part)])
+        if missing(study, found):
+            print(f"{missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
+        return found
+    with _Progress(source.name) as progress:
+        found = run(
+            study,
+            out,
+            file=source.path,
+            quick=options.quick,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            shard=_shard(options.shard),
+            resume=options.resume,
+            progress=progress,
+        )
+    note_machines(out, [machine(options.workers)])
+    return found
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    if text is None:
+        return 1, 1
+    part, _, parts = text.partition("/")
+    try:
+        number, count = int(part), int(parts)
+    except ValueError:
+        number = count = 0
+    if not 1 <= number <= count:
+        raise CasacalError(f"--shard {text} is not I/N", "Give the part and their number, such as 2/3")
+    return number, count
+
+
+def _command(source: StudyFile, options: argparse.Namespace) -> str:
+    """The command that makes the same report, without folders of this machine."""
+    words = [f"casacal study studies/{source.name}.py"]
+    words += ["--quick"] if options.quick else []
+    words += [f"--trials {options.trials}"] if options.trials is not None else []
+    return " ".join(words)
+
+
+class _Progress:
+    """Records done, rate and time left on standard error."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.began, self.shown, self.at_first = name, time.monotonic(), 0.0, 0
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        now, looked_at = time.monotonic(), sys.stderr.isatty()
+        if not self.shown:
+            self.began, self.shown, self.at_first = now, now, done
+            if done:
+                print(f"{self.name}: {done} of {total} records exist", file=sys.stderr)
+            return
+        if now - self.shown < SAID_EVERY[looked_at] and done < total:
+            return
+        self.shown = now
+        rate = (done - self.at_first) / max(now - self.began, 1e-9)
+        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+        line = f"{self.name}: {done} of {total} records, {rate:.1f} a second, {left}"
+        print(f"\r{line}   " if looked_at else line, end="" if looked_at else "\n", file=sys.stderr, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown and sys.stderr.isatty():
+            print(file=sys.stderr)
