@@ -14,7 +14,20 @@ if TYPE_CHECKING:
     from casacal.cells import Cell, Face, corner, gauge_block, plate
     from casacal.doctor import Finding, check
     from casacal.errors import CasacalError
-    from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
+    from casacal.estimators import (
+        annealing,
+        ekf,
+        evolution,
+        ipopt,
+        lm,
+        nominal,
+        null_step,
+        plane_only,
+        scipy_least_squares,
+        sckf,
+        sckf_lm,
+        swarm,
+    )
     from casacal.files import ProblemFile, load_problem
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
     from casacal.kinematics import chain, deg, dh, modified_dh
@@ -22,7 +35,9 @@ if TYPE_CHECKING:
     from casacal.result import Result, Status
     from casacal.robot import Joint, Robot
     from casacal.samples import Samples
+    from casacal.simulated_trials import Simulated
     from casacal.simulation import Simulation, simulate
+    from casacal.study import Method, Run, Study
     from casacal.unknowns import Direction, Frame, Parameter, Plane
 
 __version__ = "0.1.0"
@@ -39,9 +54,12 @@ _HOMES = {
         "evolution",
         "ipopt",
         "lm",
+        "nominal",
+        "null_step",
         "plane_only",
         "sckf",
         "sckf_lm",
+        "scipy_least_squares",
         "swarm",
     ),
     "casacal.files": ("ProblemFile", "load_problem"),
@@ -51,7 +69,9 @@ _HOMES = {
     "casacal.result": ("Result", "Status"),
     "casacal.robot": ("Joint", "Robot"),
     "casacal.samples": ("Samples",),
+    "casacal.simulated_trials": ("Simulated",),
     "casacal.simulation": ("Simulation", "simulate"),
+    "casacal.study": ("Method", "Run", "Study"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

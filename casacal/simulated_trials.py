@@ -69,7 +69,7 @@ class SimulatedTrial:
         }
 
     def detail(self, result: Result) -> dict[str, Any]:
-        """What only the first trials keep: estimate and spread by name, tip errors at the held-out touches."""
+        """What only the first trial keeps: estimate and spread by name, tip errors at the held-out touches."""
         (touches,) = self.heldout.samples
         joints = workspace_joints(self.problem.problem.robot)
         tips, true = (self.problem.tips(x, joints) for x in (result.x, self.truth))
@@ -81,7 +81,6 @@ class SimulatedTrial:
             "std": result.std.tolist(),
             "truth": self.truth.tolist(),
             "heldout_tip_mm": np.linalg.norm(field.reshape(-1, 3), axis=1).tolist(),
-            "heldout_residual_mm": self.heldout.plain_residual(result.x).tolist(),
         }
 
     def _nees(self, result: Result) -> float:

@@ -1,16 +1,23 @@
-"""What all studies share: where a report goes and what it says of its own making."""
+"""What all studies share: figures, tables, and running as a script."""
 
-import platform
+import sys
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-HERE = Path(__file__).parent
-PROBLEMS = HERE.parent / "problems"
+from casacal.cli import main
+from casacal.harness.statistics import Interval
+
+PROBLEMS = Path(__file__).parent.parent / "problems"
+
+
+def script(file: str) -> None:
+    """Run a study file as `casacal study FILE` with the arguments of this process, and end with its exit code."""
+    sys.exit(main(["study", file, *sys.argv[1:]]))
 
 
 def figure(width: float, height: float) -> Figure:
@@ -21,8 +28,16 @@ def figure(width: float, height: float) -> Figure:
 
 
 def save(made: Figure, path: Path) -> None:
-    """Write a PNG; the same figure gives the same bytes."""
-    made.savefig(path, dpi=150, metadata={"Software": None})
+    """Write a picture of the kind that the name says; the same figure gives the same bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with mpl.rc_context({"svg.hashsalt": "casacal"}):
+        made.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else {"Software": None})
+
+
+def save_both(made: Figure, path: Path) -> None:
+    """Write NAME.png and NAME.svg."""
+    for suffix in (".png", ".svg"):
+        save(made, path.with_suffix(suffix))
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
@@ -31,9 +46,16 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
     return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
 
 
-def write(out: Path, lines: Sequence[str], command: str) -> None:
-    """Write report.md with the command, the versions and the kind of machine that made it."""
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("casacal", "casadi", "numpy", "scipy"))
-    made = f"Made by `{command}` with {versions}, Python {platform.python_version()} on {platform.machine()}."
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "report.md").write_text("\n".join([*lines, "", made]) + "\n", encoding="utf-8")
+def percent(rate: Interval) -> str:
+    """A rate with its interval, in percent."""
+    return f"{100 * rate.value:.1f} % ({100 * rate.low:.1f} to {100 * rate.high:.1f})"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A figure with as many digits as mean something; a dash where there is none."""
+    if value != value:
+        return "-"
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits - 1}e}"
+    shown = f"{value:.{digits}g}"
+    return f"{float(shown):,.0f}" if "e" in shown or abs(value) >= 1000 else shown

@@ -94,6 +94,7 @@ def test_annealing_with_its_local_search_ends_at_the_minimum(corner_bound):
     plain = annealing(corner_bound, seed=1, budget=60_000)
     refined = annealing(corner_bound, seed=1, budget=60_000, local_search=True)
     assert refined.jacobian_rows > corner_bound.rows
+    assert refined.residual_rows <= 60_000  # also when the budget ends in the middle of a refinement
     assert best.cost <= refined.cost < best.cost + 0.1 * (plain.cost - best.cost)
     linear = as_symbols(*random_linear(14))
     assert annealing(linear, budget=60_000, local_search=True).cost == pytest.approx(lm(linear).cost, rel=1e-8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -14,6 +15,10 @@ from casacal.least_squares import LeastSquares
 from casacal.result import Result
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+class _BudgetSpentError(Exception):
+    """Ends a refinement in the middle: SciPy counts its own moves alone."""
 
 
 def annealing(
@@ -32,8 +37,8 @@ def annealing(
         seed: of all random numbers.
         budget: rows of residuals to evaluate at most.
         width: half width of the box, standard deviations.
-        local_search: whether SciPy refines accepted candidates with L-BFGS-B, from exact gradients; a refinement that
-            has begun may end beyond the budget.
+        local_search: whether SciPy refines accepted candidates with L-BFGS-B, from exact gradients; a gradient counts
+            as one more candidate.
         progress: called with (candidates, best cost) at each new best.
 
     """
@@ -44,15 +49,28 @@ def annealing(
         if progress is not None:
             progress(search.spent, cost)
 
-    outcome = dual_annealing(
-        lambda point: float(search.costs(np.asarray(point)[None])[0]),
-        bounds,
-        maxiter=search.candidates,
-        maxfun=search.candidates,
-        no_local_search=not local_search,
-        minimizer_kwargs={"method": "L-BFGS-B", "jac": search.gradient, "bounds": bounds},
-        x0=np.zeros(problem.unknowns),
-        rng=np.random.default_rng(seed),
-        callback=noted,
-    )
-    return search.result("annealing", int(outcome.nit))
+    def afford() -> None:
+        if search.spent + search.gradients >= search.candidates:
+            raise _BudgetSpentError
+
+    def cost(point: Array) -> float:
+        afford()
+        return float(search.costs(np.asarray(point)[None])[0])
+
+    def gradient(point: Array) -> Array:
+        afford()
+        return search.gradient(np.asarray(point))
+
+    with contextlib.suppress(_BudgetSpentError):
+        dual_annealing(
+            cost,
+            bounds,
+            maxiter=search.candidates,
+            maxfun=search.candidates,
+            no_local_search=not local_search,
+            minimizer_kwargs={"method": "L-BFGS-B", "jac": gradient, "bounds": bounds},
+            x0=np.zeros(problem.unknowns),
+            rng=np.random.default_rng(seed),
+            callback=noted,
+        )
+    return search.result("annealing", search.spent)

@@ -10,24 +10,33 @@ from casacal.estimators.lm import lm
 from casacal.least_squares import LeastSquares
 from casacal.result import Result
 
-WEAK = 1.0
-"""Whitened singular value, in prior standard deviations, below which the prior knows more than the samples."""
+UNMOVED = 1.01
+"""Residual RMS after the step, over that before it, beyond which the step is halved: the plane must not notice."""
+HALVINGS = 60
+UNSEEN = 0.3
+"""Singular value of the whitened Jacobian, in prior standard deviations, below which a direction counts as unseen: one
+prior standard deviation along it moves all residuals together by less than a third of one residual's noise."""
 
 
-def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 1.0) -> Result:
+def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Result:
     """Minimise f, then step at random in the null and weak directions of the Jacobian there.
 
-    The residuals hardly change. What the step does to the tip is what a plane residual cannot show.
+    The residuals hardly change; where the model bends so much that they do, the step is halved until they do not. What
+    it does to the tip is what a plane residual cannot show.
 
     Args:
         problem: what to minimise.
         seed: of the step.
-        size: standard deviation of the step along each such direction, in prior standard deviations (flat: start_std).
+        size: standard deviation of the step along each such direction, in prior standard deviations (flat: start_std),
+            before any halving.
 
     """
     best = lm(problem)
     _, values, right = np.linalg.svd(problem.jacobian(best.x) * problem.start_std, full_matrices=True)
     values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])
-    unseen = right[values < WEAK]
-    step = np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen
-    return replace(best, method="null-step", x=best.x + problem.start_std * step)
+    unseen = right[values < UNSEEN]
+    step = problem.start_std * (np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen)
+    before, halvings = float(np.linalg.norm(problem.residual(best.x))), 0
+    while np.linalg.norm(problem.residual(best.x + step)) > UNMOVED * before and halvings < HALVINGS:
+        step, halvings = step / 2, halvings + 1
+    return replace(best, method="null-step", x=best.x + step)

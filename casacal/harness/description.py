@@ -30,7 +30,7 @@ class Trial(Protocol):
         """Figures of merit by name; called by the harness, untimed."""
 
     def detail(self, result: Result) -> Mapping[str, Any]:
-        """What the first trials keep besides: numbers, texts and lists of them."""
+        """What the first trial keeps besides: numbers, texts and lists of them."""
 
 
 class Setting(Protocol):
@@ -72,7 +72,7 @@ class Study:
         methods: by name, a `Method` or a plain function of a `LeastSquares`.
         trials: how many a setting.
         seed: of all of them; trial k of every setting gets the same child of it.
-        details: how many trials, the first ones, also keep estimates and best costs on the way.
+        details: how many trials, the first ones, also keep the objective on the way; the very first its estimates too.
 
     Raises StudyError when a part is missing.
 

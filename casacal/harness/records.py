@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hashlib
 import json
 import math
 import os
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from casacal.errors import StudyError
-from casacal.files import write_text
+from casacal.files import place_whole, write_text
 
 try:  # one writer a folder, where the system knows how
     import fcntl
@@ -39,16 +41,11 @@ def to_line(record: Mapping[str, Any]) -> str:
 
 
 def read_records(path: Path) -> list[Record]:
-    """Records of a file, without the last line where a kill cut it short; none when there is no file.
+    """Records of a file, or of the same file gzipped, without the last line where a kill cut it short.
 
-    Raises StudyError for a line that is no record.
+    None when there is no file. Raises StudyError for a line that is no record.
     """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise StudyError(f"'{path}' cannot be read ({error.strerror})", "Check the folder") from error
+    content = _content_of(path)
     records = []
     for number, line in enumerate(content[: content.rfind(b"\n") + 1].splitlines(), start=1):
         try:
@@ -64,9 +61,14 @@ def read_records(path: Path) -> list[Record]:
 
 @contextlib.contextmanager
 def appending(path: Path) -> Iterator[Appender]:
-    """Open a record file for appending, mending a cut last line first; raises StudyError when another run has it."""
+    """Open a record file for appending, mending a cut last line first; raises StudyError when another run has it.
+
+    A gzipped file is unpacked beside itself.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.is_file() and _packed(path).is_file():
+            place_whole(path, lambda place: place.write_bytes(_content_of(path)))
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
     except OSError as error:
         raise StudyError(f"'{path}' cannot be written ({error.strerror})", "Choose another folder") from error
@@ -121,6 +123,20 @@ def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:
 def records_digest(records: Iterable[Record]) -> str:
     """SHA-256 of records in their order, timings aside: equal runs have equal digests."""
     return hashlib.sha256("".join(_content(record) for record in records).encode()).hexdigest()
+
+
+def _packed(path: Path) -> Path:
+    return path.with_name(path.name + ".gz")
+
+
+def _content_of(path: Path) -> bytes:
+    try:
+        if path.is_file():
+            return path.read_bytes()
+        return gzip.decompress(_packed(path).read_bytes()) if _packed(path).is_file() else b""
+    except (OSError, EOFError, zlib.error) as error:
+        said = getattr(error, "strerror", None) or str(error)
+        raise StudyError(f"'{path}' cannot be read ({said})", "Check the folder, or restore the file") from error
 
 
 def _content(record: Mapping[str, Any]) -> str:

@@ -60,7 +60,7 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
         with np.errstate(all="ignore"):
             result = _result(outcome, made.problem, method)
             figures = dict(made.judge(result))
-            detail = _detail(made, metered, result) if trial < study.details else {}
+            detail = _detail(made, metered, result, trial) if trial < study.details else {}
     except Exception as error:  # failures are rows with their message
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
         return {**_failure(error), TIMINGS: spent}
@@ -102,8 +102,10 @@ def _result(outcome: Result | Array, problem: LeastSquares, method: str) -> Resu
     return Result(method, problem, x, covariance, Status.UNSAID, {}, 0, 0, 0)
 
 
-def _detail(made: Trial, metered: Metered, result: Result) -> Record:
-    return {"detail": dict(made.detail(result)), "trace": _trace(made.problem, metered, result)}
+def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:
+    # estimates of one trial show what a parameter table looks like; curves need some
+    kept = {"detail": dict(made.detail(result))} if trial == 0 else {}
+    return {**kept, "trace": _trace(made.problem, metered, result)}
 
 
 def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list[float]]:
@@ -120,6 +122,7 @@ def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list
         )
     path = result.trace.get("filter_x", result.trace.get("x"))
     seen = [list(map(float, point)) for point in metered.best]
+    seen += [[float(metered.residual_rows), float(metered.jacobian_rows), seen[-1][2]]] if seen else []
     if path is None:
         return _thinned(seen)
     # rows of the filter alone: before the first whole evaluation, if one followed
