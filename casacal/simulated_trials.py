@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -48,12 +49,9 @@ class SimulatedTrial:
         arm's unknowns, per unknown. coverage: part of tip errors, axis by axis, inside their 95 % intervals.
         """
         problem, x = self.problem, result.x
-        joints = workspace_joints(problem.problem.robot)
-        true = problem.tips(self.truth, joints)
+        joints, true, bound = self._workspace
         field = without_rigid((problem.tips(x, joints) - true).ravel(), true)
         lengths = np.linalg.norm(field.reshape(-1, 3), axis=1)
-        slopes = problem.tip_jacobian(self.truth, joints)
-        bound = bayesian_bound(problem.normal(self.truth).information, problem.prior_std, slopes, true)
         stds = tip_stds(result.covariance, without_rigid(problem.tip_jacobian(x, joints), true)).ravel()
         heldout = residual_figures(self.heldout.plain_residual(x))
         return {
@@ -71,8 +69,8 @@ class SimulatedTrial:
     def detail(self, result: Result) -> dict[str, Any]:
         """What only the first trial keeps: estimate and spread by name, tip errors at the held-out touches."""
         (touches,) = self.heldout.samples
-        joints = workspace_joints(self.problem.problem.robot)
-        tips, true = (self.problem.tips(x, joints) for x in (result.x, self.truth))
+        joints, true, _ = self._workspace
+        tips = self.problem.tips(result.x, joints)
         at, at_true = (self.problem.tips(x, touches.joints) for x in (result.x, self.truth))
         field = up_to_base((at - at_true).ravel(), at_true, (tips - true).ravel(), true)
         return {
@@ -82,6 +80,14 @@ class SimulatedTrial:
             "truth": self.truth.tolist(),
             "heldout_tip_mm": np.linalg.norm(field.reshape(-1, 3), axis=1).tolist(),
         }
+
+    @cached_property
+    def _workspace(self) -> tuple[Array, Array, float]:
+        """Joint values, true tips and the Bayesian bound over the workspace: the same for all methods."""
+        problem = self.problem
+        joints = workspace_joints(problem.problem.robot)
+        true, slopes = problem.tips(self.truth, joints), problem.tip_jacobian(self.truth, joints)
+        return joints, true, bayesian_bound(problem.normal(self.truth).information, problem.prior_std, slopes, true)
 
     def _nees(self, result: Result) -> float:
         arm = ~self.problem.datum

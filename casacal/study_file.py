@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,15 +47,31 @@ def load_study(path: str | Path) -> StudyFile:
     try:
         values = vars(_imported(file.resolve()))
     except (Exception, SystemExit) as error:  # a user's file may raise anything
-        if isinstance(error, CasacalError):
-            raise
-        said = " ".join(str(error).split()) or "no message"
-        raise StudyError(f"'{path}' failed with {type(error).__name__}: {said}", "Mend the study file") from error
+        raise _failure(file, error) from error
     study, report = values.get("study"), values.get("report")
     quick = values.get("quick", study)
     if not callable(report) or not all(form is None or isinstance(form, Study) for form in (study, quick)):
         raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.study_file")
     return StudyFile(file.stem, file.as_posix(), study, quick, report, values.get("skipped"))
+
+
+def lines_of(source: StudyFile, run: Any) -> list[str]:
+    """What the study's report says of a run; raises StudyError when it fails."""
+    try:
+        return [str(line) for line in source.report(run)]
+    except (Exception, SystemExit) as error:  # a user's function may raise anything
+        raise _failure(Path(source.path), error) from error
+
+
+def _failure(file: Path, error: BaseException) -> CasacalError:
+    """A refusal that names the last line of the file itself that was running."""
+    if isinstance(error, CasacalError):
+        return error
+    places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == file.name]
+    line = error.lineno if isinstance(error, SyntaxError) else (places or [None])[-1]
+    said = " ".join(str(error).split()) or "no message"
+    where = f"{file}, line {line}" if line else str(file)
+    return StudyError(f"{where}: {type(error).__name__}: {said}", "Mend the study file")
 
 
 def _imported(file: Path) -> ModuleType:

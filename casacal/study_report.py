@@ -14,7 +14,7 @@ from typing import Any
 from casacal.errors import StudyError
 from casacal.files import write_json, write_text
 from casacal.study import Run
-from casacal.study_file import StudyFile
+from casacal.study_file import StudyFile, lines_of
 
 MACHINES = "machines.json"
 REPORT = "report.md"
@@ -62,7 +62,7 @@ def write_report(source: StudyFile, run: Run, command: str) -> Path:
 
     """
     run.out.mkdir(parents=True, exist_ok=True)
-    lines = [*source.report(run), "", "## How this was made", "", *_made(source, run, command)]
+    lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, command)]
     path = run.out / REPORT
     write_text(path, "\n".join(lines) + "\n")
     return path

@@ -3,10 +3,9 @@
 Each fatal erratum of arXiv:2208.02652, as printed beside the corrected form, on simulated touches of one plate by the
 HSR-JR680. The centrepiece is E16: the normal shrinks to zero, the printed RMSE vanishes, and no tip has come nearer.
 
-    python -m studies.as_printed [--out DIR]
+    casacal study studies/as_printed.py [--quick] [--out DIR]
 """
 
-import argparse
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -14,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, DialOnPlane, Problem, bind, load_problem, plate, simulate
+from casacal import BoundProblem, DialOnPlane, Problem, Run, bind, load_problem, plate, simulate
 from casacal.linalg import tria
 from casacal.metrics import residual_figures
 from studies import reporting
+from studies.reporting import script
 
 ITERATIONS = 200
 VANISHING = 800
@@ -196,9 +196,9 @@ def compared(at: Touches) -> list[Shown]:
     ]  # fmt: skip
 
 
-def draw(at: Touches, path: Path) -> None:
+def draw(at: Touches, path: Path, iterations: int) -> None:
     """The centrepiece: the printed RMSE falls without end, the distance stays."""
-    steps = np.array(block_steps(at, 1.0, sign=-1.0, blocks=(2,), iterations=VANISHING))
+    steps = np.array(block_steps(at, 1.0, sign=-1.0, blocks=(2,), iterations=iterations))
     made = reporting.figure(7, 4)
     axes = made.subplots()
     axes.semilogy(np.maximum(steps[:, 0], 1e-30), color="#d1622b", label="printed RMSE, normal unconstrained (29)")
@@ -210,16 +210,12 @@ def draw(at: Touches, path: Path) -> None:
     reporting.save(made, path)
 
 
-def main() -> None:
-    """Run, draw, report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=reporting.HERE / "as_printed")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+def report(run: Run) -> list[str]:
+    """Draw the centrepiece and list all."""
     at = touches()
-    draw(at, options.out / "vanishing_normal.png")
+    draw(at, run.out / "vanishing_normal.png", 200 if run.quick else VANISHING)
     rows = [(s.erratum, s.where, s.printed, s.corrected, s.sentence) for s in compared(at)]
-    lines = [
+    return [
         "# The paper's equations, as printed",
         "",
         "85 simulated contacts of the HSR-JR680 on one plate, noise 0.01 mm, errors from the prior.",
@@ -228,9 +224,7 @@ def main() -> None:
         "",
         "![the printed RMSE vanishes, the distance does not](vanishing_normal.png)",
     ]
-    reporting.write(options.out, lines, "python -m studies.as_printed")
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":
-    main()
+    script(__file__)

@@ -3,22 +3,35 @@
 Rank and null space of the HSR-JR680 for seven set-ups in pure contact, how well each way of measuring a length fixes
 the arm's size, and where in the workspace the tip stays uncertain. Only the touches are random; nothing is fitted.
 
-    python -m studies.identifiability [--quick] [--out DIR]
+    casacal study studies/identifiability.py [--quick] [--out DIR]
 """
 
-import argparse
 import dataclasses
 import math
 from pathlib import Path
 
 import numpy as np
 
-from casacal import BoundProblem, Cell, DialOnPlane, Face, Problem, Step, bind, corner, load_problem, plate, simulate
+from casacal import (
+    BoundProblem,
+    Cell,
+    DialOnPlane,
+    Face,
+    Problem,
+    Run,
+    Step,
+    bind,
+    corner,
+    load_problem,
+    plate,
+    simulate,
+)
 from casacal.identifiability import identifiability
 from casacal.linalg import posterior_covariance
 from casacal.metrics import bayesian_bound, tip_stds, without_rigid, workspace_joints
 from casacal.scale import conditional_scale_std, marginal_scale_std
 from studies import reporting
+from studies.reporting import script
 
 KINDS = ("invisible", "rigid", "scale", "blind")
 CENTRE = (1350.0, 0.0, 700.0)
@@ -125,15 +138,11 @@ def uncertainty_map(problem: Problem, samples: int, poses: int, out: Path) -> li
     return reporting.table(("plan, 120 touches with dial", "before, mm RMS", "after, mm RMS", "worst pose, mm"), rows)
 
 
-def main() -> None:
-    """Run, draw, report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=reporting.HERE / "identifiability")
-    parser.add_argument("--quick", action="store_true", help="fewer workspace poses in the map")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+def report(run: Run) -> list[str]:
+    """Rank tables, the arm's size, and the map."""
+    run.out.mkdir(parents=True, exist_ok=True)
     problem = load_problem(reporting.PROBLEMS / "hsr_jr680").problem
-    lines = [
+    return [
         "# What a set-up can tell of an arm",
         "",
         "HSR-JR680, 24 DH parameters and three unknowns a plane, prior 0.7 mm and 1 mrad, flat on the planes.",
@@ -144,7 +153,7 @@ def main() -> None:
         "deviation (planes: 1 mrad, 1 mm), rank at 1e-9 of the largest singular value. *Blind* directions move the tip",
         "somewhere in the workspace but never in these touches.",
         "",
-        *rank_table(problem, 120, options.out),
+        *rank_table(problem, 120, run.out),
         "",
         "![singular values](singular_values.png)",
         "",
@@ -162,13 +171,11 @@ def main() -> None:
         "",
         "Predicted from the plan alone, up to the base frame, three axes together.",
         "",
-        *uncertainty_map(problem, 120, 400 if options.quick else 3000, options.out),
+        *uncertainty_map(problem, 120, 400 if run.quick else 3000, run.out),
         "",
         "![map](tip_uncertainty.png)",
     ]
-    reporting.write(options.out, lines, "python -m studies.identifiability" + (" --quick" if options.quick else ""))
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":
-    main()
+    script(__file__)

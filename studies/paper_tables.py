@@ -19,8 +19,11 @@ SMALL = 1e-10
 
 def best_cost(run: Run, setting: str) -> np.ndarray:
     """Lowest objective (trials,) that any minimiser found."""
-    costs = np.array([run.values(setting, name, "cost") for name in MINIMISERS if name in run.study.methods])
-    return np.min(np.where(np.isfinite(costs), costs, np.inf), axis=0)
+    best = np.full(run.study.trials, np.inf)
+    for name in MINIMISERS:
+        found = run.values(setting, name, "cost")
+        best[: len(found)] = np.fmin(best[: len(found)], found)
+    return best
 
 
 def found_minimum(run: Run, setting: str, method: str) -> tuple[int, int]:

@@ -2,25 +2,23 @@
 
 Fits the simulated HSR-JR680 twice: one plate without a prior, and three faces with the default prior. For each it
 compares what the user sees (distance of held-out touches from the plane) with what the user wants (tip error over the
-workspace, up to the base frame), before and after. Writes report.md and a picture.
+workspace, up to the base frame), before and after.
 
-    python -m studies.residual_is_not_accuracy [--out DIR] [--seed K]
+    casacal study studies/residual_is_not_accuracy.py [--out DIR]
 """
 
-import argparse
 import dataclasses
 import math
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from casacal import BoundProblem, Cell, Problem, bind, lm, load_problem, plane_only, plate, simulate
+from casacal import BoundProblem, Cell, Problem, Run, bind, lm, load_problem, plane_only, plate, simulate
 from casacal.metrics import tip_rms, without_rigid, workspace_joints
+from studies import reporting
+from studies.reporting import script
 
-HERE = Path(__file__).parent
-PROBLEM = HERE.parent / "problems" / "hsr_jr680"
+SEED = 2
 FITTED, HELD = 120, 60
 
 Table = dict[str, tuple[float, float]]
@@ -34,9 +32,9 @@ def tip_error(bound: BoundProblem, x: np.ndarray, truth: np.ndarray) -> float:
     return tip_rms(without_rigid((bound.tips(x, joints) - true).ravel(), true))
 
 
-def figures(true: Problem, fitted: Problem, cell: Cell, seed: int) -> Table:
+def figures(true: Problem, fitted: Problem, cell: Cell) -> Table:
     """Held-out plane RMSE and workspace tip error, before and after, mm."""
-    simulation = simulate(true, cell, samples=FITTED + HELD, seed=seed)
+    simulation = simulate(true, cell, samples=FITTED + HELD, seed=SEED)
     fit = bind(fitted, simulation.samples.take(np.arange(FITTED)))
     held = fit.on(simulation.samples.take(np.arange(FITTED, FITTED + HELD)))
     truth = simulation.truth(fit)
@@ -49,7 +47,7 @@ def figures(true: Problem, fitted: Problem, cell: Cell, seed: int) -> Table:
 
 def settings() -> dict[str, tuple[Problem, Problem, Cell]]:
     """Name to the problem that is simulated, the one that is fitted, and the cell."""
-    source = load_problem(PROBLEM)
+    source = load_problem(reporting.PROBLEMS / "hsr_jr680")
     free = source.problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), math.inf))
     one = dataclasses.replace(source.cell, faces=plate((1350.0, 0.0, 500.0)), tilt=math.radians(15))
     return {
@@ -65,8 +63,7 @@ def shown(value: float) -> str:
 
 def draw(table: dict[str, Table], path: Path) -> None:
     """Bars on a logarithmic axis: the residual beside the error, before and after."""
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = reporting.figure(9, 3.6)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, (name, rows) in zip(panels, table.items(), strict=True):
         for i, (when, colour) in enumerate((("before", "#b8b8b8"), ("after", "#1f6fb2"))):
@@ -79,34 +76,29 @@ def draw(table: dict[str, Table], path: Path) -> None:
         axes.margins(y=0.15)
     panels[0].set_ylabel("mm RMS, held out")
     panels[0].legend(frameon=False, loc="upper left")
-    figure.savefig(path, dpi=150, metadata={"Software": None})
+    reporting.save(figure, path)
 
 
-def main() -> None:
-    """Run, draw, report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=HERE / "residual_is_not_accuracy")
-    parser.add_argument("--seed", type=int, default=2)
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    table = {name: figures(*setting, options.seed) for name, setting in settings().items()}
-    draw(table, options.out / "picture.png")
-    lines = [
+def report(run: Run) -> list[str]:
+    """Both set-ups, before and after."""
+    table = {name: figures(*setting) for name, setting in settings().items()}
+    draw(table, run.out / "picture.png")
+    rows = [
+        (name, *(shown(found[when][i]) for i in (0, 1) for when in ("before", "after")))
+        for name, found in table.items()
+    ]
+    header = ("set-up", "plane residual before", "after", "tip error before", "after")
+    return [
         "# A small plane residual does not mean an accurate arm",
         "",
-        f"Simulated HSR-JR680, seed {options.seed}: {FITTED} touches fitted, {HELD} held out, noise 0.01 mm. All",
-        "figures in mm RMS; the tip error is over 400 workspace poses that no touch visited, up to the base frame.",
+        f"Simulated HSR-JR680, seed {SEED}: {FITTED} touches fitted, {HELD} held out, noise 0.01 mm. All figures in mm",
+        "RMS; the tip error is over 400 workspace poses that no touch visited, up to the base frame.",
         "",
-        "| set-up | plane residual before | after | tip error before | after |",
-        "|---|---|---|---|---|",
+        *reporting.table(header, rows),
+        "",
+        "![bars](picture.png)",
     ]
-    for name, rows in table.items():
-        cells = [rows[when][i] for i in (0, 1) for when in ("before", "after")]
-        lines.append(f"| {name} | " + " | ".join(shown(value) for value in cells) + " |")
-    lines += ["", "![bars](picture.png)", "", "Made by `python -m studies.residual_is_not_accuracy`."]
-    (options.out / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    print("\n".join(lines))
 
 
 if __name__ == "__main__":
-    main()
+    script(__file__)
