@@ -66,8 +66,7 @@ def against_lm(run: Run) -> list[str]:
         columns = []
         for name in ("tip_rms_mm", "heldout_rmse_mm"):
             lm = run.values(setting, rivals.LM, name)
-            values = {method: run.values(setting, method, name) for method in others}
-            found = {method: paired(one, lm[: len(one)]) for method, one in values.items()}
+            found = {method: paired(run.values(setting, method, name), lm) for method in others}
             columns.append((found, holm({method: compared.p for method, compared in found.items()})))
         (tip, tip_p), (plane, plane_p) = columns
         rows = [(m, tip[m].pairs, tip[m].ratio, p_value(tip_p[m]), plane[m].ratio, p_value(plane_p[m])) for m in others]

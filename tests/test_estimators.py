@@ -1,5 +1,6 @@
 """Estimators on problems whose answer is known, and filters against other people's filters."""
 
+import dataclasses
 import math
 from itertools import pairwise
 
@@ -10,13 +11,29 @@ from linear import Matrix, as_symbols, random_linear
 from oracles import central_difference, cubature_step, posterior
 from scipy.optimize import differential_evolution, dual_annealing, least_squares
 
-from casacal import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
+from casacal import (
+    Simulated,
+    annealing,
+    ekf,
+    evolution,
+    ipopt,
+    lm,
+    nominal,
+    null_step,
+    plane_only,
+    plate,
+    scipy_least_squares,
+    sckf,
+    sckf_lm,
+    swarm,
+)
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update, predict
+from casacal.metrics import tip_rms, without_rigid, workspace_joints
 from casacal.result import Status
 
-ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
+ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
 
 
 @pytest.mark.parametrize("method", ALL.values(), ids=ALL)
@@ -30,7 +47,7 @@ def test_linear_problems_are_solved_to_the_closed_form(method, seed):
     np.testing.assert_allclose(result.covariance, covariance, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("method", [lm, sckf, sckf_lm, ekf], ids=lambda m: m.__name__)
+@pytest.mark.parametrize("method", [lm, sckf, sckf_lm, ekf, scipy_least_squares], ids=lambda m: m.__name__)
 def test_estimators_need_no_more_than_a_matrix(method):
     a, y, nominal, prior, noise = random_linear(7)
     mean, covariance = posterior(a / noise, y / noise, nominal, prior)
@@ -64,6 +81,41 @@ def test_estimators_repeat_themselves_and_mutate_nothing(method, corner_bound):
         np.testing.assert_array_equal(old, new)
     assert first.converged
     assert first.residual_rows > 0
+
+
+def test_scipy_finds_the_same_minimum(corner_bound):
+    ours, theirs = lm(corner_bound), scipy_least_squares(corner_bound)
+    assert theirs.converged
+    assert theirs.cost == pytest.approx(ours.cost, rel=1e-10)
+    np.testing.assert_allclose(theirs.x, ours.x, atol=1e-5 * corner_bound.start_std.max())
+    assert scipy_least_squares(corner_bound, max_evaluations=2).status is Status.MAX_STEPS
+
+
+def test_the_nominal_control_estimates_nothing(corner_bound):
+    result = nominal(corner_bound)
+    np.testing.assert_array_equal(result.x, corner_bound.x0)
+    np.testing.assert_array_equal(result.std, corner_bound.prior_std)
+    assert (result.status, result.residual_rows) == (Status.NOMINAL, 0)
+
+
+@pytest.fixture(scope="module")
+def one_face(hsr):
+    """A trial on one face with the tool nearly normal, where much of the arm goes unseen."""
+    cell = dataclasses.replace(hsr.cell, faces=plate((1350.0, 0.0, 500.0)), tilt=math.radians(5))
+    return Simulated(hsr.problem, cell).trial(4)
+
+
+def test_a_step_in_the_null_space_moves_the_tip_and_no_plane(one_face):
+    before, after = one_face.judge(lm(one_face.problem)), one_face.judge(null_step(one_face.problem, seed=4))
+    for name in ("fit_rmse_mm", "heldout_rmse_mm"):
+        assert after[name] == pytest.approx(before[name], rel=0.03)
+    joints = workspace_joints(one_face.problem.problem.robot)
+    tips = [one_face.problem.tips(method(one_face.problem).x, joints) for method in (lm, null_step)]
+    assert tip_rms(without_rigid((tips[1] - tips[0]).ravel(), tips[0])) > 0.5
+    wild = null_step(one_face.problem, seed=4, size=300.0)  # halved until the planes do not notice
+    r, bent = (one_face.problem.residual(x) for x in (lm(one_face.problem).x, wild.x))
+    assert np.linalg.norm(bent) <= 1.01 * np.linalg.norm(r)
+    np.testing.assert_array_equal(wild.x, null_step(one_face.problem, seed=4, size=300.0).x)
 
 
 POPULATION = {"annealing": annealing, "swarm": swarm, "evolution": evolution}

@@ -86,6 +86,16 @@ def test_what_the_model_lacks_leaves_a_residual_of_its_size(hsr):
         assert low < size < high, (change, size)
 
 
+def test_backlash_lags_half_of_itself_behind_the_last_move(hsr):
+    play = 40e-6
+    straight = simulate(hsr.problem, exact(hsr.cell), samples=30, seed=8).samples
+    loose = simulate(hsr.problem, exact(hsr.cell, backlash=play), samples=30, seed=8).samples
+    np.testing.assert_array_equal(loose.columns["reading"], straight.columns["reading"])
+    came_from = np.vstack([np.zeros(6), straight.joints[:-1]])
+    forward = straight.joints > came_from  # sent further than it went
+    np.testing.assert_allclose(loose.joints - straight.joints, np.where(forward, play / 2, -play / 2), atol=1e-12)
+
+
 def test_contact_without_a_dial_and_an_arm_without_a_cell(hsr):
     problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.05, reading=False))
     simulation = simulate(problem, default_cell(problem), samples=90, seed=11)

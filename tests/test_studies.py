@@ -1,30 +1,69 @@
-"""Every study runs in its quick form and leaves a report whose pictures exist."""
+"""Every study runs in its quick form, and is committed with a report that its own records make again."""
 
-import importlib
+import os
 import re
+import shutil
+import subprocess
 import sys
 
 import pytest
 from conftest import ROOT
 
-HELPERS = {"__init__", "reporting"}
-NAMES = sorted(path.stem for path in (ROOT / "studies").glob("*.py") if path.stem not in HELPERS)
-QUICK = {"efficiency": ["--trials", "2"], "identifiability": ["--quick"]}
+from casacal.cli import main
+from casacal.study import RECORDS
+from casacal.study_file import load_study
+
+FILES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\ndef report(" in path.read_text(encoding="utf-8"))
+NAMES = [path.stem for path in FILES]
+REAL = {"real_arm"}
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_study_runs_and_reports(name, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", [name, "--out", str(tmp_path), *QUICK.get(name, [])])
-    importlib.import_module(f"studies.{name}").main()
-    assert capsys.readouterr().out
+@pytest.fixture(params=FILES, ids=NAMES)
+def file(request, monkeypatch):
+    if request.param.stem in REAL:
+        folder = request.getfixturevalue("motoman_data")
+        monkeypatch.setenv("CASACAL_MOTOMAN", str(folder))
+        sys.modules.pop(f"studies.{request.param.stem}", None)
+    return request.param
+
+
+def test_a_study_runs_and_reports(file, tmp_path, capsys):
+    trials = ["--trials", "2"] if load_study(file).study is not None else []
+    assert main(["study", str(file), "--quick", "--out", str(tmp_path), *trials]) == 0
+    assert "Written" in capsys.readouterr().out
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert report.startswith("# ")
     assert "|---|" in report
-    assert f"python -m studies.{name}" in report
-    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", report):
+    assert f"python -m studies.{file.stem}" in report
+    assert "numpy" in report
+    pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", report)
+    assert pictures or file.stem == "efficiency"
+    for picture in pictures:
         assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_study_is_committed_with_its_report(name):
-    assert (ROOT / "studies" / name / "report.md").is_file()
+def test_a_study_is_committed_with_the_report_that_its_records_make(file, tmp_path):
+    folder = ROOT / "studies" / file.stem
+    committed = (folder / "report.md").read_text(encoding="utf-8")
+    if load_study(file).study is None:
+        return
+    for name in (f"{RECORDS}.gz", "machines.json"):
+        shutil.copy(folder / name, tmp_path / name)
+    assert main(["study", str(file), "--report", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "report.md").read_text(encoding="utf-8") == committed
+
+
+def test_a_study_runs_as_a_module(tmp_path):
+    command = [sys.executable, "-m", "studies.as_printed", "--quick", "--out", str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "report.md").is_file()
+
+
+def test_real_measurements_that_are_absent_are_said(monkeypatch, capsys):
+    monkeypatch.delenv("CASACAL_MOTOMAN", raising=False)
+    monkeypatch.delitem(sys.modules, "studies.real_arm", raising=False)
+    assert main(["study", str(ROOT / "studies" / "real_arm.py")]) == 0
+    assert "CASACAL_MOTOMAN" in capsys.readouterr().out
+    sys.modules.pop("studies.real_arm", None)

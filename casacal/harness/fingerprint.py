@@ -103,7 +103,8 @@ def _class(cls: type, within: tuple[int, ...]) -> Any:
     own = {
         key: _described(item.fget if isinstance(item, property) else item, within)
         for key, item in sorted(vars(cls).items())
-        if isinstance(item, (FunctionType, property, bool, int, float, str, tuple)) and key != "__doc__"
+        if isinstance(item, (FunctionType, property))
+        or (isinstance(item, (bool, int, float, str, tuple)) and not key.startswith("__"))
     }
     return [cls.__qualname__, own, [_class(base, within) for base in cls.__bases__]]
 
