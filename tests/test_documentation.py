@@ -18,7 +18,8 @@ def blocks(language):
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
-    (tmp_path / "problems").symlink_to(ROOT / "problems")
+    for name in ("problems", "studies"):
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
