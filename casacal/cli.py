@@ -108,22 +108,13 @@ def _simulate(options: argparse.Namespace) -> int:
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
     from dataclasses import replace
 
+    from casacal.cells import AMOUNTS
     from casacal.simulation import default_cell
 
     cell = source.cell if source.cell is not None else default_cell(source.problem)
-    names = (
-        "travel",
-        "repeatability",
-        "resolution",
-        "joint_std",
-        "backlash",
-        "flatness",
-        "compliance",
-        "outliers",
-        "outlier_size",
-        "error_scale",
-    )
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
+    given = {
+        name: value for name in (*AMOUNTS, "outliers", "outlier_size") if (value := getattr(options, name)) is not None
+    }
     if options.tilt is not None:
         given["tilt"] = math.radians(options.tilt)
     return replace(cell, **given)

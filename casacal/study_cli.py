@@ -15,13 +15,22 @@ if TYPE_CHECKING:
     from casacal.study import Run, Study
     from casacal.study_file import StudyFile
 
+INTERRUPTED = 130
 SAID_EVERY = {True: 0.5, False: 20.0}
 """Seconds between progress lines, where someone looks (they overwrite one another) and in a log."""
 
 
 def study_command(options: argparse.Namespace) -> int:
-    """Run a study file as the options say; returns 0, also where it says why it is skipped."""
+    """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
     one_thread_each()
+    try:
+        return _study(options)
+    except KeyboardInterrupt:
+        print("casacal: Interrupted. What is recorded stays; --resume goes on from there.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _study(options: argparse.Namespace) -> int:
     from casacal.study import Run
     from casacal.study_file import load_study
     from casacal.study_report import machine, note_machines, write_report
@@ -43,7 +52,7 @@ def study_command(options: argparse.Namespace) -> int:
                 f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
             )
             return 0
-    print(f"Written: {write_report(source, run, _command(source, options)).as_posix()}")
+    print(f"Written: {write_report(source, run, _options(options)).as_posix()}")
     return 0
 
 
@@ -90,12 +99,9 @@ def _shard(text: str | None) -> tuple[int, int]:
     return number, count
 
 
-def _command(source: StudyFile, options: argparse.Namespace) -> str:
-    """The command that makes the same report, without folders of this machine."""
-    words = [f"casacal study studies/{source.name}.py"]
-    words += ["--quick"] if options.quick else []
-    words += [f"--trials {options.trials}"] if options.trials is not None else []
-    return " ".join(words)
+def _options(options: argparse.Namespace) -> str:
+    """The options that decide what is in the report."""
+    return (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
 
 
 class _Progress:

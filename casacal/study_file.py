@@ -32,6 +32,12 @@ class StudyFile:
     report: Callable[[Any], Sequence[str]]
     skipped: str | None
 
+    def commands(self, options: str) -> list[str]:
+        """What runs it from the folder of its package (or its own), with the same options."""
+        parts, _ = _dotted(Path(self.path).resolve())
+        found = [f"casacal study {'/'.join(parts)}.py{options}"]
+        return found if len(parts) == 1 else [*found, f"python -m {'.'.join(parts)}{options}"]
+
     def form(self, *, quick: bool = False, trials: int | None = None) -> Study | None:
         """The study to run, with another number of trials where one is given."""
         chosen = self.quick if quick else self.study
@@ -55,6 +61,14 @@ def load_study(path: str | Path) -> StudyFile:
     return StudyFile(file.stem, file.as_posix(), study, quick, report, values.get("skipped"))
 
 
+def _dotted(file: Path) -> tuple[list[str], Path]:
+    """Parts of a file's dotted name, and the folder from which it is imported."""
+    parts, folder = [file.stem], file.parent
+    while (folder / "__init__.py").is_file():
+        parts, folder = [folder.name, *parts], folder.parent
+    return parts, folder
+
+
 def lines_of(source: StudyFile, run: Any) -> list[str]:
     """What the study's report says of a run; raises StudyError when it fails."""
     try:
@@ -76,9 +90,7 @@ def _failure(file: Path, error: BaseException) -> CasacalError:
 
 def _imported(file: Path) -> ModuleType:
     """Import a file by its dotted name where it is part of a package, else on its own beside its neighbours."""
-    parts, folder = [file.stem], file.parent
-    while (folder / "__init__.py").is_file():
-        parts, folder = [folder.name, *parts], folder.parent
+    parts, folder = _dotted(file)
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     if len(parts) > 1:

@@ -52,31 +52,32 @@ def read_machines(out: Path) -> list[dict[str, Any]]:
         ) from None
 
 
-def write_report(source: StudyFile, run: Run, command: str) -> Path:
+def write_report(source: StudyFile, run: Run, options: str) -> Path:
     """Write report.md, and what else the study draws, into the run's folder; returns its path.
 
     Args:
         source: whose `report` says what was found.
         run: records and folder.
-        command: what was typed, without folders of this machine.
+        options: of the command, those that decide what is in the report.
 
     """
     run.out.mkdir(parents=True, exist_ok=True)
-    lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, command)]
+    lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, options)]
     path = run.out / REPORT
     write_text(path, "\n".join(lines) + "\n")
     return path
 
 
-def _made(source: StudyFile, run: Run, command: str) -> list[str]:
-    again = f"`{command} --report` makes this page again from `records.jsonl` alone." if run.study else ""
-    lines = [f"`{command}` or `python -m studies.{source.name}{command.partition('.py')[2]}`. {again}".strip(), ""]
+def _made(source: StudyFile, run: Run, options: str) -> list[str]:
+    commands = source.commands(options)
+    lines = [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
     if run.study is not None:
         failed = sum(record["error"] is not None for record in run.records)
         lines += [
             f"{len(run.study.settings)} settings, {len(run.study.methods)} methods, {run.study.trials} trials, seed "
             f"{run.study.seed}: {len(run.records)} records, {failed} of them failures; SHA-256 without timings "
-            f"`{run.digest[:16]}`.",
+            f"`{run.digest[:16]}`. `{commands[0]} --report --out DIR`, DIR the folder of `records.jsonl`, makes this "
+            "page again from the records alone.",
             "",
         ]
     for made in read_machines(run.out):

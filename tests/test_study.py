@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,6 +133,41 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
     assert 0 < seen[0] < seen[-1] < len(serial.records)
     assert subprocess.run(command, env=environment, capture_output=True, check=False).returncode == 0
     assert open_run(tiny_study.study, tmp_path / "out").digest == serial.digest
+
+
+def test_workers_end_with_the_process_that_is_killed(tmp_path):
+    (tmp_path / "naps.py").write_text(
+        "import os, sys, time\nfrom pathlib import Path\nfrom casacal.harness.executors import in_processes\n"
+        "def nap(path):\n    Path(path).write_text(str(os.getpid()))\n    time.sleep(60)\n"
+        "if __name__ == '__main__':\n    list(in_processes(nap, sys.argv[1:], 2))\n"
+    )
+    notes = [tmp_path / "one", tmp_path / "two"]
+    process = subprocess.Popen([sys.executable, "naps.py", *map(str, notes)], cwd=tmp_path, stderr=subprocess.DEVNULL,
+                               env={**os.environ, "PYTHONPATH": str(ROOT)})  # fmt: skip
+    assert within(30, lambda: all(note.is_file() and note.read_text() for note in notes))
+    pids = [int(note.read_text()) for note in notes]
+    process.kill()
+    process.wait()
+    assert within(10, lambda: not any(map(alive, pids)))
+
+
+def within(seconds, condition):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().split(")")[-1].split()[0] != "Z"
+    except FileNotFoundError:
+        return Path("/proc").is_dir() is False
+    except ProcessLookupError:
+        return False
 
 
 def count_lines(path):

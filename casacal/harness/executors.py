@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -40,7 +42,7 @@ def in_processes(function: Callable[[Task], Outcome], tasks: Sequence[Task], wor
     Raises StudyError when a process dies.
     """
     one_thread_each()
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin_worker)
     waiting, running = list(reversed(tasks)), set[Future[Outcome]]()
     try:
         while waiting or running:
@@ -53,6 +55,19 @@ def in_processes(function: Callable[[Task], Outcome], tasks: Sequence[Task], wor
         raise StudyError("A worker process died", "Run again with --resume; fewer workers need less memory") from None
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)  # a worker whose parent is gone waits for tasks for ever
 
 
 def on_cluster(function: Callable[[Task], Outcome], tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
