@@ -57,12 +57,20 @@ def report(run: Run) -> list[str]:
     """Sentences, Tables III to V, Figures 3 to 5, and the curve of cost over budget."""
     budget = max(b for b in rivals.BUDGETS if rivals.at_budget("M2 swarm", b) in run.study.methods)
     shown = shown_methods(budget)
+    paper_pictures.headline(run, shown, (ONE, THREE), run.out / "headline")
     paper_pictures.bars(run, shown, run.out / "figure3")
     paper_pictures.training(run, shown, run.out / "figure4")
     paper_pictures.positions(run, budget, run.out / "figure5")
     paper_pictures.over_budget(run, run.out / "cost_over_budget")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
+    lines += ["What one sees (medians), what one wants (means with 95 % intervals), and what it takes:", ""]
+    lines += [
+        *paper_tables.headline(run, shown, (ONE, THREE)),
+        "",
+        "![what one sees, what one wants](headline.png)",
+        "",
+    ]
     for setting in run.study.settings:
         lines += [f"## Table III: {setting}", "", *paper_tables.accuracy(run, setting), ""]
     lines += ["![figure 3](figure3.png)", "", "*Figure 3. Means with bootstrap 95 % intervals, mm.*", ""]

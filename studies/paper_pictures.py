@@ -26,6 +26,34 @@ def base(method: str) -> str:
     return method.split(",")[0]
 
 
+def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path) -> None:
+    """What one sees beside what one wants, method by method, in the paper's cell and in a good one."""
+    made = figure(9, 3.6)
+    panels = made.subplots(1, 2, sharey=True)
+    kinds = {
+        "heldout_rmse_mm": ("plane residual of held-out touches, mm", (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)),
+        "tip_rms_mm": ("true tip error, mm", (0.5, 1, 2, 5)),
+    }
+    for axes, (name, (words, ticks)) in zip(panels, kinds.items(), strict=True):
+        for setting, marker in zip(settings, ("o", "s"), strict=True):
+            found = [mean_interval(finite(run.values(setting, method, name))) for method in methods]
+            spans = np.array([[i.value - i.low, i.high - i.value] for i in found]).T
+            shift = 0.14 if marker == "s" else -0.14
+            for place, method in enumerate(methods):
+                axes.errorbar(found[place].value, place + shift, xerr=spans[:, [place]], fmt=marker, ms=5, lw=1,
+                              mfc="white" if marker == "o" else None, color=COLOURS[base(method)])  # fmt: skip
+            axes.plot([], [], marker, color="0.3", mfc="white" if marker == "o" else None, label=setting)
+        axes.set_xscale("log")
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+        axes.set_xlabel(words)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(range(len(methods)), [base(method) for method in methods])
+    panels[0].invert_yaxis()
+    panels[0].legend(frameon=False, fontsize=8, loc="lower right")
+    save_both(made, path)
+
+
 def bars(run: Run, methods: list[str], path: Path) -> None:
     """Figure 3: RMSE, STD, MAX on held-out touches, and true tip error, with intervals."""
     made = figure(3.6 * len(run.study.settings) + 1, 9)
@@ -58,7 +86,8 @@ def training(run: Run, methods: list[str], path: Path) -> None:
         for axes, group in zip(row, groups, strict=False):
             for method in (method for method in methods if base(method) in group):
                 curve = median_curve(run, setting, method)
-                axes.loglog(*curve, label=base(method), color=COLOURS[base(method)], lw=1.3)
+                style = {"ls": "--", "zorder": 3} if method == rivals.SCKF else {}
+                axes.loglog(*curve, label=base(method), color=COLOURS[base(method)], lw=1.3, **style)
             axes.set_xlabel("rows of residuals")
             axes.legend(frameon=False, fontsize=8)
         row[0].set_ylabel("objective above the best")

@@ -31,9 +31,9 @@ SURE = 0.05
 class Survival:
     """Pairs of M1 to M7 that surely keep the paper's order, that surely turn it round, and the rest; Kendall's tau."""
 
-    kept: int
-    turned: int
-    undecided: int
+    kept: tuple[str, ...]
+    turned: tuple[str, ...]
+    undecided: tuple[str, ...]
     tau: Interval
     trials: int
     ratios: dict[str, Interval]
@@ -42,28 +42,37 @@ class Survival:
 
 def survival(run: Run, setting: str, figure: str, budget: int) -> Survival:
     """Compare the order of M1 to M7 in one figure with that of the paper's RMSE, over trials that all took part in."""
-    names = [name for name in PAPER if name != "before"]
+    names = sorted((name for name in PAPER if name != "before"), key=lambda name: PAPER[name][0])
     ours = {name: rivals.at_budget(name, budget) if name in rivals.POPULATION else name for name in names}
     columns = {name: run.values(setting, ours[name], figure) for name in names}
     count = min(len(column) for column in columns.values())
     values = {name: column[:count] for name, column in columns.items()}
     tau = _tau(np.log(np.array(list(values.values()))), np.array([PAPER[name][0] for name in names]))
     ratios = {name: paired(values[name], values[rivals.LM]).ratio for name in names}
-    return Survival(*_pairs(values, names), tau, count, ratios)
+    return Survival(*_pairs(values), tau, count, ratios)
 
 
 def sentence(run: Run, setting: str, budget: int) -> str:
     """What survives in one setting, by the paper's own figure and by accuracy."""
     plane, tip = (survival(run, setting, figure, budget) for figure in FIGURES)
-    pairs = plane.kept + plane.turned + plane.undecided
+    ratios = ", ".join(f"{short(name)} {ratio}" for name, ratio in tip.ratios.items() if name != rivals.LM)
     return (
-        f"In its own cell, of {pairs} pairs of M1 to M7 {plane.kept} keep their order by plane residual and "
-        f"{plane.turned} turn round (Kendall's tau with the printed RMSE {plane.tau}); by true tip error {tip.kept} "
-        f"keep it and {tip.turned} turn round (tau {tip.tau}), over {tip.trials} trials. By tip error M7 over M6 is "
-        f"{tip.ratios[rivals.BOTH]}, {tip.ratios[rivals.SCKF]} for M5, {tip.ratios[rivals.EKF]} for M3, and "
-        + ", ".join(f"{tip.ratios[name]} for {name.split(' ')[0]}" for name in rivals.POPULATION)
-        + "."
+        f"In the paper's own cell, of the 21 pairs of M1 to M7 {len(plane.kept)} keep their order by plane residual "
+        f"and {len(plane.turned)} turn round (Kendall's tau with the printed RMSE {plane.tau}); by true tip error "
+        f"{len(tip.kept)} keep it ({listed(tip.kept)}), {len(tip.turned)} turn round ({listed(tip.turned)}), and "
+        f"{len(tip.undecided)} cannot be told apart ({listed(tip.undecided)}), tau {tip.tau}, over {tip.trials} "
+        f"trials. Tip errors over that of M6: {ratios}."
     )
+
+
+def short(name: str) -> str:
+    """M1 to M7."""
+    return name.split(" ")[0]
+
+
+def listed(pairs: tuple[str, ...]) -> str:
+    """Pairs in words, the paper's winner first."""
+    return ", ".join(pairs) or "none"
 
 
 def ranking_table(run: Run, budget: int) -> list[str]:
@@ -72,7 +81,8 @@ def ranking_table(run: Run, budget: int) -> list[str]:
     for setting in run.study.settings:
         for figure, words in FIGURES.items():
             found = survival(run, setting, figure, budget)
-            rows.append((setting, words, found.trials, found.kept, found.turned, found.undecided, found.tau))
+            counts = [len(pairs) for pairs in (found.kept, found.turned, found.undecided)]
+            rows.append((setting, words, found.trials, *counts, found.tau))
     header = ("setting", "ranked by", "trials", "pairs kept", "turned round", "undecided", "Kendall's tau (95 %)")
     return [
         "The 21 pairs of M1 to M7 in the order of the paper's RMSE (M7, M6, M4, M2, M5, M1, M3); a pair counts as kept",
@@ -83,13 +93,14 @@ def ranking_table(run: Run, budget: int) -> list[str]:
     ]
 
 
-def _pairs(values: dict[str, np.ndarray], names: list[str]) -> tuple[int, int, int]:
-    """Pairs that surely keep the paper's order, that surely turn it round, and the rest."""
-    found = {f"{a}|{b}": (paired(values[a], values[b]), PAPER[a][0] < PAPER[b][0]) for a, b in combinations(names, 2)}
-    adjusted = holm({pair: compared.p for pair, (compared, _) in found.items()})
-    sure = {pair: (compared.ratio.value < 1) == first for pair, (compared, first) in found.items()
-            if adjusted[pair] < SURE}  # fmt: skip
-    return sum(sure.values()), len(sure) - sum(sure.values()), len(found) - len(sure)
+def _pairs(values: dict[str, np.ndarray]) -> tuple[tuple[str, ...], ...]:
+    """Pairs that surely keep the paper's order, that surely turn it round, and the rest; names in the paper's order."""
+    found = {(a, b): paired(values[a], values[b]) for a, b in combinations(values, 2)}
+    adjusted = holm({f"{short(a)}/{short(b)}": compared.p for (a, b), compared in found.items()})
+    kept, turned, undecided = [], [], []
+    for (name, p), compared in zip(adjusted.items(), found.values(), strict=True):
+        (undecided if p >= SURE else kept if compared.ratio.value < 1 else turned).append(name)
+    return tuple(kept), tuple(turned), tuple(undecided)
 
 
 def _tau(logs: np.ndarray, paper: np.ndarray) -> Interval:

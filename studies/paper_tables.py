@@ -54,6 +54,24 @@ def accuracy(run: Run, setting: str) -> list[str]:
     ]
 
 
+def headline(run: Run, methods: list[str], settings: tuple[str, str]) -> list[str]:
+    """What one sees, what one wants and what it takes, for the paper's cell and the good one."""
+    price = jacobian_price(run)
+    rows = []
+    for method in methods:
+        cells = []
+        for setting in settings:
+            tip = run.values(setting, method, "tip_rms_mm")
+            plane = quantiles(run.values(setting, method, "heldout_rmse_mm"))[0]
+            cells += [number(plane), f"**{mean_interval(tip[np.isfinite(tip)])}**"]
+        counts = [run.values(settings[1], method, f"{kind}_rows", group="counts") for kind in ("residual", "jacobian")]
+        rows.append((method, len(tip), *cells, f"{quantiles(counts[0] + price * counts[1])[0]:,.0f}"))
+    header = ["mm", "trials"]
+    for setting in settings:
+        header += [f"{setting}: plane residual", "tip error"]
+    return table([*header, "rows evaluated"], rows)
+
+
 def against_lm(run: Run) -> list[str]:
     """Ratio to LM's tip error and plane residual, with Holm-adjusted p values."""
     lines = [

@@ -31,7 +31,7 @@ def save(made: Figure, path: Path) -> None:
     """Write a picture of the kind that the name says; the same figure gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context({"svg.hashsalt": "casacal"}):
-        made.savefig(path, dpi=150, metadata={"Date": None} if path.suffix == ".svg" else {"Software": None})
+        made.savefig(path, dpi=110, metadata={"Date": None} if path.suffix == ".svg" else {"Software": None})
 
 
 def save_both(made: Figure, path: Path) -> None:
