@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,8 @@ from casacal.errors import CasacalError
 from casacal.harness.executors import one_thread_each
 
 if TYPE_CHECKING:
+    from casacal.harness.study_file import StudyFile
     from casacal.study import Run, Study
-    from casacal.study_file import StudyFile
 
 INTERRUPTED = 130
 SAID_EVERY = {True: 0.5, False: 20.0}
@@ -31,8 +32,8 @@ def study_command(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
+    from casacal.harness.study_file import load_study
     from casacal.study import Run
-    from casacal.study_file import load_study
     from casacal.study_report import machine, note_machines, write_report
 
     source = load_study(options.study)
@@ -43,7 +44,7 @@ def _study(options: argparse.Namespace) -> int:
     out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
     if study is None:
         run = Run(None, (), out, options.quick)
-        note_machines(out, [machine(1)])
+        note_machines(out, [machine()])
     else:
         run = _made(source, study, out, options)
         print(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
@@ -70,8 +71,9 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         if missing(study, found):
             print(f"{missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
         return found
-    with _Progress(source.name) as progress:
-        found = run(
+    made_here = machine(options.workers, cluster=options.scheduler is not None)
+    with _Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+        return run(
             study,
             out,
             file=source.path,
@@ -82,8 +84,6 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
             resume=options.resume,
             progress=progress,
         )
-    note_machines(out, [machine(options.workers)])
-    return found
 
 
 def _shard(text: str | None) -> tuple[int, int]:
@@ -105,10 +105,11 @@ def _options(options: argparse.Namespace) -> str:
 
 
 class _Progress:
-    """Records done, rate and time left on standard error."""
+    """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
 
-    def __init__(self, name: str) -> None:
-        self.name, self.began, self.shown, self.at_first = name, time.monotonic(), 0.0, 0
+    def __init__(self, name: str, started: Callable[[], None]) -> None:
+        self.name, self.started = name, started
+        self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
 
     def __enter__(self) -> _Progress:
         return self
@@ -117,6 +118,7 @@ class _Progress:
         now, looked_at = time.monotonic(), sys.stderr.isatty()
         if not self.shown:
             self.began, self.shown, self.at_first = now, now, done
+            self.started()  # the run is accepted; who makes it is known even if it is killed
             if done:
                 print(f"{self.name}: {done} of {total} records exist", file=sys.stderr)
             return

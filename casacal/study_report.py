@@ -13,16 +13,16 @@ from typing import Any
 
 from casacal.errors import StudyError
 from casacal.files import write_json, write_text
+from casacal.harness.study_file import StudyFile, lines_of
 from casacal.study import Run
-from casacal.study_file import StudyFile, lines_of
 
 MACHINES = "machines.json"
 REPORT = "report.md"
 PACKAGES = ("casacal", "casadi", "numpy", "scipy")
 
 
-def machine(workers: int) -> dict[str, Any]:
-    """What a run was made on: processor, its number, system, Python, packages, processes at once."""
+def machine(workers: int = 1, *, cluster: bool = False) -> dict[str, Any]:
+    """What a run was made on: processors, system, Python, packages, processes at once, or that a cluster was asked."""
     return {
         "processor": _processor(),
         "cpus": os.cpu_count(),
@@ -30,6 +30,7 @@ def machine(workers: int) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: metadata.version(name) for name in PACKAGES},
         "processes": workers,
+        "cluster": cluster,
     }
 
 
@@ -84,6 +85,7 @@ def _made(source: StudyFile, run: Run, options: str) -> list[str]:
         packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
         place = f"{made['processor']}, {made['cpus']} CPUs, {made['system']}"
         at_once = f", {made['processes']} processes" if made["processes"] > 1 else ""
+        at_once = ", which asked a Dask cluster" if made.get("cluster") else at_once
         lines.append(f"- {place}{at_once}; Python {made['python']}, {packages}")
     return lines
 

@@ -27,7 +27,7 @@ FLOORS = [
         "simulated_trials",
     },
     {"files", "calibration", "guards", "doctor", "documents", "prediction", "report", "plots"},
-    {"harness", "study", "study_file", "study_report"},
+    {"harness", "study", "study_report"},
     {"arguments", "study_cli", "cli"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -9,6 +9,7 @@ from conftest import ROOT
 from casacal.arguments import METHOD_NAMES
 from casacal.cli import main
 
+INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -51,6 +52,19 @@ def test_links_and_names_exist():
         assert (ROOT / target).exists(), target
     table = README.split("| `--method` |")[1].split("\n\n")[0]
     assert set(re.findall(r"`([a-z-]+)`", table)) - {"--method"} == set(METHOD_NAMES)
+
+
+def test_the_headline_is_that_of_the_committed_report():
+    report = (ROOT / "studies" / "paper" / "report.md").read_text(encoding="utf-8")
+    rows = [line for line in README.splitlines() if re.match(r"\| (before|M\d|IPOPT)", line)]
+    assert len(rows) == 10
+    for row in rows:
+        assert row in report
+    for figure in re.findall(r"\d[\d.]* %? ?\(\d[\d.]* to \d[\d.]*\)", README):
+        value, low, high = map(float, re.findall(r"\d+\.?\d*", figure))
+        found = [tuple(map(float, re.findall(r"\d+\.?\d*", f))) for f in re.findall(INTERVAL, report)]
+        digits = max(len(text.partition(".")[2]) for text in re.findall(r"\d+\.?\d*", figure))
+        assert (value, low, high) in {tuple(round(part, digits) for part in triple) for triple in found}, figure
 
 
 def test_the_generating_command_makes_the_committed_samples(workplace, capsys):

@@ -334,6 +334,7 @@ def test_the_command_runs_resumes_and_reports_again(tmp_path, capsys):
     assert main(["study", str(TINY), "--quick", "--out", str(out), "--report"]) == 0
     assert (out / "report.md").read_bytes() == report
     assert str(tmp_path) not in report.decode()
+    assert len(json.loads((out / "machines.json").read_text())["machines"]) == 1
 
 
 def test_shards_and_merge_from_the_command_line(serial, tmp_path, capsys):

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from casacal.errors import StudyError
 from casacal.harness.description import Study
 from casacal.harness.records import Key, Record
+from casacal.harness.study_file import load_study
 from casacal.harness.trial import run_trial
-from casacal.study_file import load_study
 
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""

@@ -57,7 +57,7 @@ def load_study(path: str | Path) -> StudyFile:
     study, report = values.get("study"), values.get("report")
     quick = values.get("quick", study)
     if not callable(report) or not all(form is None or isinstance(form, Study) for form in (study, quick)):
-        raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.study_file")
+        raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.harness.study_file")
     return StudyFile(file.stem, file.as_posix(), study, quick, report, values.get("skipped"))
 
 
