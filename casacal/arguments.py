@@ -50,6 +50,9 @@ def _add_calibrate(parser: argparse.ArgumentParser) -> None:
         "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also say what tip error to expect inside this box, mm, base frame"
     )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check")
+    parser.add_argument(
+        "--backend", choices=("auto", "c", "blocks"), help="what evaluates rows; default: CASACAL_BACKEND, else auto"
+    )
     parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
 
 

@@ -56,9 +56,9 @@ class Block:
     pattern: NDArray[np.intp]
     """Row pattern of each sample (N,)."""
     columns: NDArray[np.intp]
-    """Positions in x of the model's z, by sample (N, nz)."""
+    """Positions in x of the model's z, by row pattern (patterns, nz)."""
     constants: Array
-    """c by sample (N, nc)."""
+    """c by row pattern (patterns, nc)."""
     data: Array
     """d by sample (N, nd): mm, rad."""
     noise: Array
@@ -108,9 +108,8 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
     index = [list(model.unknowns).index(key) for key in model.constants]
     constants = np.array([np.concatenate([row[j].nominal for j in index] or [np.zeros(0)]) for row in row_slots])
     data = _data(problem, i, samples)
-    columns = columns.reshape(len(row_slots), nz)[pattern]
-    constants = constants.reshape(len(row_slots), -1)[pattern]
-    (noise,) = model.batch.noise(np.zeros((len(data), nz)), constants, data)
+    columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), -1)
+    (noise,) = model.batch.noise(np.zeros(nz), constants[pattern], data)
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])

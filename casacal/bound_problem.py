@@ -10,34 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
-from casacal.least_squares import LeastSquares, Normal, accumulate
+from casacal.least_squares import LeastSquares, Normal
 from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
+from casacal.row_groups import RowGroups
 from casacal.samples import Samples
 from casacal.unknowns import Parameter
 
 Array: TypeAlias = NDArray[np.float64]
 
-CHUNK = 4096
-"""Rows of the Jacobian held at once while normal equations are accumulated."""
 
-
-def bind(problem: Problem, *samples: Samples) -> BoundProblem:
+def bind(problem: Problem, *samples: Samples, backend: str | None = None) -> BoundProblem:
     """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
     noise of each row is evaluated there and held.
 
+    Args:
+        problem: robot and instruments.
+        samples: rows of each instrument.
+        backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
+
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
+
     """
-    return BoundProblem(problem, make_slots(problem, samples), samples)
+    return BoundProblem(problem, make_slots(problem, samples), samples, backend)
 
 
 class BoundProblem(LeastSquares):
     """A `Problem` with its samples; see `bind`."""
 
-    def __init__(self, problem: Problem, slots: Sequence[Slot], samples: Sequence[Samples]) -> None:
+    def __init__(
+        self, problem: Problem, slots: Sequence[Slot], samples: Sequence[Samples], backend: str | None = None
+    ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
         self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
@@ -47,6 +53,8 @@ class BoundProblem(LeastSquares):
         self.start_std = np.array([slot.unknown.start_stds[j] for slot, j in pairs])
         self.datum = np.array([slot.datum for slot, _ in pairs], dtype=bool)
         self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
+        self._asked = backend
+        self._groups = tuple(RowGroups(block, backend) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     @property
@@ -59,51 +67,59 @@ class BoundProblem(LeastSquares):
 
         Raises ProblemError when a row carries a label that these unknowns do not have.
         """
-        return BoundProblem(self.problem, self.slots, samples)
+        return BoundProblem(self.problem, self.slots, samples, self._asked)
+
+    @property
+    def backend(self) -> str:
+        """Name of the back end that evaluates the rows: "c", "blocks", or "map" for graphs that neither knows."""
+        return self._groups[0].backend
 
     def plain_residual(self, x: Array) -> Array:
         """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
-        return np.concatenate([self._residual(block, x).ravel() for block in self.blocks])
+        return np.concatenate([groups.residual(x).ravel() for groups in self._groups])
 
     def residual(self, x: Array) -> Array:
         """Whitened residuals (rows,) at x (n,)."""
-        return np.concatenate([(self._residual(block, x) / block.noise).ravel() for block in self.blocks])
+        pairs = zip(self._groups, self.blocks, strict=True)
+        return np.concatenate([(groups.residual(x) / block.noise).ravel() for groups, block in pairs])
 
     def jacobian(self, x: Array) -> Array:
         """Whitened Jacobian (rows, n) at x (n,)."""
-        return np.vstack([jacobian for _, jacobian in self._linearised(x, chunk=max(self.rows, 1))])
+        parts = []
+        for groups, block in zip(self._groups, self.blocks, strict=True):
+            whole = np.zeros((*block.noise.shape, self.unknowns))
+            for group, _, slopes in groups.slopes(x):
+                whole[group.rows[:, None, None], np.arange(slopes.shape[1])[:, None], group.columns] = (
+                    slopes / block.noise[group.rows][..., None]
+                )
+            parts.append(whole.reshape(-1, self.unknowns))
+        return np.vstack(parts)
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Cost, gradient and information of the data, accumulated without holding the whole Jacobian."""
-        return accumulate(self._linearised(x, chunk=CHUNK), self.unknowns, loss)
+        """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
+        parts = [groups.normal(x, loss) for groups in self._groups]
+        costs, gradients, informations = zip(*parts, strict=True)
+        return Normal(sum(costs), np.sum(gradients, axis=0), np.sum(informations, axis=0))
 
     def costs(self, states: Array) -> Array:
-        """Objective at many states (m, n): (m,), all rows of some states in one evaluation."""
-        total = ((states - self.x0) ** 2 @ self.prior_information) / 2
-        for block in self.blocks:
-            count = len(block.data)
-            some = max(CHUNK // count, 1)
-            for first in range(0, len(states), some):
-                part = states[first : first + some]
-                z = part[:, block.columns].reshape(len(part) * count, -1)
-                repeated = (np.tile(values, (len(part), 1)) for values in (block.constants, block.data))
-                (e,) = block.model.batch.residual(z, *repeated)
-                whitened = e.reshape(len(part), -1) / block.noise.ravel()
-                total[first : first + some] += (whitened**2).sum(axis=1) / 2
-        return np.asarray(total)
+        """Objective at many states (m, n): (m,)."""
+        prior = ((states - self.x0) ** 2 @ self.prior_information) / 2
+        return np.asarray(sum((groups.costs(states) for groups in self._groups), start=prior))
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""
         block, sample, component = self._locate(k)
-        z = states[:, block.columns[sample]]
-        (e,) = block.model.batch.residual(z, block.constants[sample], block.data[sample])
+        pattern = block.pattern[sample]
+        z = states[:, block.columns[pattern]]
+        (e,) = block.model.batch.residual(z, block.constants[pattern], block.data[sample])
         return np.asarray(e[:, component] / block.noise[sample, component])
 
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
         block, sample, component = self._locate(k)
-        columns, noise = block.columns[sample], block.noise[sample, component]
-        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[sample], block.data[sample])
+        pattern, noise = block.pattern[sample], block.noise[sample, component]
+        columns = block.columns[pattern]
+        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
         gradient = np.zeros(self.unknowns)
         gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
         return float(e[0, component] / noise), gradient
@@ -144,35 +160,18 @@ class BoundProblem(LeastSquares):
         for block in self.blocks:
             for i, slots in enumerate(block.slots):
                 rows = np.flatnonzero(block.pattern == i)
+                constants = np.broadcast_to(block.constants[i], (len(rows), block.constants.shape[1]))
                 columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
                 blocks.append(
                     RawBlock(
                         block.model.raw_residual,
                         np.array(columns, dtype=np.intp),
-                        block.constants[rows],
+                        constants,
                         block.data[rows],
                         block.noise[rows],
                     )
                 )
         return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
-
-    def _residual(self, block: Block, x: Array) -> Array:
-        (e,) = block.model.batch.residual(x[block.columns], block.constants, block.data)
-        return np.asarray(e)
-
-    def _linearised(self, x: Array, *, chunk: int) -> Iterator[tuple[Array, Array]]:
-        """Whitened residuals and Jacobians of some rows after another."""
-        for block in self.blocks:
-            for first in range(0, len(block.data), chunk):
-                part = slice(first, first + chunk)
-                columns, noise = block.columns[part], block.noise[part]
-                e, slopes = block.model.batch.jacobian(x[columns], block.constants[part], block.data[part])
-                count, components = noise.shape
-                jacobian = np.zeros((count, components, self.unknowns))
-                np.put_along_axis(
-                    jacobian, columns[:, None, :], slopes.reshape(count, components, -1) / noise[..., None], axis=2
-                )
-                yield (e / noise).ravel(), jacobian.reshape(count * components, self.unknowns)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
         data = np.zeros((len(joints), block.data.shape[1]))

@@ -172,6 +172,7 @@ def calibrate(
     seed: int = 0,
     reference: bool = True,
     loss: Loss | None = None,
+    backend: str | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit the unknowns of a problem with one instrument to its samples.
@@ -184,6 +185,7 @@ def calibrate(
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         loss: a robust loss, for the method "lm" alone.
+        backend: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
     Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
@@ -195,7 +197,7 @@ def calibrate(
         raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
     began = time.perf_counter()
     fitted, held = split(samples, holdout, seed)
-    fit = bind(problem, samples.take(fitted))
+    fit = bind(problem, samples.take(fitted), backend=backend)
     heldout = fit.on(samples.take(held)) if held.size else None
     if fit.rows < fit.unknowns:
         raise SamplesError(

@@ -58,6 +58,7 @@ def _calibrate(options: argparse.Namespace) -> int:
             seed=options.seed,
             reference=not options.no_reference,
             loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
+            backend=options.backend,
             progress=progress,
         )
     print(summary(calibration, source.name), end="")

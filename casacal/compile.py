@@ -10,6 +10,7 @@ row and the raw form for the IPOPT reference come from the same graph. Coordinat
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,54 +23,13 @@ from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
+from casacal.kernels.backend import VARIABLE, RowKernels
+from casacal.kernels.batch import Batch
+from casacal.kinematics import Product, position
 from casacal.robot import Robot
 from casacal.unknowns import Unknown
 
 Array: TypeAlias = NDArray[np.float64]
-
-BLOCK = 256
-"""Rows evaluated in one call; larger maps cost memory and time to build."""
-
-
-class Batch:
-    """A CasADi function of dense columns, evaluated for many rows at once."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
-        self._widths: dict[int, tuple[Any, ...]] = {}
-
-    def __call__(self, *inputs: Array) -> list[Array]:
-        """Evaluate: inputs (N, k), or (k,) for all rows alike; outputs (N, size)."""
-        count = max((len(values) for values in inputs if values.ndim == 2), default=1)
-        sizes = [self.function.numel_out(i) for i in range(self.function.n_out())]
-        outputs = [np.empty((count, size)) for size in sizes]
-        for first in range(0, count, BLOCK):
-            last = min(first + BLOCK, count)
-            arguments, results, evaluate, *_ = self._width(last - first)
-            for argument, values in zip(arguments, inputs, strict=True):
-                argument[...] = values[first:last] if values.ndim == 2 else values
-            evaluate()
-            for output, result in zip(outputs, results, strict=True):
-                output[first:last] = result
-        return outputs
-
-    def _width(self, width: int) -> tuple[Any, ...]:
-        """Arguments, results and the call that fills them; the function must outlive its buffer, so both are kept."""
-        if width not in self._widths:
-            mapped = self.function.map(width) if width > 1 else self.function
-            buffer: Any  # CasADi's stubs do not know that it takes a memoryview
-            buffer, evaluate = mapped.buffer()
-            # one row of these arrays is one column of the mapped function
-            arguments = [np.zeros((width, self.function.numel_in(i))) for i in range(self.function.n_in())]
-            results = [np.zeros((width, self.function.numel_out(i))) for i in range(self.function.n_out())]
-            for i, array in enumerate(arguments):
-                if array.size:
-                    buffer.set_arg(i, memoryview(array.reshape(-1).data))
-            for i, array in enumerate(results):
-                if array.size:
-                    buffer.set_res(i, memoryview(array.reshape(-1).data))
-            self._widths[width] = (arguments, results, evaluate, buffer, mapped)
-        return self._widths[width]
 
 
 @dataclass(frozen=True)
@@ -100,6 +60,17 @@ class RowModel:
     def components(self) -> int:
         """Scalar residuals a row, m."""
         return int(self.residual.numel_out(0))
+
+    def rows(self, backend: str | None = None) -> RowKernels:
+        """Kernels over many rows at one (z, c), on a back end; None takes the environment's, or auto."""
+        key = backend or os.environ.get(VARIABLE, "auto")
+        if key not in self._rows:
+            self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
+        return self._rows[key]
+
+    @cached_property
+    def _rows(self) -> dict[str, RowKernels]:
+        return {}
 
     @cached_property
     def batch(self) -> SimpleNamespace:
@@ -133,7 +104,7 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
     tip = _traced(instrument.tip, "tip", type(instrument).__name__, (3, 1), pose, p, namespace)
     raw_pose = _traced(robot.pose, "pose", robot.name, (4, 4), p_raw, q)
     raw_residual = _traced(instrument.residual, "residual", robot.name, residual.shape, raw_pose, p_raw, namespace)
-    slopes = ca.jacobian(residual, z)
+    slopes, origin = ca.jacobian(residual, z), ca.SX(position(pose))
     return RowModel(
         unknowns=unknowns,
         constants=constants,
@@ -142,8 +113,8 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
         noise=_function("noise", [z, c, d], [_noise(robot, instrument, residual, q, row)]),
         tip=_function("tip", [z, c, d], [tip]),
         tip_jacobian=_function("tip_jacobian", [z, c, d], [tip, ca.jacobian(tip, z).T]),
-        flange_jacobian=_function("flange_jacobian", [z, c, d], [pose[:3, 3], ca.jacobian(pose[:3, 3], z).T]),
-        pose=_function("pose", [z, c, d], [pose]),
+        flange_jacobian=_function("flange_jacobian", [z, c, d], [origin, ca.jacobian(origin, z).T]),
+        pose=_function("pose", [z, c, d], [ca.SX(pose)]),
         raw_residual=_function("raw_residual", [v, c, d], [raw_residual]),
     )
 
@@ -166,18 +137,20 @@ def _noise(robot: Robot, instrument: Instrument, residual: ca.SX, q: ca.SX, row:
     return ca.sqrt(variance)
 
 
-def _traced(call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any) -> ca.SX:
+def _traced(call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any) -> Any:
     try:
-        value = ca.SX(call(*arguments))
+        built = call(*arguments)
+        value = built if isinstance(built, Product) else ca.SX(built)
+        found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
     except Exception as error:  # whatever a user's function raises, it is their problem file that must change
         raise ProblemError(
             f"{what} of '{owner}' failed with {type(error).__name__}: {' '.join(str(error).split())}",
             "It must build CasADi expressions from its arguments; see casacal.kinematics",
         ) from error
-    if shape is not None and value.shape != shape:
-        raise ProblemError(f"{what} of '{owner}' has the shape {value.shape}", f"It must be {shape}")
-    if value.shape[1] != 1 and shape is None:
-        raise ProblemError(f"{what} of '{owner}' has the shape {value.shape}", "It must be a scalar or a column")
+    if shape is not None and found != shape:
+        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {shape}")
+    if found[1] != 1 and shape is None:
+        raise ProblemError(f"{what} of '{owner}' has the shape {found}", "It must be a scalar or a column")
     return value
 
 

@@ -35,7 +35,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
     prior_tip, tip = calibration.tip_std
     without = calibration.tip_std_without_prior
     return {
-        **_head(source, result, calibration.seed),
+        **_head(source, result, calibration.seed, fit.backend),
         "data": {
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,
@@ -70,7 +70,7 @@ def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed
     (samples,) = bound.samples
     rows = [{**row, "std": 0.0, "note": "true value of the simulated arm"} for row in parameter_rows(bound, truth)]
     return {
-        **_head(source, truth, seed),
+        **_head(source, truth, seed, bound.backend),
         "data": {"file": samples.file, "sha256": samples.sha256, "samples": len(samples), "heldout": 0},
         "cost": truth.cost,
         "parameters": rows,
@@ -127,14 +127,14 @@ def _reference(reference: Reference | None) -> dict[str, Any] | None:
     }
 
 
-def _head(source: ProblemFile, result: Result, seed: int) -> dict[str, Any]:
+def _head(source: ProblemFile, result: Result, seed: int, backend: str) -> dict[str, Any]:
     return {
         "problem": {"name": source.name, "path": source.path, "sha256": source.sha256},
         "method": result.method,
         "status": result.message,
         "converged": result.converged,
         "seed": seed,
-        "backend": "casadi-vm",
+        "backend": backend,
     }
 
 

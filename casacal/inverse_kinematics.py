@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.compile import Batch
 from casacal.instruments import DialOnPlane
+from casacal.kernels.batch import Batch
 from casacal.kinematics import rotation
 from casacal.robot import Robot
 
@@ -19,6 +19,11 @@ Array: TypeAlias = NDArray[np.float64]
 
 AXIS_WEIGHT = 300.0
 """Millimetres at the tip that weigh as much as one radian of plunger direction."""
+
+ARRIVED = 1e-16
+"""Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
+RIDGE = 1e-7
+"""Part of the largest curvature added to all: a joint that turns the tool about its plunger then stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +67,30 @@ class Touch:
         for _ in range(steps):
             information = np.einsum("kai,kaj->kij", slope, slope)
             diagonal = np.einsum("kii->ki", information)
-            lifted = information + np.einsum("k,ki,ij->kij", damping, diagonal + 1e-9, np.eye(joints.shape[1]))
+            floor = RIDGE * diagonal.max(axis=1, keepdims=True)
+            lifted = information + np.einsum("ki,ij->kij", damping[:, None] * diagonal + floor, np.eye(joints.shape[1]))
             step = -np.linalg.solve(lifted, np.einsum("kai,ka->ki", slope, error)[..., None])[..., 0]
             trial_error, trial_slope = self._error(joints + step, readings, targets, axes)
             trial_size = (trial_error**2).sum(axis=1)
-            better = trial_size < size
+            # once there, a row rests: steps that only rounding judges would turn the tool at random about its plunger
+            better = (trial_size < size) & (size > ARRIVED)
             joints[better] += step[better]
             error[better], slope[better], size[better] = trial_error[better], trial_slope[better], trial_size[better]
             damping = np.clip(np.where(better, damping * 0.2, damping * 5), 1e-12, 1e6)
-            if (size < 1e-16).all():
+            if (size <= ARRIVED).all():
                 break
         return joints
+
+    def nearest(self, targets: Array, axes: Array, pool: Array) -> Array:
+        """For each target (N, 3) with its plunger direction, the pose (N, n) of a pool (M, n) that is nearest to it.
+
+        From afar, steps are so erratic that rounding decides where they lead; from nearby they are not.
+        """
+        tips, directions, *_ = self(pool, np.zeros(len(pool)))
+        places = np.hstack([tips, AXIS_WEIGHT * directions])
+        wanted = np.hstack([targets, AXIS_WEIGHT * axes])
+        miss = (places**2).sum(axis=1) - 2 * wanted @ places.T
+        return np.asarray(pool[np.argmin(miss, axis=1)])
 
     def land(self, joints: Array, readings: Array, normals: Array, heights: Array) -> Array:
         """Smallest joint moves that put tips exactly on n . tip = height: (N, n)."""

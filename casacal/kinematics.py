@@ -7,10 +7,12 @@ Lengths in millimetres, angles in radians.
 from __future__ import annotations
 
 import math
-from functools import reduce
+from collections.abc import Iterable
+from functools import cached_property, reduce
 from typing import Any, overload
 
 import casadi as ca
+import numpy as np
 
 Expression = Any
 """A CasADi symbol or matrix (`SX`, `MX`, `DM`) or a float: the same code serves all of them."""
@@ -25,6 +27,58 @@ def deg(angle: float, /, *angles: float) -> float | tuple[float, ...]:
     if not angles:
         return math.radians(angle)
     return tuple(math.radians(value) for value in (angle, *angles))
+
+
+class Product:
+    """A product of square matrices that keeps its factors, so that a vector is carried through them one by one.
+
+    Carrying a point through n links costs n products of matrix and vector in place of n of matrix and matrix, and as
+    much less again in derivatives. Wherever CasADi wants a matrix, it is the matrix it multiplies out to.
+    """
+
+    def __init__(self, factors: Iterable[Expression]) -> None:
+        self.factors = tuple(factors)
+
+    @cached_property
+    def matrix(self) -> Expression:
+        """The product itself."""
+        return reduce(ca.mtimes, self.factors)
+
+    def carry(self, vector: Expression) -> Expression:
+        """The product times a column."""
+        return reduce(lambda carried, factor: ca.mtimes(factor, carried), reversed(self.factors), vector)
+
+    def __matmul__(self, other: Expression) -> Expression:
+        if isinstance(other, Product):
+            return Product((*self.factors, *other.factors))
+        if hasattr(other, "shape") and len(other.shape) == 2 and other.shape[1] == 1:
+            return self.carry(other)
+        return ca.mtimes(self.matrix, other)
+
+    def __rmatmul__(self, other: Expression) -> Expression:
+        return ca.mtimes(other, self.matrix)
+
+    def __getitem__(self, index: Any) -> Expression:
+        return self.matrix[index]
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.matrix, name)
+
+    def __SX__(self) -> ca.SX:  # what CasADi calls to convert
+        return ca.SX(self.matrix)
+
+    def __MX__(self) -> ca.MX:
+        return ca.MX(self.matrix)
+
+    def __DM__(self) -> ca.DM:
+        if not isinstance(self.matrix, ca.DM):  # CasADi asks for numbers first, and would take symbols for NaN
+            raise TypeError("a product of symbols has no numbers")
+        return self.matrix
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        return np.array(self.__DM__(), dtype=dtype)
 
 
 def identity() -> Expression:
@@ -75,15 +129,7 @@ def dh(alpha: Expression, a: Expression, d: Expression, theta: Expression) -> Ex
 
     `alpha` and `theta` in rad, `a` and `d` in mm; the joint angle is added to `theta` by the caller.
     """
-    ct, st, c_alpha, s_alpha = ca.cos(theta), ca.sin(theta), ca.cos(alpha), ca.sin(alpha)
-    return ca.blockcat(
-        [
-            [ct, -st * c_alpha, st * s_alpha, a * ct],
-            [st, ct * c_alpha, -ct * s_alpha, a * st],
-            [0, s_alpha, c_alpha, d],
-            [0, 0, 0, 1],
-        ]
-    )
+    return chain(rotate_z(theta), translate(a, 0, d), rotate_x(alpha))
 
 
 def modified_dh(alpha: Expression, a: Expression, d: Expression, theta: Expression) -> Expression:
@@ -91,35 +137,31 @@ def modified_dh(alpha: Expression, a: Expression, d: Expression, theta: Expressi
 
     `alpha` and `a` belong to the axis before the joint. Craig, Introduction to Robotics, eq (3.6).
     """
-    ct, st, c_alpha, s_alpha = ca.cos(theta), ca.sin(theta), ca.cos(alpha), ca.sin(alpha)
-    return ca.blockcat(
-        [
-            [ct, -st, 0, a],
-            [st * c_alpha, ct * c_alpha, -s_alpha, -d * s_alpha],
-            [st * s_alpha, ct * s_alpha, c_alpha, d * c_alpha],
-            [0, 0, 0, 1],
-        ]
-    )
+    return chain(rotate_x(alpha), translate(a, 0, 0), rotate_z(theta), translate(0, 0, d))
 
 
 def chain(*transforms: Expression) -> Expression:
     """Product T_1 T_2 ... T_n of 4x4 transforms, eq (2) of arXiv:2208.02652."""
-    return reduce(ca.mtimes, transforms, identity())
+    factors = (each.factors if isinstance(each, Product) else (each,) for each in transforms)
+    return Product((factor for some in factors for factor in some) if transforms else (identity(),))
 
 
 def position(pose: Expression) -> Expression:
     """Origin of a pose, 3 mm."""
-    return pose[:3, 3]
+    return transform_point(pose, ca.DM.zeros(3)) if isinstance(pose, Product) else pose[:3, 3]
 
 
 def rotation(pose: Expression) -> Expression:
     """Rotation matrix of a pose, 3x3."""
+    if isinstance(pose, Product):
+        return Product(factor[:3, :3] for factor in pose.factors)
     return pose[:3, :3]
 
 
 def transform_point(pose: Expression, point: Expression) -> Expression:
     """Carry a point (3, mm) given in the pose's own frame to the base frame."""
-    return ca.mtimes(rotation(pose), point) + position(pose)
+    factors = pose.factors if isinstance(pose, Product) else (pose,)
+    return reduce(lambda carried, link: ca.mtimes(link[:3, :3], carried) + link[:3, 3], reversed(factors), point)
 
 
 def rotation_of_quaternion(q: Expression) -> Expression:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs
 
 Array: TypeAlias = NDArray[np.float64]
+
+WELL_CONDITIONED = 1e-12
+"""Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
 
 
 def tria(wide: Array) -> Array:
@@ -32,11 +35,10 @@ def damped_step(information: Array, gradient: Array, damping: Array | float) -> 
     """
     matrix = information.copy()
     matrix[np.diag_indices_from(matrix)] += damping
-    try:
-        factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
+    root, failed = dpotrf(matrix, lower=1)
+    if failed or not np.isfinite(root[-1, -1]):
         return None
-    return np.asarray(-scipy.linalg.cho_solve(factor, gradient, check_finite=False))
+    return np.asarray(-dpotrs(root, gradient, lower=1)[0])
 
 
 def column_scales(data_information: Array, prior_std: Array) -> Array:
@@ -61,11 +63,12 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
     diagonal = np.diagonal(information)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = scale[:, None] * information * scale
+    root, failed = dpotrf(scaled, lower=1)
+    if not failed and dpocon(root, np.abs(scaled).sum(axis=0).max(), uplo="L")[0] > WELL_CONDITIONED:
+        lower = np.tril(dpotri(root, lower=1)[0])
+        return np.asarray(scale[:, None] * (lower + np.tril(lower, -1).T) * scale)
     values, vectors = np.linalg.eigh(scaled)
     held = values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0)
-    if held.all():
-        half = scipy.linalg.solve_triangular(np.linalg.cholesky(scaled), np.diag(scale), lower=True)
-        return np.asarray(half.T @ half)
     inverse = (vectors[:, held] / values[held]) @ vectors[:, held].T
     covariance = scale[:, None] * inverse * scale
     lost = (vectors[:, ~held] ** 2).sum(axis=1) > 1e-8

@@ -18,6 +18,9 @@ Array: TypeAlias = NDArray[np.float64]
 EDGE = 0.05
 """Readings stay this part of the travel away from its ends."""
 
+POOL = 1000
+"""Random poses among which each target finds its start."""
+
 ROUNDS = 60
 """Fresh targets tried for a touch before the face counts as out of reach."""
 
@@ -36,9 +39,7 @@ def find_touches(
     joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
     waiting = np.arange(len(which))
     for _ in range(ROUNDS):
-        found_joints, found_readings, good = try_touches(
-            touch, instrument, cell, which[waiting], lift[waiting], seeds, rng
-        )
+        found_joints, found_readings, good = try_touches(touch, instrument, cell, which, lift, seeds, rng, waiting)
         joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
         waiting = waiting[~good]
         if not waiting.size:
@@ -59,8 +60,12 @@ def try_touches(
     lift: Array,
     form_seeds: list[int | None],
     rng: np.random.Generator,
+    waiting: NDArray[np.intp] | None = None,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """One try at each touch: joint values, readings, and which of them succeeded."""
+    """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
+
+    What is drawn does not depend on who waits, so that one touch that rounding decides does not change the others.
+    """
     count = len(which)
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
@@ -69,8 +74,13 @@ def try_touches(
     readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if instrument.reading else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
-    directions = _tilted(axes, cell.tilt, rng)
-    joints = touch.reach(targets, directions, readings, random_joints(touch.robot, count, rng))
+    directions, pool = _tilted(axes, cell.tilt, rng), random_joints(touch.robot, POOL, rng)
+    if waiting is not None:
+        which, lift, readings, uv = which[waiting], lift[waiting], readings[waiting], uv[waiting]
+        axes, centres, half, targets, directions = (
+            each[waiting] for each in (axes, centres, half, targets, directions)
+        )
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, pool))
     joints, inside = touch.within_limits(joints)
     heights = lift + (axes[:, 0] * centres).sum(axis=1)
     for i, form_seed in enumerate(form_seeds):

@@ -173,7 +173,7 @@ def compared(at: Touches) -> list[Shown]:
     wrong, right = e10()
     lost, kept = e11(at)
     climbs, falls = (block_steps(at, 1.0, sign=s, joint=True, unit=True, iterations=20)[-1][1] for s in (1.0, -1.0))
-    apart = [block_steps(at, d, sign=-1.0, unit=True, iterations=50)[-1][1] for d in (0.01, 1.0, 1000.0)]
+    apart = [block_steps(at, d, sign=-1.0, unit=True, iterations=50)[-1][1] for d in (0.01, 0.1, 1000.0)]
     together = block_steps(at, 0.01, sign=-1.0, joint=True, unit=True, iterations=50)[-1][1]
     vanishing = block_steps(at, 1.0, sign=-1.0, blocks=(2,), iterations=VANISHING)
     e = at.phi(np.zeros(24), at.gamma, at.beta)
@@ -188,7 +188,7 @@ def compared(at: Touches) -> list[Shown]:
         Shown("E14", "(27)-(29)", f"{climbs:.1e} mm", f"{falls:.3f} mm",
               "With the plus sign every step ascends (distance RMS after 20 steps)."),
         Shown("E15", "(27)-(29)", ", ".join(f"{value:.2g}" for value in apart) + " mm", f"{together:.3f} mm",
-              "Three separate steps over-correct together for lambda 0.01 and 1, and creep for 1000 (50 steps)."),
+              "Three separate steps over-correct together for lambda 0.01 and 0.1, and creep for 1000 (50 steps)."),
         Shown("E16", "(29)", f"{vanishing[-1][0]:.0e} mm", f"{vanishing[-1][1]:.2f} mm",
               "The printed RMSE vanishes with the normal, while the true distance has not moved."),
         Shown("E18", "(31)", f"{printed_rmse(e):.2f} mm", f"{figures['rmse_mm']:.3f} mm",

@@ -12,7 +12,7 @@ FLOORS = [
     {"errors"},
     {"kinematics", "linalg", "losses", "tables", "unknowns"},
     {"robot", "instruments", "samples", "least_squares", "result"},
-    {"compile", "problem", "raw_graph", "binding", "bound_problem", "estimators"},
+    {"kernels", "compile", "problem", "raw_graph", "binding", "row_groups", "bound_problem", "estimators"},
     {
         "cells",
         "inverse_kinematics",

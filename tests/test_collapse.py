@@ -18,11 +18,11 @@ def arm_size(result):
     return np.linalg.norm([values[key] for key in keys]) / np.linalg.norm([nominal[key] for key in keys])
 
 
-def fit_one_plane(hsr, *, prior):
+def fit_one_plane(hsr, *, prior, seed=2):
     # the paper's situation: a dial, nearly normal to one plate
     problem = hsr.problem
     cell = dataclasses.replace(hsr.cell, faces=PLATE, tilt=np.radians(15))
-    simulation = simulate(problem, cell, samples=160, seed=2)
+    simulation = simulate(problem, cell, samples=160, seed=seed)
     if not prior:
         problem = problem.with_prior(dict.fromkeys(("alpha", "a", "d", "theta"), np.inf))
     rows = simulation.samples
@@ -38,10 +38,12 @@ def fit_one_plane(hsr, *, prior):
 
 
 def test_without_a_prior_the_planes_look_perfect_and_the_arm_is_lost(hsr):
-    residual, size, error, nominal = fit_one_plane(hsr, prior=False)
-    assert residual < 0.015
-    assert abs(size - 1) > 0.2
-    assert error > 10 * nominal
+    # where along the unseen directions a fit ends is chance, that it is nowhere near is not
+    fits = [fit_one_plane(hsr, prior=False, seed=seed) for seed in range(6)]
+    residuals, sizes, errors, nominals = map(np.array, zip(*fits, strict=True))
+    assert residuals.max() < 0.015
+    assert np.median(np.abs(sizes - 1)) > 0.2
+    assert (errors > 50 * nominals).all()
 
 
 def test_the_default_prior_prevents_it(hsr):

@@ -43,7 +43,7 @@ def test_e14_the_plus_sign_ascends(at):
     assert corrected[-1] < 0.5 * corrected[0]
 
 
-@pytest.mark.parametrize("damping", [0.01, 1.0])
+@pytest.mark.parametrize("damping", [0.01, 0.1])
 def test_e15_three_separate_steps_over_correct(at, damping):
     apart = as_printed.block_steps(at, damping, sign=-1.0, unit=True, iterations=50)
     together = as_printed.block_steps(at, damping, sign=-1.0, joint=True, unit=True, iterations=50)

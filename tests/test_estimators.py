@@ -14,6 +14,7 @@ from scipy.optimize import differential_evolution, dual_annealing, least_squares
 from casacal import (
     Simulated,
     annealing,
+    bind,
     ekf,
     evolution,
     ipopt,
@@ -25,6 +26,7 @@ from casacal import (
     scipy_least_squares,
     sckf,
     sckf_lm,
+    simulate,
     swarm,
 )
 from casacal.errors import ProblemError
@@ -321,3 +323,15 @@ def test_jacobian_of_the_raw_circle_is_right():
     circle = Circle([1.0, 2.0])
     x = np.array([1.3, -0.7])
     np.testing.assert_allclose(circle.jacobian(x), central_difference(circle.residual, x, [1e-6] * 2), atol=1e-8)
+
+
+def test_levenberg_marquardt_needs_at_most_six_evaluations_from_the_drawing(hsr):
+    for count in (120, 1000, 10_000):
+        bound = bind(hsr.problem, simulate(hsr.problem, hsr.cell, samples=count, seed=5).samples)
+        result = lm(bound)
+        assert result.converged
+        assert result.residual_rows <= 6 * bound.rows
+        # what the last step leaves is far below what the data can tell
+        left = lm(bound, start=result.x, tolerance=1e-12)
+        shift = left.x - result.x
+        assert np.sqrt(shift @ np.linalg.solve(left.covariance, shift)) < 1e-8

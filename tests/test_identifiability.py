@@ -74,7 +74,9 @@ def test_null_directions_are_named_by_the_unknowns_that_take_part(hsr):
 def test_a_dial_turns_null_directions_into_weak_ones(hsr):
     found = judge(hsr.problem, FLAT, 15)
     assert [found.count(kind) for kind in ("invisible", "rigid", "scale")] == [3, 2, 0]
-    assert found.count("blind") <= 1  # a1 against d2 + d3 falls to 1e-9 of the largest, at the edge of rank
+    # a1 and d2 + d3 move tips along a horizontal plate: null where the fitted plate is exactly horizontal, and with
+    # it 1e-9 of the largest singular value, at the edge of rank, where rounding tilts it
+    assert found.count("blind") <= 2
     assert len(found.weak) >= 5
     assert all(direction.singular_value < 1 for direction in found.weak)
 

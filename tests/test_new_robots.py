@@ -44,7 +44,8 @@ def test_a_planar_two_link_arm_on_lines():
     assert std["zero2"] < 0.2 * 2e-3
 
 
-def test_a_scara_with_a_prismatic_joint_on_two_plates():
+def scara():
+    """A SCARA with a slide that touched two plates: problem, samples, and the truth as deviations from nominal."""
     alpha, a, d, theta = (0, math.pi, 0, 0), (350, 250, 0, 0), (200, 0, 0, 50), (0, 0, 0, 0)
     joints = [Joint(), Joint(), Joint("prismatic", 0, 250), Joint()]
     robot = Robot.from_dh("SCARA", alpha=alpha, a=a, d=d, theta=theta, length_std=0.5, angle_std=1e-3, joints=joints)
@@ -70,11 +71,16 @@ def test_a_scara_with_a_prismatic_joint_on_two_plates():
         rows.append([*np.degrees(q[:2]), q[2], math.degrees(q[3]), reading + 0.01 * rng.normal(), label])
     frame = pd.DataFrame(rows, columns=["q1_deg", "q2_deg", "q3_mm", "q4_deg", "reading_mm", "plane"])
     assert len(frame) > 60
-    bound = bind(problem, Samples.from_frame(frame, problem.layout()))
+    truth = np.concatenate(true) - np.concatenate([alpha, a, d, theta])
+    return problem, Samples.from_frame(frame, problem.layout()), truth
+
+
+def test_a_scara_with_a_prismatic_joint_on_two_plates():
+    problem, samples, truth = scara()
+    bound = bind(problem, samples)
     result, reference = sckf_lm(bound), ipopt(bound)
     assert result.converged
     np.testing.assert_allclose(result.cost, reference.cost, rtol=1e-8)
-    truth = np.concatenate(true) - np.concatenate([alpha, a, d, theta])
     error = (result.x[:16] - truth) / result.std[:16]
     assert np.abs(error).max() < 4
     assert np.sqrt(np.mean(bound.plain_residual(result.x) ** 2)) < 0.012

@@ -44,7 +44,8 @@ def test_a_known_step_fixes_the_size(hsr):
     assert 1e6 * conditional_scale_std(bound) == pytest.approx(6, rel=0.1)
 
 
-def test_a_gauge_block_halves_the_expected_tip_error(hsr):
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_gauge_block_lowers_the_expected_tip_error(hsr, seed):
     joints = workspace_joints(hsr.problem.robot)
     bounds = []
     for steps, faces in (
@@ -52,7 +53,7 @@ def test_a_gauge_block_halves_the_expected_tip_error(hsr):
         ({"top": Step("base", 100.0)}, (*hsr.cell.faces, *gauge_block((1200.0, 100.0, 450.0)))),
     ):
         problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instruments[0], steps=steps))
-        simulation = simulate(problem, dataclasses.replace(hsr.cell, faces=faces), samples=200, seed=1)
+        simulation = simulate(problem, dataclasses.replace(hsr.cell, faces=faces), samples=200, seed=seed)
         bound = bind(problem, simulation.samples)
         result = lm(bound)
         assert result.cost == pytest.approx(ipopt(bound).cost, rel=1e-8)
@@ -61,7 +62,7 @@ def test_a_gauge_block_halves_the_expected_tip_error(hsr):
         tips = bound.tips(bound.x0, joints)
         jacobian = bound.tip_jacobian(bound.x0, joints)
         bounds.append(bayesian_bound(bound.normal(bound.x0).information, bound.prior_std, jacobian, tips))
-    assert bounds[1] < 0.75 * bounds[0]
+    assert bounds[1] < 0.8 * bounds[0]
 
 
 def test_certified_angles_need_fewer_unknowns_and_agree(hsr):

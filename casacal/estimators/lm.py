@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -67,7 +67,7 @@ def lm(
 
     """
     here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
-    mu, growth, tried, last_unseen = damping, 2.0, 0, math.inf
+    mu, growth, tried, evaluations, last_unseen, last_length = damping, 2.0, 0, 1, math.inf, 0.0
     trace = [(here.cost, mu, math.nan, math.nan)]
     status = Status.MAX_STEPS if math.isfinite(here.cost) else Status.NOT_FINITE
     while status is Status.MAX_STEPS and tried < max_steps:
@@ -76,16 +76,24 @@ def lm(
         if step is None:
             mu, growth = mu * growth, growth * 2
             continue
-        there, tried = _point(problem, here.x + problem.start_std * step, loss), tried + 1
         length = math.sqrt(max(float(step @ information @ step), 0.0))
         predicted = float(step @ (mu * step - gradient)) / 2
         # so near the minimum the cost differs by rounding alone: the step is judged by its length instead
-        unseen = math.isfinite(there.cost) and predicted <= UNSEEN * (1 + here.cost)
+        hidden = predicted <= UNSEEN * (1 + here.cost)
+        if hidden and length**2 <= tolerance * last_length:
+            # steps shrink at least in proportion, so the next would be negligible: this one needs no look from its end
+            here, tried, status = replace(here, x=here.x + problem.start_std * step), tried + 1, Status.CONVERGED
+            trace.append((here.cost, mu, 1.0, length))
+            break
+        there, tried = _point(problem, here.x + problem.start_std * step, loss), tried + 1
+        evaluations += 1
+        unseen = math.isfinite(there.cost) and hidden
         gain = (here.cost - there.cost) / predicted if math.isfinite(there.cost) and predicted > 0 else -math.inf
         if gain > 0 or unseen:
             here = there
             status = _ended(length, tolerance, last_unseen if unseen else math.inf)
             last_unseen = length if unseen else math.inf
+            last_length = length
             mu *= FASTEST_DECREASE if unseen else max(FASTEST_DECREASE, 1 - (2 * gain - 1) ** 3)
             growth = 2.0
             if progress is not None:
@@ -94,6 +102,18 @@ def lm(
             mu, growth = mu * growth, growth * 2
             status = Status.STUCK if mu > STUCK_DAMPING else status
         trace.append((here.cost, mu, gain, length))
+    return _result(problem, here, status, trace, tried, evaluations, loss)
+
+
+def _result(
+    problem: LeastSquares,
+    here: Point,
+    status: Status,
+    trace: list[tuple[float, float, float, float]],
+    tried: int,
+    evaluations: int,
+    loss: Loss | None,
+) -> Result:
     return Result(
         method="lm",
         problem=problem,
@@ -102,8 +122,8 @@ def lm(
         status=status,
         trace=dict(zip(("cost", "damping", "gain_ratio", "step"), np.array(trace).T, strict=True)),
         steps=tried,
-        residual_rows=(tried + 1) * problem.rows,
-        jacobian_rows=(tried + 1) * problem.rows,
+        residual_rows=evaluations * problem.rows,
+        jacobian_rows=evaluations * problem.rows,
         loss=loss,
     )
 

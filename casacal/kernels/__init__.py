@@ -1,0 +1,1 @@
+"""Numeric kernels from a row's symbolic graph: printed as C where there is a compiler, replayed in blocks elsewhere."""

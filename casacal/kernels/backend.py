@@ -1,0 +1,105 @@
+"""Which kernels a row model gets: C where it can be compiled, blocks where not, plain maps for unknown operations."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.errors import ProblemError
+from casacal.kernels.blocks import BlockKernels
+from casacal.kernels.c_source import can_print
+from casacal.kernels.compiler import CompilerError
+from casacal.kernels.native import NativeKernels
+from casacal.kernels.operations import can_evaluate, evaluate
+from casacal.kernels.plain import PlainKernels
+from casacal.kernels.program import Program, Role, read_program
+
+Array: TypeAlias = NDArray[np.float64]
+
+BACKENDS = ("auto", "c", "blocks")
+VARIABLE = "CASACAL_BACKEND"
+
+
+class Kernels(Protocol):
+    """What estimators need of a row model; lanes are rows in the form a back end reads."""
+
+    name: str
+    components: int
+
+    def lanes(self, d: Array, w: Array) -> Any:
+        """Data (columns, n) and weights (m, n) as the kernels read them."""
+
+    def reweighted(self, lanes: Any, w: Array) -> Any:
+        """The same rows with other weights (m, n)."""
+
+    def residual(self, p: Array, lanes: Any) -> Array:
+        """Plain residuals (m, n)."""
+
+    def slopes(self, p: Array, lanes: Any) -> tuple[Array, Array]:
+        """Plain residuals (m, n) and slopes (m, z, n)."""
+
+    def costs(self, states: Array, lanes: Any) -> Array:
+        """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
+
+    def normal(self, p: Array, lanes: Any) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
+
+
+class RowKernels:
+    """Kernels of a residual with its slopes, and the data they read lane by lane.
+
+    Args:
+        slopes: SX function to e (m) and its derivative row by row (m * z).
+        roles: "lane" for arguments that differ from row to row, "once" for the others, which form p.
+        backend: a name of `BACKENDS`, or None for the environment's, or auto.
+
+    Raises ProblemError for a back end that does not exist, or that was asked for and cannot serve.
+
+    """
+
+    def __init__(self, slopes: ca.Function, roles: Sequence[Role], backend: str | None = None) -> None:
+        asked = backend if backend is not None else os.environ.get(VARIABLE, "auto")
+        if asked not in BACKENDS:
+            raise ProblemError(f"There is no back end '{asked}'", f"Known: {', '.join(BACKENDS)}")
+        self._program, self._roles = read_program(slopes, roles), roles
+        once = [slopes.numel_in(i) for i, role in enumerate(roles) if role == "once"]
+        self.kernels: Kernels
+        if can_evaluate(self._program):
+            self.kernels = _chosen(asked, self._program, sum(once))
+        else:
+            self.kernels = PlainKernels(slopes, once, roles)
+
+    def lanes(self, arguments: Sequence[Array], noise: Array) -> Any:
+        """Rows in the form the kernels read: arguments of role "lane", each (n, size), and noise (n, m)."""
+        if isinstance(self.kernels, PlainKernels):
+            return self.kernels.lanes(np.hstack(arguments).T, 1.0 / noise.T)
+        waiting = iter(arguments)
+        given = [next(waiting).T if role == "lane" else np.zeros(0) for role in self._roles]
+        d = np.zeros((len(self._program.lanes), len(noise)))
+        if len(d):  # a residual may ignore its data
+            d += evaluate(self._program, self._program.lanes, given).reshape(len(d), -1)
+        return self.kernels.lanes(d, 1.0 / noise.T)
+
+
+def _chosen(asked: str, slopes: Program, parameters: int) -> Kernels:
+    if asked != "blocks" and can_print(slopes):
+        try:
+            return NativeKernels(slopes, parameters)
+        except CompilerError as error:
+            if asked == "c":
+                raise ProblemError(f"The back end c cannot be used: {error}", "Use blocks, or auto") from error
+            _notice(str(error))
+    return BlockKernels(slopes, parameters)
+
+
+@functools.cache
+def _notice(reason: str) -> None:
+    """One line, once a process: kernels are slower, not different."""
+    logging.getLogger("casacal").warning("casacal: no C kernels (%s); using blocks, which are slower", reason)

@@ -1,0 +1,97 @@
+"""Kernels as compiled C: samples innermost, normal equations accumulated where the Jacobian is made."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.kernels.c_source import kernel_source, rows_of_normal
+from casacal.kernels.compiler import load_library
+from casacal.kernels.program import Program
+
+Array: TypeAlias = NDArray[np.float64]
+
+PAD = 8
+"""Lanes are padded to a multiple of this, so that vector loads need no tail in memory that is not ours."""
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Data of some rows, column by column: d (columns, ld) and weights w (m, ld), padded by zeros; n rows."""
+
+    n: int
+    d: Array
+    w: Array
+
+    @property
+    def ld(self) -> int:
+        """Lanes in memory: n and the padding."""
+        return int(self.d.shape[1])
+
+
+class NativeKernels:
+    """The four kernels of a row model in C."""
+
+    name = "c"
+
+    def __init__(self, slopes: Program, parameters: int) -> None:
+        self.components = len(slopes.outputs[0])
+        self.unknowns = len(slopes.outputs[1]) // self.components
+        self.rows = rows_of_normal(self.unknowns)
+        self._library = load_library(kernel_source(slopes, parameters))
+        long, pointer = ctypes.c_long, ctypes.c_void_p
+        self._residual = self._function("residual", long, long, pointer, pointer, pointer)
+        self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer)
+        self._costs = self._function("costs", long, long, long, pointer, pointer, pointer, pointer)
+        self._normal = self._function("normal", long, long, pointer, pointer, pointer, pointer)
+
+    def lanes(self, d: Array, w: Array) -> Lanes:
+        """Data (columns, n) and weights (m, n) as the kernels read them."""
+        return Lanes(d.shape[1], _padded(d), _padded(w))
+
+    def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
+        """The same rows with other weights (m, n)."""
+        return replace(lanes, w=_padded(w))
+
+    def residual(self, p: Array, lanes: Lanes) -> Array:
+        """Plain residuals (m, n)."""
+        e = np.empty((self.components, lanes.ld))
+        self._residual(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e))
+        return e[:, : lanes.n]
+
+    def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
+        """Plain residuals (m, n) and slopes (m, z, n)."""
+        e = np.empty((self.components, lanes.ld))
+        j = np.empty((self.components * self.unknowns, lanes.ld))
+        self._slopes(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e), _at(j))
+        return e[:, : lanes.n], j.reshape(self.components, self.unknowns, -1)[:, :, : lanes.n]
+
+    def costs(self, states: Array, lanes: Lanes) -> Array:
+        """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
+        states, cost = np.ascontiguousarray(states), np.zeros(len(states))
+        self._costs(lanes.n, lanes.ld, len(states), _at(states), _at(lanes.d), _at(lanes.w), _at(cost))
+        return cost
+
+    def normal(self, p: Array, lanes: Lanes) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
+        s = np.zeros((self.rows, self.rows))
+        self._normal(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(lanes.w), _at(s))
+        return s[: self.unknowns + 1, : self.unknowns + 1]
+
+    def _function(self, name: str, *types: Any) -> Callable[..., None]:
+        function = getattr(self._library, name)
+        function.argtypes, function.restype = types, None
+        return function  # type: ignore[no-any-return]
+
+
+def _padded(columns: Array) -> Array:
+    return np.ascontiguousarray(np.pad(columns, ((0, 0), (0, -columns.shape[1] % PAD))))
+
+
+def _at(array: Array) -> int:
+    return array.ctypes.data

@@ -1,0 +1,70 @@
+"""What each elementary operation is in NumPy and in C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from casacal.kernels.program import Program
+
+Array: TypeAlias = NDArray[np.float64]
+
+NUMPY: dict[int, Callable[..., Any]] = {
+    ca.OP_ASSIGN: lambda a: a, ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide, ca.OP_NEG: np.negative, ca.OP_EXP: np.exp, ca.OP_LOG: np.log, ca.OP_POW: np.power,
+    ca.OP_CONSTPOW: np.power, ca.OP_SQRT: np.sqrt, ca.OP_SQ: np.square, ca.OP_TWICE: lambda a: 2 * a,
+    ca.OP_SIN: np.sin, ca.OP_COS: np.cos, ca.OP_TAN: np.tan, ca.OP_ASIN: np.arcsin, ca.OP_ACOS: np.arccos,
+    ca.OP_ATAN: np.arctan, ca.OP_ATAN2: np.arctan2, ca.OP_LT: np.less, ca.OP_LE: np.less_equal, ca.OP_EQ: np.equal,
+    ca.OP_NE: np.not_equal, ca.OP_NOT: np.logical_not, ca.OP_AND: np.logical_and, ca.OP_OR: np.logical_or,
+    ca.OP_FLOOR: np.floor, ca.OP_CEIL: np.ceil, ca.OP_FMOD: np.fmod, ca.OP_FABS: np.abs, ca.OP_SIGN: np.sign,
+    ca.OP_COPYSIGN: np.copysign, ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0), ca.OP_ERF: erf,
+    ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax, ca.OP_INV: np.reciprocal, ca.OP_SINH: np.sinh, ca.OP_COSH: np.cosh,
+    ca.OP_TANH: np.tanh, ca.OP_ASINH: np.arcsinh, ca.OP_ACOSH: np.arccosh, ca.OP_ATANH: np.arctanh,
+    ca.OP_HYPOT: np.hypot, ca.OP_EXPM1: np.expm1, ca.OP_LOG1P: np.log1p,
+}  # fmt: skip
+
+C: dict[int, str] = {
+    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})",
+    ca.OP_POW: "pow({0}, {1})", ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_SQRT: "sqrt({0})", ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2.0 * {0}", ca.OP_SIN: "sin({0})", ca.OP_COS: "cos({0})", ca.OP_TAN: "tan({0})",
+    ca.OP_ASIN: "asin({0})", ca.OP_ACOS: "acos({0})", ca.OP_ATAN: "atan({0})", ca.OP_ATAN2: "atan2({0}, {1})",
+    ca.OP_LT: "(double)({0} < {1})", ca.OP_LE: "(double)({0} <= {1})", ca.OP_EQ: "(double)({0} == {1})",
+    ca.OP_NE: "(double)({0} != {1})", ca.OP_NOT: "(double)({0} == 0.0)",
+    ca.OP_AND: "(double)({0} != 0.0 && {1} != 0.0)", ca.OP_OR: "(double)({0} != 0.0 || {1} != 0.0)",
+    ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})", ca.OP_FABS: "fabs({0})",
+    ca.OP_SIGN: "(double)(({0} > 0.0) - ({0} < 0.0))", ca.OP_COPYSIGN: "copysign({0}, {1})",
+    ca.OP_IF_ELSE_ZERO: "({0} != 0.0 ? {1} : 0.0)", ca.OP_ERF: "erf({0})", ca.OP_FMIN: "fmin({0}, {1})",
+    ca.OP_FMAX: "fmax({0}, {1})", ca.OP_INV: "1.0 / {0}", ca.OP_SINH: "sinh({0})", ca.OP_COSH: "cosh({0})",
+    ca.OP_TANH: "tanh({0})", ca.OP_ASINH: "asinh({0})", ca.OP_ACOSH: "acosh({0})", ca.OP_ATANH: "atanh({0})",
+    ca.OP_HYPOT: "hypot({0}, {1})", ca.OP_EXPM1: "expm1({0})", ca.OP_LOG1P: "log1p({0})",
+}  # fmt: skip
+
+
+def can_evaluate(program: Program) -> bool:
+    """Whether NumPy knows every operation on data alone."""
+    needed = (program.operations[value].op for value in program.needed(program.lanes))
+    return all(op in (ca.OP_CONST, ca.OP_INPUT) or op in NUMPY for op in needed)
+
+
+def evaluate(program: Program, values: Sequence[int], arguments: Sequence[Array]) -> Array:
+    """Some values (len(values), ...) by NumPy; element k of argument i is arguments[i][k], a number or an array."""
+    known: dict[int, Any] = {}
+    for index in program.needed(values):
+        operation = program.operations[index]
+        if operation.op == ca.OP_CONST:
+            known[index] = operation.constant
+        elif operation.op == ca.OP_INPUT:
+            argument, element = operation.element
+            known[index] = arguments[argument][element]
+        else:
+            known[index] = NUMPY[operation.op](*(known[arg] for arg in operation.args))
+    shape = np.broadcast_shapes(*(np.shape(known[value]) for value in values)) if values else ()
+    return np.array([np.broadcast_to(known[value], shape) for value in values], dtype=np.float64).reshape(
+        len(values), *shape
+    )
