@@ -233,6 +233,20 @@ def test_a_broken_compiler_is_as_good_as_none(hsr, fresh, monkeypatch, caplog):
     assert list(fresh.iterdir()) == []
 
 
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+def test_a_user_without_a_home_gets_blocks(hsr, fresh, monkeypatch, caplog):
+    for name in ("CASACAL_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(compiler.Path, "home", homeless)
+    with caplog.at_level(logging.WARNING, "casacal"):
+        assert kernels(hsr).name == "blocks"
+    assert "no home folder" in caplog.text
+
+
 def test_back_ends_are_chosen_by_name(hsr, monkeypatch):
     monkeypatch.setenv("CASACAL_BACKEND", "blocks")
     rows = hsr.problem.read(hsr.samples)

@@ -46,14 +46,18 @@ def compiler() -> tuple[str, str]:
 
 
 def cache_folder() -> Path:
-    """CASACAL_CACHE, else casacal/ in the user's cache folder."""
+    """CASACAL_CACHE, else casacal/ in the user's cache folder; raises CompilerError where there is none."""
     given = os.environ.get("CASACAL_CACHE")
     if given:
         return Path(given)
     base = os.environ.get("XDG_CACHE_HOME")
     if base:
         return Path(base) / "casacal"
-    return Path.home() / ("Library/Caches" if platform.system() == "Darwin" else ".cache") / "casacal"
+    try:
+        home = Path.home()
+    except RuntimeError as error:
+        raise CompilerError("this user has no home folder for a cache") from error
+    return home / ("Library/Caches" if platform.system() == "Darwin" else ".cache") / "casacal"
 
 
 def load_library(source: str) -> ctypes.CDLL:
