@@ -1,0 +1,190 @@
+/* The limit: what a programmer writes by hand for one case, a six-axis standard DH arm whose tip touches one plane.
+ *
+ * Unknowns, 27: alpha[6], a[6], d[6], theta[6], two tilts of the plane's normal, its offset. Data of sample i, column by
+ * column: sin q_1 ... sin q_6, cos q_1 ... cos q_6. The point is carried from the tip to the base link by link, and the
+ * gradient of n . p back again. p: alpha, a, d, theta, normal[3], tangent[3], tangent[3], offset.
+ */
+#include <math.h>
+
+#define AXES 6
+#define UNKNOWNS 27
+#define ROWS 28
+#define PART 128
+#if defined(__AVX512F__)
+#define WIDE 8
+#else
+#define WIDE 4
+#endif
+typedef double wide __attribute__((vector_size(8 * WIDE)));
+typedef double loose __attribute__((vector_size(8 * WIDE), aligned(8))); /* the same, anywhere in memory */
+#define AT(place) (*(const loose *)(place))
+
+typedef struct {
+    double sa[AXES], ca[AXES], st[AXES], ct[AXES];
+} trigonometry;
+
+static trigonometry prepare(const double *p)
+{
+    trigonometry t;
+    for (int k = 0; k < AXES; k++) {
+        t.sa[k] = sin(p[k]);
+        t.ca[k] = cos(p[k]);
+        t.st[k] = sin(p[18 + k]);
+        t.ct[k] = cos(p[18 + k]);
+    }
+    return t;
+}
+
+#define FORWARD                                                                                                        \
+    wide X[AXES], Y[AXES], V[AXES], W[AXES], S[AXES], C[AXES], x = {0}, y = {0}, z = {0};                              \
+    _Pragma("GCC unroll 6") for (int k = AXES - 1; k >= 0; k--)                                                        \
+    {                                                                                                                  \
+        const wide sq = AT(q + k * ld + i), cq = AT(q + (AXES + k) * ld + i), u = x + a[k];                            \
+        S[k] = t.st[k] * cq + t.ct[k] * sq;                                                                            \
+        C[k] = t.ct[k] * cq - t.st[k] * sq;                                                                            \
+        V[k] = t.ca[k] * y - t.sa[k] * z;                                                                              \
+        W[k] = t.sa[k] * y + t.ca[k] * z;                                                                              \
+        X[k] = x = C[k] * u - S[k] * V[k];                                                                             \
+        Y[k] = y = S[k] * u + C[k] * V[k];                                                                             \
+        z = W[k] + d[k];                                                                                               \
+    }                                                                                                                  \
+    const wide e = n[0] * x + n[1] * y + n[2] * z - offset;
+
+#define BACKWARD(STORE)                                                                                                \
+    wide gx = (wide){0} + n[0], gy = (wide){0} + n[1], gz = (wide){0} + n[2];                                          \
+    _Pragma("GCC unroll 6") for (int k = 0; k < AXES; k++)                                                             \
+    {                                                                                                                  \
+        const wide gu = C[k] * gx + S[k] * gy, gv = C[k] * gy - S[k] * gx;                                             \
+        STORE(18 + k, gy * X[k] - gx * Y[k]);                                                                          \
+        STORE(6 + k, gu);                                                                                              \
+        STORE(12 + k, gz);                                                                                             \
+        STORE(k, gz * V[k] - gv * W[k]);                                                                                \
+        gy = t.ca[k] * gv + t.sa[k] * gz;                                                                              \
+        gz = t.ca[k] * gz - t.sa[k] * gv;                                                                              \
+        gx = gu;                                                                                                       \
+    }                                                                                                                  \
+    STORE(24, t1[0] * x + t1[1] * y + t1[2] * z);                                                                      \
+    STORE(25, t2[0] * x + t2[1] * y + t2[2] * z);                                                                      \
+    STORE(26, (wide){0} - 1.0);
+
+#define NAMES                                                                                                          \
+    const trigonometry t = prepare(p);                                                                                 \
+    const double *a = p + 6, *d = p + 12, *n = p + 24, *t1 = p + 27, *t2 = p + 30, offset = p[33];                     \
+    (void)t1, (void)t2;
+
+void limit_slopes(long count, long ld, const double *restrict p, const double *restrict q, double *restrict e_out,
+                  double *restrict j)
+{
+    NAMES
+    for (long i = 0; i < count; i += WIDE) { /* ld is a multiple of WIDE: padded lanes are computed and ignored */
+        FORWARD
+        *(loose *)(e_out + i) = e;
+#define TO_MEMORY(row, value) *(loose *)(j + (row)*ld + i) = (value)
+        BACKWARD(TO_MEMORY)
+    }
+}
+
+void limit_costs(long count, long ld, long states, const double *restrict p, const double *restrict q,
+                 const double *restrict w, double *restrict cost)
+{
+    for (long s = 0; s < states; s++, p += 34) {
+        NAMES
+        wide total = {0};
+        for (long i = 0; i < count; i += WIDE) {
+            FORWARD
+            const wide r = AT(w + i) * e;
+            total += r * r;
+        }
+        cost[s] = 0.0;
+        for (int k = 0; k < WIDE; k++) cost[s] += 0.5 * total[k];
+    }
+}
+
+static void gram(const double *restrict a, double *restrict s)
+{
+    for (long i = 0; i < ROWS; i += 2)
+        for (long j = i & ~3L; j < ROWS; j += 4) {
+            wide sum[2][4] = {{{0}}};
+            for (long k = 0; k < PART; k += WIDE) {
+                wide x[2], y[4];
+                for (int m = 0; m < 2; m++) x[m] = *(const wide *)(a + (i + m) * PART + k);
+                for (int m = 0; m < 4; m++) y[m] = *(const wide *)(a + (j + m) * PART + k);
+                for (int m = 0; m < 2; m++)
+                    for (int n = 0; n < 4; n++) sum[m][n] += x[m] * y[n];
+            }
+            for (int m = 0; m < 2; m++)
+                for (int n = 0; n < 4; n++)
+                    for (int k = 0; k < WIDE; k++) s[(i + m) * ROWS + j + n] += sum[m][n][k];
+        }
+}
+
+void limit_normal(long count, long ld, const double *restrict p, const double *restrict q, const double *restrict w,
+                  double *restrict s)
+{
+    double part[ROWS * PART] __attribute__((aligned(64)));
+    NAMES
+    for (long k = 0; k < ROWS * ROWS; k++) s[k] = 0.0;
+    for (long first = 0; first < count; first += PART) {
+        const long lanes = count - first < PART ? count - first : PART;
+        const long filled = (lanes + WIDE - 1) / WIDE * WIDE;
+        for (long at = 0; at < filled; at += WIDE) { /* padded lanes weigh nothing */
+            const long i = first + at;
+            const wide weight = AT(w + i);
+            FORWARD
+#define TO_PART(row, value) *(wide *)(part + (row)*PART + at) = weight * (value)
+            BACKWARD(TO_PART)
+            *(wide *)(part + 27 * PART + at) = weight * e;
+        }
+        for (long r = 0; r < ROWS; r++)
+            for (long k = filled; k < PART; k++) part[r * PART + k] = 0.0;
+        gram(part, s);
+    }
+}
+
+static int solve(double *h, double *g)
+{
+    for (int k = 0; k < UNKNOWNS; k++) {
+        for (int i = k; i < UNKNOWNS; i++) {
+            double sum = h[i * UNKNOWNS + k];
+            for (int m = 0; m < k; m++) sum -= h[i * UNKNOWNS + m] * h[k * UNKNOWNS + m];
+            if (i == k) {
+                if (!(sum > 0.0)) return 0;
+                h[k * UNKNOWNS + k] = sqrt(sum);
+            } else
+                h[i * UNKNOWNS + k] = sum / h[k * UNKNOWNS + k];
+        }
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int m = 0; m < i; m++) g[i] -= h[i * UNKNOWNS + m] * g[m];
+        g[i] /= h[i * UNKNOWNS + i];
+    }
+    for (int i = UNKNOWNS - 1; i >= 0; i--) {
+        for (int m = i + 1; m < UNKNOWNS; m++) g[i] -= h[m * UNKNOWNS + i] * g[m];
+        g[i] /= h[i * UNKNOWNS + i];
+    }
+    return 1;
+}
+
+/* Levenberg-Marquardt in the prior's metric, `evaluations` of the normal equations; the plane turns with its tangents
+ * to first order, which costs as much as turning it exactly. x: 27, prior and start: standard deviations. */
+void limit_lm(long count, long ld, const double *restrict start, const double *restrict q, const double *restrict w,
+              const double *restrict scale, const double *restrict prior, long evaluations, double *restrict x)
+{
+    double s[ROWS * ROWS], h[UNKNOWNS * UNKNOWNS], g[UNKNOWNS], p[34], mu = 1e-3;
+    for (int k = 0; k < UNKNOWNS; k++) x[k] = 0.0;
+    for (long step = 0; step < evaluations; step++) {
+        for (int k = 0; k < 34; k++) p[k] = start[k];
+        for (int k = 0; k < 24; k++) p[k] += x[k];
+        for (int k = 0; k < 3; k++) p[24 + k] += x[24] * start[27 + k] + x[25] * start[30 + k];
+        p[33] += x[26];
+        limit_normal(count, ld, p, q, w, s);
+        for (int i = 0; i < UNKNOWNS; i++) {
+            g[i] = -scale[i] * (s[i * ROWS + 27] + prior[i] * x[i]);
+            for (int k = 0; k <= i; k++) h[i * UNKNOWNS + k] = scale[i] * s[k * ROWS + i] * scale[k];
+            h[i * UNKNOWNS + i] += scale[i] * scale[i] * prior[i] + mu;
+        }
+        if (!solve(h, g)) return;
+        for (int k = 0; k < UNKNOWNS; k++) x[k] += scale[k] * g[k];
+        mu /= 3.0;
+    }
+}
