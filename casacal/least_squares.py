@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -96,7 +97,7 @@ class LeastSquares(ABC):
         """Number of unknowns."""
         return len(self.names)
 
-    @property
+    @cached_property
     def prior_information(self) -> Array:
         """Lambda: 1 / s^2 of each unknown (n,), zero where the prior is flat."""
         return np.where(np.isfinite(self.prior_std), 1.0 / self.prior_std**2, 0.0)

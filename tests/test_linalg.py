@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from casacal.linalg import correlation, damped_step, posterior_covariance, tria
+from casacal.linalg import correlation, damped_step, inverse_triangle, posterior_covariance, tria
 
 
 def test_tria_is_lower_triangular_with_the_same_product():
@@ -42,3 +42,9 @@ def test_a_direction_that_only_the_prior_holds_is_not_lost_beside_a_sharp_one():
     covariance = posterior_covariance(information, prior)
     expected = np.array([[1 / (1e16 + 1), 0, 0], [0, 0.25 + 1e-9, -0.25], [0, -0.25, 0.25]])
     np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-18)
+
+
+def test_a_triangle_is_inverted_whatever_stands_above_it():
+    rng = np.random.default_rng(3)
+    full = rng.normal(size=(9, 9)) + 4 * np.eye(9)
+    np.testing.assert_allclose(inverse_triangle(full), np.linalg.inv(np.tril(full)), atol=1e-13)

@@ -132,7 +132,7 @@ def scaled_system(problem: LeastSquares, normal: Normal, x: Array) -> tuple[Arra
     """Information H (n, n) and gradient g (n,) of the whole objective at x, in coordinates (x - x0) / start_std."""
     scale = problem.start_std
     information = scale[:, None] * normal.information * scale
-    information[np.diag_indices_from(information)] += scale**2 * problem.prior_information
+    information.flat[:: scale.size + 1] += scale**2 * problem.prior_information
     gradient = scale * (normal.gradient + problem.prior_information * (x - problem.x0))
     return information, gradient
 
