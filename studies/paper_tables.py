@@ -26,11 +26,10 @@ def best_cost(run: Run, setting: str) -> np.ndarray:
     return best
 
 
-def found_minimum(run: Run, setting: str, method: str) -> tuple[int, int]:
-    """In how many trials, of how many, a method ended at the lowest objective known."""
+def found_minimum(run: Run, setting: str, method: str) -> np.ndarray:
+    """Whether a method ended at the lowest objective known (trials,)."""
     cost = run.values(setting, method, "cost")
-    best = best_cost(run, setting)[: len(cost)]
-    return int((cost <= best * (1 + FOUND)).sum()), len(cost)
+    return cost <= best_cost(run, setting)[: len(cost)] * (1 + FOUND)
 
 
 def accuracy(run: Run, setting: str) -> list[str]:

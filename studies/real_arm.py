@@ -169,15 +169,18 @@ def in_short(run: Run) -> list[str]:
 def draw(run: Run, path: Path) -> None:
     """Each method at its held-out plane residual and its tracker error, under both priors."""
     made = figure(10, 4.4)
+    ticks = {DEFAULT: (0.18, 0.2, 0.22, 0.24), LOOSE: (0.2, 0.5, 1, 2, 4)}
     for axes, setting in zip(made.subplots(1, 2), run.study.settings, strict=True):
         for method in run.study.methods:
-            place = [
-                float(np.nanmean(run.values(setting, method, name))) for name in ("heldout_rmse_mm", "tracker_free_mm")
-            ]
-            axes.plot(*place, "o", ms=7, color=COLOURS.get(base(method), "#444444"), label=base(method))
+            names = ("heldout_rmse_mm", "tracker_free_mm")
+            x, y = (float(np.nanmean(run.values(setting, method, name))) for name in names)
+            marker = {rivals.NULL_STEP: "X", rivals.SCIPY: "+", rivals.IPOPT: "x"}.get(method, "o")
+            axes.plot(x, y, marker, ms=8, color=COLOURS.get(base(method), "#c02020"), label=base(method))
         axes.set_xlabel("plane residual, held out, mm RMS")
         axes.set_title(setting, fontsize=10)
         axes.set_yscale("log")
+        axes.set_yticks(ticks[setting], [f"{tick:g}" for tick in ticks[setting]])
+        axes.minorticks_off()
         axes.spines[["top", "right"]].set_visible(False)
     made.axes[0].set_ylabel("tracker, free space, mm RMS")
     made.axes[-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
