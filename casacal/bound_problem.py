@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
-from casacal.least_squares import LeastSquares, Normal
+from casacal.least_squares import FilterPass, LeastSquares, Normal
 from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
@@ -105,6 +105,22 @@ class BoundProblem(LeastSquares):
         """Objective at many states (m, n): (m,)."""
         prior = ((states - self.x0) ** 2 @ self.prior_information) / 2
         return np.asarray(sum((groups.costs(states) for groups in self._groups), start=prior))
+
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+        """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
+        i = int(np.searchsorted(self._starts, first, side="right")) - 1
+        block, start = self.blocks[i], int(self._starts[i])
+        run = block.model.filter(self._asked)
+        if run is None:
+            return None
+        once = np.hstack([block.constants[block.pattern], block.data])
+        mean, root = mean.copy(), np.ascontiguousarray(root.copy())
+        stop, *trace = run(
+            first - start, block.pattern, block.columns, self.x0, self.start_std, once, 1 / block.noise, mean, root
+        )
+        done = slice(first - start, stop)
+        means, innovations, stds = (each[done] for each in trace)
+        return FilterPass(start + stop, mean, root, means, innovations, stds)
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""

@@ -25,6 +25,8 @@ from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
+from casacal.kernels.compiler import CompilerError
+from casacal.kernels.native_filter import NativeFilter
 from casacal.kinematics import Product, position
 from casacal.robot import Robot
 from casacal.unknowns import Unknown
@@ -67,6 +69,19 @@ class RowModel:
         if key not in self._rows:
             self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
         return self._rows[key]
+
+    def filter(self, backend: str | None = None) -> NativeFilter | None:
+        """The cubature filter's pass in C; None where rows are not evaluated in C either."""
+        if "c" not in self._filters and self.rows(backend).kernels.name == "c":
+            try:
+                self._filters["c"] = NativeFilter(self.residual)
+            except CompilerError:
+                self._filters["c"] = None
+        return self._filters.get("c") if self.rows(backend).kernels.name == "c" else None
+
+    @cached_property
+    def _filters(self) -> dict[str, NativeFilter | None]:
+        return {}
 
     @cached_property
     def _rows(self) -> dict[str, RowKernels]:

@@ -47,6 +47,21 @@ def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss |
     return Normal(cost, gradient, information)
 
 
+@dataclass(frozen=True)
+class FilterPass:
+    """What a fused filter did: rows first ... stop - 1, the belief after them, and its trace.
+
+    mean: (n,); root: (n, n), lower triangular. means: (rows done, n); innovations, stds: (rows done,).
+    """
+
+    stop: int
+    mean: Array
+    root: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
 class LeastSquares(ABC):
     """A least-squares problem with a Gaussian prior.
 
@@ -83,6 +98,14 @@ class LeastSquares(ABC):
     @abstractmethod
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
+
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+        """Let a cubature filter take in rows from `first` on; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row` and the filter's own step, row by row. It may stop early.
+        """
+        del first, mean, root
+        return None
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data at x (n,), without the prior; rows weighted by a loss."""

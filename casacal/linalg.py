@@ -10,6 +10,9 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 Array: TypeAlias = NDArray[np.float64]
 
+LEAST_LEFT = 1e-10
+"""Part of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
+
 WELL_CONDITIONED = 1e-12
 """Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
 
@@ -22,6 +25,26 @@ def tria(wide: Array) -> Array:
     upper = np.linalg.qr(wide.T, mode="r")
     signs = np.where(np.diagonal(upper) < 0, -1.0, 1.0)
     return np.ascontiguousarray((signs[:, None] * upper).T)
+
+
+def downdated(root: Array, u: Array) -> Array | None:
+    """Lower triangular root of S (I - u u') S', without a QR: S L with L L' = I - u u'; None when |u| is nearly one.
+
+    With s_j = 1 - u_1^2 - ... - u_j^2: L_jj = sqrt(s_j / s_(j-1)), L_ij = -u_i u_j / sqrt(s_j s_(j-1)) for i > j. A
+    scalar measurement makes a square-root filter's belief smaller in just this way.
+
+    Args:
+        root: S (n, n), lower triangular.
+        u: (n,), shorter than one.
+
+    """
+    left = 1.0 - np.cumsum(u**2)
+    if not left[-1] > LEAST_LEFT:
+        return None
+    before = np.concatenate([[1.0], left[:-1]])
+    weighted = root * u
+    beyond = np.cumsum(weighted[:, ::-1], axis=1)[:, ::-1] - weighted  # columns j: sum of S_i u_i over i > j
+    return np.asarray(np.tril(root * np.sqrt(left / before) - beyond * (u / np.sqrt(left * before))))
 
 
 def damped_step(information: Array, gradient: Array, damping: Array | float) -> Array | None:

@@ -14,6 +14,7 @@ from test_new_robots import scara
 
 from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
+from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler
 from casacal.kernels.backend import RowKernels
@@ -302,3 +303,40 @@ def test_processes_that_race_for_the_cache_all_get_kernels(fresh):
     assert len({out for out, _ in said}) == 1
     assert {error for _, error in said} == {""}
     assert not [path for path in fresh.iterdir() if path.suffix != ".so"]
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+def test_the_fused_filter_is_the_filter_step_by_step(case):
+    problem, samples, _ = case
+    fused, stepwise = (bind(problem, samples, backend=name) for name in ("c", "blocks"))
+    assert fused.filter_pass(0, np.zeros(fused.unknowns), np.eye(fused.unknowns)).stop == fused.rows
+    assert stepwise.filter_pass(0, np.zeros(fused.unknowns), np.eye(fused.unknowns)) is None
+    one, other = sckf(fused), sckf(stepwise)
+    scale = fused.start_std
+    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
+                               rtol=0, atol=1e-10)  # fmt: skip
+    for name in ("x", "innovation", "innovation_std"):
+        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-8)
+    assert one.residual_rows == other.residual_rows == 2 * fused.unknowns * fused.rows
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+def test_a_fused_filter_hands_over_the_rows_that_would_lose_digits(hsr, monkeypatch):
+    rows = hsr.problem.read(hsr.samples)
+    expected = sckf(bind(hsr.problem, rows, backend="blocks"))
+    # as if much more of a variance had to remain: the first rows of each face then need the full triangularisation
+    monkeypatch.setattr("casacal.kernels.native_filter.LEAST_LEFT", 0.2)
+    bound = bind(hsr.problem, rows, backend="c")
+    assert bound.filter_pass(0, np.zeros(bound.unknowns), np.eye(bound.unknowns)).stop < bound.rows
+    mixed = sckf(bound)
+    np.testing.assert_allclose(mixed.x / bound.start_std, expected.x / bound.start_std, rtol=0, atol=1e-10)
+    assert len(mixed.trace["innovation"]) == bound.rows
+
+
+def test_a_measurement_that_tells_all_is_triangularised_in_full():
+    belief = Belief(np.zeros(3), np.eye(3))
+    update = cubature_update(belief, lambda s: s @ np.array([1.0, 2.0, 3.0]), 1.0, 1e-9)
+    root = update.belief.root
+    assert (np.diagonal(root) >= 0).all()
+    np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ root, 0, atol=1e-8)

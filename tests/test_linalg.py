@@ -1,8 +1,9 @@
 """Dense pieces against their definitions."""
 
 import numpy as np
+import pytest
 
-from casacal.linalg import correlation, damped_step, inverse_triangle, posterior_covariance, tria
+from casacal.linalg import correlation, damped_step, downdated, inverse_triangle, posterior_covariance, tria
 
 
 def test_tria_is_lower_triangular_with_the_same_product():
@@ -48,3 +49,17 @@ def test_a_triangle_is_inverted_whatever_stands_above_it():
     rng = np.random.default_rng(3)
     full = rng.normal(size=(9, 9)) + 4 * np.eye(9)
     np.testing.assert_allclose(inverse_triangle(full), np.linalg.inv(np.tril(full)), atol=1e-13)
+
+
+@pytest.mark.parametrize("length", [0.1, 0.9, 0.999])
+def test_a_downdate_is_the_qr_it_replaces(length):
+    rng = np.random.default_rng(4)
+    root = np.tril(rng.normal(size=(7, 7)))
+    root[np.diag_indices(7)] = np.abs(root.diagonal()) + 0.1
+    u = rng.normal(size=7)
+    u *= length / np.linalg.norm(u)
+    found = downdated(root, u)
+    expected = root @ (np.eye(7) - np.outer(u, u)) @ root.T
+    np.testing.assert_allclose(found @ found.T, expected, atol=1e-13)
+    np.testing.assert_allclose(found, np.linalg.cholesky(expected), atol=1e-10)
+    assert downdated(root, u / np.linalg.norm(u)) is None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares
-from casacal.linalg import tria
+from casacal.linalg import downdated, tria
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -62,11 +62,15 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
     predictions = h(points)  # E11: what the model predicts, not the state itself
     mean = float(predictions.mean())
     spread = (predictions - mean) / math.sqrt(2 * n)  # calZ
-    states = np.hstack([offsets.T, -offsets.T]) / math.sqrt(2 * n)  # calX
     innovation_std = math.hypot(float(np.linalg.norm(spread)), noise_std)  # S_zz: Tria of one row is its length
-    gain = (states @ spread) / innovation_std**2
+    # calX = [S, -S] / sqrt(2), so calX calZ' = S v
+    v = (spread[:n] - spread[n:]) / math.sqrt(2)
+    gain = belief.root @ v / innovation_std**2
     innovation = measured - mean
-    root = tria(np.hstack([states - np.outer(gain, spread), noise_std * gain[:, None]]))
+    root = downdated(belief.root, v / innovation_std)
+    if root is None:  # the measurement tells all there is, to rounding: the full triangularisation keeps S real
+        states = np.hstack([belief.root, -belief.root]) / math.sqrt(2)
+        root = tria(np.hstack([states - np.outer(gain, spread), noise_std * gain[:, None]]))
     return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
 
 
@@ -95,13 +99,20 @@ def sckf(
     def predicted(k: int) -> Callable[[Array], Array]:
         return lambda states: problem.row(k, problem.x0 + scale * states)
 
-    for k in range(problem.rows):
-        update = cubature_update(predict(belief, process), predicted(k), 0.0, 1.0)
-        belief = update.belief
-        trace.append((update.innovation, update.innovation_std))
-        means.append(problem.x0 + scale * belief.mean)
+    k = 0
+    while k < problem.rows:
+        fused = problem.filter_pass(k, belief.mean, belief.root) if process is None else None
+        if fused is not None and fused.stop > k:
+            belief, k = Belief(fused.mean, fused.root), fused.stop
+            trace += zip(fused.innovations.tolist(), fused.stds.tolist(), strict=True)
+            means += list(problem.x0 + scale * fused.means)
+        else:
+            update = cubature_update(predict(belief, process), predicted(k), 0.0, 1.0)
+            belief, k = update.belief, k + 1
+            trace.append((update.innovation, update.innovation_std))
+            means.append(problem.x0 + scale * belief.mean)
         if progress is not None:
-            progress(k + 1, abs(update.innovation))
+            progress(k, abs(trace[-1][0]))
     root = scale[:, None] * belief.root
     innovation, innovation_std = np.array(trace).reshape(-1, 2).T
     finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())

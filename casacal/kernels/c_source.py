@@ -2,113 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from string import Template
 
 import casadi as ca
 
+from casacal.kernels.c_templates import FILTER, HEAD, KERNELS, ONLY_RESIDUAL, PART_OF_NORMAL
 from casacal.kernels.operations import C
-from casacal.kernels.program import Program
-
-HEAD = """
-#include <math.h>
-#if defined(__AVX512F__)
-#define WIDE 8
-#else
-#define WIDE 4
-#endif
-#define PART 128
-typedef double wide __attribute__((vector_size(8 * WIDE)));
-
-/* Upper triangle of A A' for rows of PART numbers, added to S (rows x rows): two by four rows at a time. */
-static void gram(long rows, const double *restrict a, double *restrict s)
-{
-    for (long i = 0; i < rows; i += 2)
-        for (long j = i & ~3L; j < rows; j += 4) {
-            wide sum[2][4] = {{{0}}};
-            for (long k = 0; k < PART; k += WIDE) {
-                wide x[2], y[4];
-                for (int m = 0; m < 2; m++) x[m] = *(const wide *)(a + (i + m) * PART + k);
-                for (int m = 0; m < 4; m++) y[m] = *(const wide *)(a + (j + m) * PART + k);
-                for (int m = 0; m < 2; m++)
-                    for (int n = 0; n < 4; n++) sum[m][n] += x[m] * y[n];
-            }
-            for (int m = 0; m < 2; m++)
-                for (int n = 0; n < 4; n++) {
-                    double total = 0.0;
-                    for (int k = 0; k < WIDE; k++) total += sum[m][n][k];
-                    s[(i + m) * rows + j + n] += total;
-                }
-        }
-}
-"""
-
-KERNELS = Template("""
-/* Residuals e[m][lane]. */
-void residual(long n, long ld, const double *restrict p, const double *restrict d, double *restrict e)
-{
-$residual_once
-#pragma omp simd
-    for (long i = 0; i < n; i++) {
-$residual_lane
-$residual_out
-    }
-}
-
-/* Residuals e[m][lane] and slopes j[m * z][lane]. */
-void slopes(long n, long ld, const double *restrict p, const double *restrict d, double *restrict e,
-            double *restrict j)
-{
-$slopes_once
-#pragma omp simd
-    for (long i = 0; i < n; i++) {
-$slopes_lane
-$slopes_out
-    }
-}
-
-/* Half the sum of squares of w e at each of `states` parameter vectors, added to cost[state]. */
-void costs(long n, long ld, long states, const double *restrict p, const double *restrict d, const double *restrict w,
-           double *restrict cost)
-{
-    for (long s = 0; s < states; s++, p += $parameters) {
-$residual_once
-        double total = 0.0;
-#pragma omp simd reduction(+ : total)
-        for (long i = 0; i < n; i++) {
-$residual_lane
-$cost_sum
-        }
-        cost[s] += 0.5 * total;
-    }
-}
-
-/* Weighted normal matrix of slopes and, last, residual, added to s[$rows][$rows]. */
-void normal(long n, long ld, const double *restrict p, const double *restrict d, const double *restrict w,
-            double *restrict s)
-{
-    double a[$rows * PART] __attribute__((aligned(64)));
-$slopes_once
-    for (long first = 0; first < n; first += PART) {
-        const long lanes = n - first < PART ? n - first : PART;
-$normal_parts
-    }
-    for (long i = 1; i < $rows; i++)
-        for (long k = 0; k < i; k++) s[i * $rows + k] = s[k * $rows + i];
-}
-""")
-
-PART_OF_NORMAL = Template("""
-#pragma omp simd
-        for (long k = 0; k < lanes; k++) {
-            const long i = first + k;
-$lane
-            const double weight = w[$component * ld + i];
-$out
-        }
-        for (long r = 0; r < $rows; r++)
-            for (long k = lanes; k < PART; k++) a[r * PART + k] = 0.0;
-        gram($rows, a, s);
-""")
+from casacal.kernels.program import TRIGONOMETRIC, Program
 
 
 def can_print(program: Program) -> bool:
@@ -143,7 +44,7 @@ def kernel_source(slopes: Program, parameters: int) -> str:
         lane = s.lane(values)
         parts.append(PART_OF_NORMAL.substitute(lane=lane, component=m, out=_lines(out), rows=rows))
     outputs = residual.outputs[0]
-    return HEAD + KERNELS.substitute(
+    return HEAD + Template(ONLY_RESIDUAL.template + KERNELS.template).substitute(
         residual_once=e.once(e.program.results),
         residual_lane=e.lane(e.program.results),
         residual_out=_lines(f"e[{m} * ld + i] = {e.name(value)};" for m, value in enumerate(outputs)),
@@ -157,6 +58,26 @@ def kernel_source(slopes: Program, parameters: int) -> str:
         rows=rows,
         normal_parts="".join(parts),
     )  # fmt: skip
+
+
+def filter_source(residual: Program, unknowns: int, once: int) -> str:
+    """C source of `cubature_pass` for a residual whose lanes are the elements of its first argument, read as they are.
+
+    Args:
+        residual: outputs e (m); its lanes are the z that many states give.
+        unknowns: z.
+        once: numbers in p.
+
+    """
+    printer = _Printer(residual)
+    printer.place = {value: residual.operations[value].element[1] for value in residual.lanes}
+    outputs = residual.outputs[0]
+    body = ONLY_RESIDUAL.substitute(
+        residual_once=printer.once(residual.results),
+        residual_lane=printer.lane(residual.results),
+        residual_out=_lines(f"e[{m} * ld + i] = {printer.name(value)};" for m, value in enumerate(outputs)),
+    )
+    return HEAD + body + FILTER.substitute(z=unknowns, m=len(outputs), once=once)
 
 
 class _Printer:
@@ -188,8 +109,10 @@ class _Printer:
         operation = self.program.operations[value]
         if operation.op == ca.OP_INPUT:
             return f"p[{self.program.position(value)}]"
+        if operation.op in TRIGONOMETRIC and self.program.kinds[value] == "mixed":
+            return f"lane_{C[operation.op].format(self.name(operation.args[0]))}"
         return C[operation.op].format(*(self.name(arg) for arg in operation.args))
 
 
-def _lines(lines: object) -> str:
-    return "\n".join(f"        {line}" for line in lines)  # type: ignore[attr-defined]
+def _lines(lines: Iterable[str]) -> str:
+    return "\n".join(f"        {line}" for line in lines)

@@ -69,9 +69,13 @@ class Program:
         return [value for output in self.outputs for value in output]
 
 
-def read_program(function: ca.Function, roles: Sequence[Role]) -> Program:
-    """Read an SX function whose arguments have the given roles; sines and cosines of sums of both are split up."""
-    builder = _Builder(roles)
+def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = True) -> Program:
+    """Read an SX function whose arguments have the given roles; sines and cosines of sums of both are split up.
+
+    `ahead`: whether operations on data alone are done once for all calls; otherwise each call does them, for data that
+    differ from call to call, and lanes are elements of arguments.
+    """
+    builder = _Builder(roles, ahead)
     work: dict[int, int] = {}
     outputs = [[0] * function.numel_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
@@ -95,8 +99,8 @@ def read_program(function: ca.Function, roles: Sequence[Role]) -> Program:
 class _Builder:
     """Collects operations, each once."""
 
-    def __init__(self, roles: Sequence[Role]) -> None:
-        self.roles = roles
+    def __init__(self, roles: Sequence[Role], ahead: bool) -> None:
+        self.roles, self.ahead = roles, ahead
         self.operations: list[Operation] = []
         self.kinds: list[Kind] = []
         self._known: dict[Operation, int] = {}
@@ -126,7 +130,8 @@ class _Builder:
         kinds = {self.kinds[arg] for arg in operation.args} - {"constant"}
         if not kinds:
             return "once"
-        return kinds.pop() if len(kinds) == 1 else "mixed"
+        kind = kinds.pop() if len(kinds) == 1 else "mixed"
+        return "mixed" if kind == "lane" and not self.ahead else kind
 
     def _summands(self, value: int) -> tuple[int, int] | None:
         """A mixed value as a sum of parameters and data, when it is one."""
