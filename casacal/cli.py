@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from casacal.arguments import build_parser
 from casacal.errors import CasacalError
+from casacal.threads import one_thread_each
 
 if TYPE_CHECKING:
     from casacal.cells import Cell
@@ -24,6 +25,7 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 done, 1 not converged or a check failed, 2 bad input."""
+    one_thread_each()
     try:
         options = build_parser(COMMANDS).parse_args(arguments)
         return int(options.command(options))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.errors import CasacalError
-from casacal.harness.executors import one_thread_each
 
 if TYPE_CHECKING:
     from casacal.harness.study_file import StudyFile
@@ -23,7 +22,6 @@ SAID_EVERY = {True: 0.5, False: 20.0}
 
 def study_command(options: argparse.Namespace) -> int:
     """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
-    one_thread_each()
     try:
         return _study(options)
     except KeyboardInterrupt:

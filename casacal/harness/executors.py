@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from casacal.errors import StudyError
+from casacal.threads import one_thread_each
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -19,16 +20,6 @@ Outcome = TypeVar("Outcome")
 AHEAD = 4
 """Tasks a process has waiting; more would only delay the end of an interrupted run."""
 CONNECT_SECONDS = 10
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-
-
-def one_thread_each() -> None:
-    """Let linear algebra of processes started from here, or of NumPy when not yet loaded, use one thread.
-
-    Several processes with several threads each would wait for one another. A user's own setting stands.
-    """
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
 
 
 def here(function: Callable[[Task], Outcome], tasks: Sequence[Task]) -> Iterator[Outcome]:
