@@ -110,12 +110,26 @@ def answer(run: Run) -> list[str]:
     header = ("setting", "LM finds it", "SCKF+LM finds it", "only SCKF+LM", "only LM", "steps, ratio", "rows, ratio")
     return [
         *by_factor(alone),
+        *farthest(run),
         f"- Fewer rows of residuals than LM, the filter's pass included: {'; '.join(cheaper) or 'nowhere here'}.",
         "",
         *table(header, rows),
         "",
         "Ratios of SCKF+LM to LM: geometric means with bootstrap 95 % intervals over trials in which both found it.",
     ]
+
+
+def farthest(run: Run) -> list[str]:
+    """How another trust region fares from the same start where the errors are largest."""
+    largest = max(FACTORS if not run.quick else (100,))
+    lines = []
+    for setting in (name for name in run.study.settings if name.endswith(f" x{largest}")):
+        rates = []
+        for method in (rivals.LM, rivals.BOTH, rivals.SCIPY):
+            hits = outcomes(run, setting, method)[0]
+            rates.append(f"{method} {percent(success_rate(int(hits.sum()), len(hits)))}")
+        lines.append(f"- {setting}, found by {'; '.join(rates)}.")
+    return lines
 
 
 def by_factor(alone: dict[str, np.ndarray]) -> list[str]:
