@@ -26,6 +26,7 @@ Key: TypeAlias = tuple[str, int]
 
 DIGITS = 10
 """Significant digits that a record keeps of a number."""
+TIMING_DIGITS = 4
 TIMINGS = "seconds"
 """The one entry of a record that may differ when it is made again."""
 
@@ -36,8 +37,9 @@ def key_of(record: Mapping[str, Any]) -> Key:
 
 
 def to_line(record: Mapping[str, Any]) -> str:
-    """A record as one line of JSON with sorted keys; numbers to ten digits, null where not finite."""
-    return json.dumps(_rounded(record), sort_keys=True, separators=(",", ":"), allow_nan=False) + "\n"
+    """A record as one line of JSON with sorted keys; numbers to ten digits, timings to four, null where not finite."""
+    plain = {key: _rounded(value, TIMING_DIGITS if key == TIMINGS else DIGITS) for key, value in record.items()}
+    return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False) + "\n"
 
 
 def read_records(path: Path) -> list[Record]:
@@ -146,11 +148,11 @@ def _content(record: Mapping[str, Any]) -> str:
     return to_line({name: value for name, value in record.items() if name not in (TIMINGS, "fingerprint")})
 
 
-def _rounded(value: Any) -> Any:
+def _rounded(value: Any, digits: int) -> Any:
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _rounded(item) for key, item in value.items()}
+        return {key: _rounded(item, digits) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_rounded(item) for item in value]
+        return [_rounded(item, digits) for item in value]
     return value
