@@ -18,7 +18,7 @@ from casacal.harness.statistics import holm, mean_interval, paired, quantiles, s
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
 from studies.paper_tables import FOUND, best_cost
-from studies.reporting import PROBLEMS, figure, number, percent, save_both, script, table
+from studies.reporting import PROBLEMS, figure, number, percent, save, script, table
 from studies.starts import widened
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
@@ -60,7 +60,7 @@ quick = described(4, (1, 10, 100), 1, 10_000, 1)
 
 def report(run: Run) -> list[str]:
     """The answer, a table a setting, and rates over the size of the errors."""
-    draw(run, run.out / "success")
+    draw(run, run.out / "success.png")
     lines = [
         "# From how far away is the minimum found?",
         "",
@@ -186,7 +186,7 @@ def draw(run: Run, path: Path) -> None:
     for axes in panels[-1]:
         axes.set_xlabel("errors, times 0.7 mm and 1 mrad")
     panels[0][-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
-    save_both(made, path)
+    save(made, path)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from casacal.metrics import noise_interval
 from casacal.simulated_trials import SimulatedTrial
 from studies import rivals
 from studies.paper_pictures import COLOURS
-from studies.reporting import PROBLEMS, figure, number, percent, save_both, script, table
+from studies.reporting import PROBLEMS, figure, number, percent, save, script, table
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
 CELL = SOURCE.cell
@@ -88,7 +88,7 @@ quick = dataclasses.replace(study, trials=4)
 
 def report(run: Run) -> list[str]:
     """What each mistake costs at the tip, whether the residuals betray it, and whether intervals still hold."""
-    draw(run, run.out / "cost_of_mistakes")
+    draw(run, run.out / "cost_of_mistakes.png")
     lines = [
         "# When something is not as the model says",
         "",
@@ -170,7 +170,7 @@ def draw(run: Run, path: Path) -> None:
     axes.set_xlabel("tip error over that of LM where all is as the model says")
     axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    save_both(made, path)
+    save(made, path)
 
 
 if __name__ == "__main__":

@@ -59,11 +59,11 @@ def report(run: Run) -> list[str]:
     """Sentences, Tables III to V, Figures 3 to 5, and the curve of cost over budget."""
     budget = max(b for b in rivals.BUDGETS if rivals.at_budget("M2 swarm", b) in run.study.methods)
     shown = shown_methods(budget)
-    paper_pictures.headline(run, shown, (ONE, THREE), run.out / "headline")
+    paper_pictures.headline(run, shown, (ONE, THREE), run.out / "headline.png")
     paper_pictures.bars(run, shown, run.out / "figure3")
     paper_pictures.training(run, shown, run.out / "figure4")
     paper_pictures.positions(run, budget, run.out / "figure5")
-    paper_pictures.over_budget(run, run.out / "cost_over_budget")
+    paper_pictures.over_budget(run, run.out / "cost_over_budget.png")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
     lines += ["What one sees (medians), what one wants (means with 95 % intervals), and what it takes:", ""]

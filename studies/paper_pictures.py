@@ -8,7 +8,7 @@ from casacal import Run
 from casacal.harness.statistics import mean_interval
 from studies import rivals
 from studies.paper_tables import best_cost
-from studies.reporting import figure, save_both
+from studies.reporting import figure, save, save_both
 
 COLOURS = {
     rivals.BEFORE: "#9a9a9a", rivals.PLANES: "#8c8c8c", "M1 annealing": "#d1622b", "M2 swarm": "#e0a030",
@@ -51,7 +51,7 @@ def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path
     panels[0].set_yticks(range(len(methods)), [base(method) for method in methods])
     panels[0].invert_yaxis()
     panels[0].legend(frameon=False, fontsize=8, loc="lower right")
-    save_both(made, path)
+    save(made, path)
 
 
 def bars(run: Run, methods: list[str], path: Path) -> None:
@@ -158,7 +158,7 @@ def over_budget(run: Run, path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     made.axes[0].set_ylabel("objective above the best, median")
     made.axes[-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
-    save_both(made, path)
+    save(made, path)
 
 
 def end(run: Run, setting: str, method: str) -> tuple[float, float]:

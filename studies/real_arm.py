@@ -23,7 +23,7 @@ from casacal.least_squares import Restricted
 from casacal.metrics import residual_figures
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
-from studies.reporting import PROBLEMS, figure, save_both, script, table
+from studies.reporting import PROBLEMS, figure, save, script, table
 
 FOLDER = Path(os.environ.get("CASACAL_MOTOMAN", "-"))
 TRACKED = {"tracker_free_mm": "tracker_free.csv", "tracker_wall_mm": "tracker_wall.csv"}
@@ -117,7 +117,7 @@ else:
 
 def report(run: Run) -> list[str]:
     """Planes against tracker, method by method."""
-    draw(run, run.out / "planes_and_tracker")
+    draw(run, run.out / "planes_and_tracker.png")
     lines = [
         "# A real arm: what the planes say and what the tracker says",
         "",
@@ -184,7 +184,7 @@ def draw(run: Run, path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     made.axes[0].set_ylabel("tracker, free space, mm RMS")
     made.axes[-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
-    save_both(made, path)
+    save(made, path)
 
 
 if __name__ == "__main__":

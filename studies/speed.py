@@ -25,7 +25,7 @@ from casacal.kernels.batch import Batch
 from casacal.kernels.compiler import CompilerError, load_library
 from casacal.samples import Samples
 from casacal.unknowns.unknown import tangent_basis
-from studies.reporting import PROBLEMS, figure, save_both, script, table
+from studies.reporting import PROBLEMS, figure, save, script, table
 
 try:  # another library's filter, where it is installed
     from filterpy.kalman import CubatureKalmanFilter
@@ -92,7 +92,7 @@ class ByHand:
     """The functions of limit.c on a case."""
 
     def __init__(self, made: Case) -> None:
-        self.library = load_library((Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8"))
+        self.functions = load_library((Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8"))
         self.made, self.n, self.ld = made, made.blocks.rows, made.q.shape[1]
         self.e, self.j, self.s = np.empty(self.ld), np.empty((27, self.ld)), np.empty((28, 28))
         self.x, self.states = np.empty(27), np.tile(made.p, (CANDIDATES, 1))
@@ -106,7 +106,7 @@ class ByHand:
         """A function of the library on these arguments, after the rows' counts; a call costs a microsecond."""
         given = [v.ctypes.data if isinstance(v, np.ndarray) else v for v in values]
         types = [ctypes.c_void_p if isinstance(v, np.ndarray) else ctypes.c_long for v in values]
-        function = self.library[name]
+        function = self.functions[name]
         function.argtypes, function.restype = [ctypes.c_long, ctypes.c_long, *types], None
         call = partial(function, self.n, self.ld, *given)
         call.kept = values  # pointers do not keep arrays alive
@@ -267,7 +267,7 @@ def report(run: Run) -> list[str]:
     small = {120: cases[120]}
     lines += [f"## {CANDIDATES} candidates", "", *compared("objective", cost_contenders, small, seconds)[0], ""]
     lines += ["## One pass of the cubature filter", "", *compared("SCKF", filter_contenders, small, seconds)[0], ""]
-    draw(growth, run.out / "growth")
+    draw(growth, run.out / "growth.png")
     return [*lines, "![time over the number of rows](growth.png)"]
 
 
@@ -285,7 +285,7 @@ def draw(growth: dict[str, dict[int, dict[str, float]]], path: Path) -> None:
         axes.legend(frameon=False, fontsize=7)
         axes.spines[["top", "right"]].set_visible(False)
     made.axes[0].set_ylabel("seconds")
-    save_both(made, path)
+    save(made, path)
 
 
 if __name__ == "__main__":
