@@ -72,16 +72,14 @@ class RowModel:
 
     def filter(self, backend: str | None = None) -> NativeFilter | None:
         """The cubature filter's pass in C; None where rows are not evaluated in C either."""
-        if "c" not in self._filters and self.rows(backend).kernels.name == "c":
-            try:
-                self._filters["c"] = NativeFilter(self.residual)
-            except CompilerError:
-                self._filters["c"] = None
-        return self._filters.get("c") if self.rows(backend).kernels.name == "c" else None
+        return self._native_filter if self.rows(backend).kernels.name == "c" else None
 
     @cached_property
-    def _filters(self) -> dict[str, NativeFilter | None]:
-        return {}
+    def _native_filter(self) -> NativeFilter | None:
+        try:
+            return NativeFilter(self.residual)
+        except CompilerError:
+            return None
 
     @cached_property
     def _rows(self) -> dict[str, RowKernels]:

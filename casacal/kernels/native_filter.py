@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -66,7 +66,7 @@ class NativeFilter:
         means, innovations, stds = np.empty((rows, n)), np.empty(rows), np.empty(rows)
         lanes = -(-2 * n // 8) * 8
         work = np.empty(lanes * (self.unknowns + self.components) + 4 * n)
-        arrays = [np.ascontiguousarray(each, dtype=np.int_) for each in (pattern, columns)]
+        arrays: list[NDArray[Any]] = [np.ascontiguousarray(each, dtype=ctypes.c_long) for each in (pattern, columns)]
         arrays += [np.ascontiguousarray(each) for each in (x0, scale, once, weight)]
         belief = (mean, root, means, innovations, stds, work)
         at = [each.ctypes.data for each in (*arrays, *belief)]
