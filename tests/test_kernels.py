@@ -181,6 +181,18 @@ def test_a_graph_that_numpy_does_not_know_is_mapped_by_casadi():
     assert rows.kernels.normal(at, heavier)[-1, -1] == pytest.approx(np.sum(expected**2))
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_constants_may_be_infinite(backend):
+    p, q = ca.SX.sym("p"), ca.SX.sym("q")
+    e = ca.vertcat(ca.fmin(q, ca.SX(ca.inf)) + p, ca.fmax(q * p, ca.SX(-ca.inf)) - 1e-300, ca.if_else(q > 0, p, ca.inf))
+    rows = RowKernels(ca.Function("f", [p, q], [e, ca.densify(ca.SX(3, 1))]), ("once", "lane"), backend)
+    assert rows.kernels.name == backend
+    lanes = np.array([[-1.0], [2.0]])
+    found = rows.kernels.residual(np.array([3.0]), rows.lanes([lanes], np.ones((2, 3))))
+    np.testing.assert_array_equal(found[:2], [[2.0, 5.0], [-3.0, 6.0]])
+    assert found[2, 1] == 3.0 or np.isnan(found[2, 1])  # CasADi's if_else is 0 * inf where the condition fails
+
+
 def test_a_residual_that_does_not_touch_the_data_still_has_rows():
     robot = Robot("stub", joints=1, pose=lambda p, q: ca.SX.eye(4), parameters={"a": Parameter((1.0,), unit="mm")})
 

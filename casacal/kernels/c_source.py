@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from string import Template
 
@@ -90,7 +91,7 @@ class _Printer:
     def name(self, value: int) -> str:
         operation = self.program.operations[value]
         if operation.op == ca.OP_CONST:
-            return f"({operation.constant!r})"
+            return _constant(operation.constant)
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
     def once(self, roots: list[int]) -> str:
@@ -112,6 +113,13 @@ class _Printer:
         if operation.op in TRIGONOMETRIC and self.program.kinds[value] == "mixed":
             return f"lane_{C[operation.op].format(self.name(operation.args[0]))}"
         return C[operation.op].format(*(self.name(arg) for arg in operation.args))
+
+
+def _constant(value: float) -> str:
+    """A number as C writes it, exactly."""
+    if math.isfinite(value):
+        return f"({value!r})"
+    return "NAN" if math.isnan(value) else "(INFINITY)" if value > 0 else "(-INFINITY)"
 
 
 def _lines(lines: Iterable[str]) -> str:
