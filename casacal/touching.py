@@ -19,7 +19,7 @@ EDGE = 0.05
 """Readings stay this part of the travel away from its ends."""
 
 POOL = 1000
-"""Random poses among which each target finds its start."""
+"""Random poses among which each target finds its start. Targets near one another find the same, and share a posture."""
 
 ROUNDS = 60
 """Fresh targets tried for a touch before the face counts as out of reach."""

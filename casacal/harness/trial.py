@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -85,19 +86,13 @@ def _failure(error: Exception) -> Record:
 
 def _result(outcome: Result | Array, problem: LeastSquares, method: str) -> Result:
     """A result over the problem itself; raises StudyError for an estimate that is none."""
-    if isinstance(outcome, Result):
-        x, other = np.asarray(outcome.x), outcome
-    else:
-        x = np.asarray(outcome, dtype=np.float64)
+    x = np.asarray(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
     if x.shape != problem.x0.shape:
         raise StudyError(f"The estimate has the shape {x.shape}", f"Return a Result, or x of shape {problem.x0.shape}")
     if not np.isfinite(x).all():
         raise StudyError("The estimate is not finite", "See the method's status on this problem alone")
     if isinstance(outcome, Result):
-        return Result(
-            method, problem, x, other.covariance, other.status, other.trace, other.steps, other.residual_rows,
-            other.jacobian_rows, other.loss,
-        )  # fmt: skip
+        return replace(outcome, method=method, problem=problem, x=x)
     covariance = posterior_covariance(problem.normal(x).information, problem.prior_std)
     return Result(method, problem, x, covariance, Status.UNSAID, {}, 0, 0, 0)
 
