@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from casacal.bound_problem import BoundProblem, bind
     from casacal.calibration import Calibration, calibrate
     from casacal.cells import Cell, Face, corner, gauge_block, plate
+    from casacal.conventions import Conventions
     from casacal.doctor import Finding, check
     from casacal.errors import CasacalError
     from casacal.estimators import (
@@ -46,6 +47,7 @@ _HOMES = {
     "casacal.bound_problem": ("BoundProblem", "bind"),
     "casacal.calibration": ("Calibration", "calibrate"),
     "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
+    "casacal.conventions": ("Conventions",),
     "casacal.doctor": ("Finding", "check"),
     "casacal.errors": ("CasacalError",),
     "casacal.estimators": (

@@ -31,6 +31,7 @@ class Touch:
     """A plunger on an arm with given true parameters: tip, direction and their slopes by the joints."""
 
     robot: Robot
+    place: Batch
     evaluate: Batch
     local: Array
 
@@ -45,9 +46,13 @@ class Touch:
         pose = robot.pose(p, q)
         tip = instrument.tip(pose, p, SimpleNamespace(reading=reading))
         axis = rotation(pose) @ p.plunger
-        outputs = [tip, axis, ca.jacobian(tip, q).T, ca.jacobian(axis, q).T]
-        function = ca.Function("touch", [ca.vertcat(*z.values()), q, reading], [ca.densify(o) for o in ca.cse(outputs)])
-        return Touch(robot, Batch(function), np.concatenate([local[key] for key in unknowns]))
+        place, slopes = [tip, axis], [ca.jacobian(tip, q).T, ca.jacobian(axis, q).T]
+
+        def batch(outputs: list[ca.SX]) -> Batch:
+            inputs = [ca.vertcat(*z.values()), q, reading]
+            return Batch(ca.Function("touch", inputs, [ca.densify(o) for o in ca.cse(outputs)]))
+
+        return Touch(robot, batch(place), batch(place + slopes), np.concatenate([local[key] for key in unknowns]))
 
     def __call__(self, joints: Array, readings: Array) -> tuple[Array, Array, Array, Array]:
         """Tips (N, 3), directions (N, 3) and their slopes by the joints, each (N, 3, n)."""
@@ -81,16 +86,16 @@ class Touch:
                 break
         return joints
 
-    def nearest(self, targets: Array, axes: Array, pool: Array) -> Array:
-        """For each target (N, 3) with its plunger direction, the pose (N, n) of a pool (M, n) that is nearest to it.
+    def nearest(self, targets: Array, axes: Array, poses: Array) -> Array:
+        """For each target (N, 3) with its plunger direction, the nearest of its own poses (N, M, n): (N, n).
 
         From afar, steps are so erratic that rounding decides where they lead; from nearby they are not.
         """
-        tips, directions, *_ = self(pool, np.zeros(len(pool)))
-        places = np.hstack([tips, AXIS_WEIGHT * directions])
-        wanted = np.hstack([targets, AXIS_WEIGHT * axes])
-        miss = (places**2).sum(axis=1) - 2 * wanted @ places.T
-        return np.asarray(pool[np.argmin(miss, axis=1)])
+        count, choices, n = poses.shape
+        tips, directions = self.place(self.local, poses.reshape(-1, n), np.zeros((1,)))
+        miss = ((tips.reshape(count, choices, 3) - targets[:, None]) ** 2).sum(axis=2)
+        miss += AXIS_WEIGHT**2 * ((directions.reshape(count, choices, 3) - axes[:, None]) ** 2).sum(axis=2)
+        return np.asarray(poses[np.arange(count), np.argmin(miss, axis=1)])
 
     def land(self, joints: Array, readings: Array, normals: Array, heights: Array) -> Array:
         """Smallest joint moves that put tips exactly on n . tip = height: (N, n)."""

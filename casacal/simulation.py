@@ -68,8 +68,7 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     """Draw a true arm from the prior and let it touch the faces of a cell.
 
     The true tip, at joint values inside the limits, touches a face within the dial's travel; what is recorded are the
-    joint values without sag, backlash and repeatability, and the reading with its faults. Touches near one another
-    share a posture: 120 on one face come in some twenty families, which tells less of the arm than 120 of their own.
+    joint values without sag, backlash and repeatability, and the reading with its faults.
 
     Args:
         problem: one robot with one `DialOnPlane`.

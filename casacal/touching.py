@@ -18,8 +18,8 @@ Array: TypeAlias = NDArray[np.float64]
 EDGE = 0.05
 """Readings stay this part of the travel away from its ends."""
 
-POOL = 1000
-"""Random poses among which each target finds its start. Targets near one another find the same, and share a posture."""
+STARTS = 200
+"""Random poses among which each target finds its start: its own, so that targets near one another differ in posture."""
 
 ROUNDS = 60
 """Fresh targets tried for a touch before the face counts as out of reach."""
@@ -74,13 +74,14 @@ def try_touches(
     readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if instrument.reading else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
-    directions, pool = _tilted(axes, cell.tilt, rng), random_joints(touch.robot, POOL, rng)
+    directions = _tilted(axes, cell.tilt, rng)
+    starts = random_joints(touch.robot, count * STARTS, rng).reshape(count, STARTS, -1)
     if waiting is not None:
         which, lift, readings, uv = which[waiting], lift[waiting], readings[waiting], uv[waiting]
-        axes, centres, half, targets, directions = (
-            each[waiting] for each in (axes, centres, half, targets, directions)
+        axes, centres, half, targets, directions, starts = (
+            each[waiting] for each in (axes, centres, half, targets, directions, starts)
         )
-    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, pool))
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, starts))
     joints, inside = touch.within_limits(joints)
     heights = lift + (axes[:, 0] * centres).sum(axis=1)
     for i, form_seed in enumerate(form_seeds):

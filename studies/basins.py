@@ -18,7 +18,7 @@ from casacal.harness.statistics import holm, mean_interval, paired, quantiles, s
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
 from studies.paper_tables import FOUND, best_cost
-from studies.reporting import POSTURES, PROBLEMS, figure, number, percent, save, script, table
+from studies.reporting import PROBLEMS, figure, number, percent, save, script, table
 from studies.starts import widened
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
@@ -69,7 +69,6 @@ def report(run: Run) -> list[str]:
         "planes and the population methods' box, as they would for someone who knows how little the drawing says.",
         f"*Found*: the objective is within {FOUND:g} of the lowest that any minimiser found. *Near*: within {NEAR} per",
         "unknown of it, which filters reach without iterating. Rates with Clopper and Pearson's 95 % intervals.",
-        *POSTURES,
         "",
         "## When is SCKF+LM worth it over LM?",
         "",

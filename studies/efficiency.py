@@ -14,7 +14,7 @@ import numpy as np
 from casacal import Problem, Run, Simulated, Study, load_problem
 from casacal.harness.statistics import mean_interval
 from studies import rivals
-from studies.reporting import POSTURES, PROBLEMS, script, table
+from studies.reporting import PROBLEMS, script, table
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
 SETTINGS = {"noise 0.06 mm": (0.06, 1.0), "noise 0.01 mm": (0.01, 1.0), "noise 0.01 mm, errors x5": (0.01, 5.0)}
@@ -46,7 +46,6 @@ def report(run: Run) -> list[str]:
         "HSR-JR680; floor, wall and side wall of 600 mm around (1350, 0, 700) mm, tilt up to 30 degrees, 120 touches",
         f"fitted, dial travel 10 mm, prior 0.7 mm and 1 mrad (times the setting's factor); {run.study.trials} trials a",
         "setting. Tip errors over 400 workspace poses, up to the base frame. Means with bootstrap 95 % intervals.",
-        *POSTURES,
         "",
         "## In short",
         "",

@@ -21,7 +21,7 @@ from casacal.metrics import noise_interval
 from casacal.simulated_trials import SimulatedTrial
 from studies import rivals
 from studies.paper_pictures import COLOURS
-from studies.reporting import POSTURES, PROBLEMS, figure, number, percent, save, script, table
+from studies.reporting import PROBLEMS, figure, number, percent, save, script, table
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
 CELL = SOURCE.cell
@@ -96,7 +96,6 @@ def report(run: Run) -> list[str]:
         "error over 400 workspace poses, up to the base frame, mm RMS. *Noticed*: part of trials in which the 95 %",
         "interval of found over stated noise leaves out 1, which casacal warns about. *Coverage*: part of tip errors",
         "inside their 95 % intervals. Intervals are bootstrap ones, and Clopper and Pearson's for rates.",
-        *POSTURES,
         "",
         "## In short",
         "",

@@ -17,7 +17,7 @@ from casacal import Run, Simulated, Study, load_problem, plate
 from casacal.cells import flatness_din_876
 from casacal.harness.statistics import Paired, paired, success_rate
 from studies import paper_pictures, paper_ranking, paper_tables, rivals
-from studies.reporting import POSTURES, PROBLEMS, percent, script, table
+from studies.reporting import PROBLEMS, percent, script, table
 from studies.starts import widened
 
 SOURCE = load_problem(PROBLEMS / "hsr_jr680")
@@ -98,7 +98,6 @@ def introduction(run: Run) -> list[str]:
         f"20 urad, a plate of grade I, all unknown to the fit. *Errors x{FACTOR}*: true errors and priors so many",
         "times larger. Population methods search the prior's mean +- 4 standard deviations from a start that includes",
         "the mean, each budget in a run of its own, in fewer trials where the tables say so.",
-        *POSTURES,
         "",
         "Plane residual: distance of held-out tips from the fitted plane, **not accuracy**. Tip error: distance of the",
         "true tip from where the calibrated arm believes it, over 400 poses of the workspace, up to the base frame.",

@@ -14,12 +14,6 @@ from casacal.harness.statistics import Interval
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
-POSTURES = (
-    "Touches near one another share a starting posture: the 120 of a trial come in 6 to 25 families of postures on one",
-    "face and 19 to 36 on three (ten trials each), so they tell less than 120 postures of their own would.",
-)
-"""What a reader of simulated figures must know of how the touches were found."""
-
 
 def script(file: str) -> None:
     """Run a study file as `casacal study FILE` with the arguments of this process, and end with its exit code."""

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     {"errors", "threads"},
-    {"kinematics", "linalg", "losses", "tables", "unknowns"},
+    {"conventions", "kinematics", "linalg", "losses", "tables", "unknowns"},
     {"robot", "instruments", "samples", "least_squares", "result"},
     {"kernels", "compile", "problem", "raw_graph", "binding", "row_groups", "bound_problem", "estimators"},
     {
