@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,11 +13,15 @@ from numpy.typing import NDArray
 from casacal.compile import RowModel
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument, Sight
+from casacal.labels import Labels, combinations
 from casacal.problem import Problem
-from casacal.samples import Samples, ordered_labels
+from casacal.samples import Samples
 from casacal.unknowns import Unknown
 
 Array: TypeAlias = NDArray[np.float64]
+
+ENOUGH = 20_000
+"""Rows of a face that propose where it is, and rows looked at together."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +58,25 @@ class Block:
     samples: Samples
     slots: tuple[tuple[Slot, ...], ...]
     """For each row pattern the slots of the model's unknowns, in the model's order."""
-    pattern: NDArray[np.intp]
+    pattern: NDArray[np.int32]
     """Row pattern of each sample (N,)."""
     columns: NDArray[np.intp]
     """Positions in x of the model's z, by row pattern (patterns, nz)."""
     constants: Array
     """c by row pattern (patterns, nc)."""
-    data: Array
-    """d by sample (N, nd): mm, rad."""
+    known: tuple[Array, ...]
+    """Columns of d beside the joint values, each (N,): mm, rad."""
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
+
+    def rows(self, index: NDArray[np.intp] | slice) -> Array:
+        """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
+        return np.column_stack([self.samples.joints[index], *(column[index] for column in self.known)])
+
+    @cached_property
+    def data(self) -> Array:
+        """d of all samples (N, nd)."""
+        return self.rows(slice(None))
 
 
 def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
@@ -85,13 +99,13 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
             raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Declare one")
         add(key, unknown, None, unknown.nominal, False)
     for i, instrument in enumerate(problem.instruments):
-        sight = nominal_sight(problem, i, samples[i])
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in _instances(instrument, key, unknown, samples[i]):
                 _check_rows(problem, i, key, unknown, label, rows, samples[i])
                 nominal = unknown.nominal
                 if nominal is None:
-                    nominal = instrument.propose(key, _part(sight, rows))
+                    few = rows[:: -(-len(rows) // ENOUGH) or 1]
+                    nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))
                 add(problem.prefix(i) + key, unknown, label, nominal, key in instrument.datum)
     return slots
 
@@ -107,9 +121,13 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
     index = [list(model.unknowns).index(key) for key in model.constants]
     constants = np.array([np.concatenate([row[j].nominal for j in index] or [np.zeros(0)]) for row in row_slots])
-    data = _data(problem, i, samples)
     columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), -1)
-    (noise,) = model.batch.noise(np.zeros(nz), constants[pattern], data)
+    known = tuple(_columns(problem, i, samples).values())
+    noise = np.empty((len(samples), model.components))
+    block = Block(model, samples, row_slots, pattern, columns, constants, known, noise)
+    for first in range(0, len(samples), ENOUGH):
+        some = slice(first, first + ENOUGH)
+        (noise[some],) = model.batch.noise(np.zeros(nz), constants[pattern[some]], block.rows(some))
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])
@@ -118,17 +136,16 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
             "in this row, as when a plunger lies in the face",
             "Declare contact_std, or remove the row",
         )
-    return Block(model, samples, row_slots, pattern, columns, constants, data, noise)
+    return block
 
 
 def _patterns(
     problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
-) -> tuple[tuple[tuple[Slot, ...], ...], NDArray[np.intp]]:
+) -> tuple[tuple[tuple[Slot, ...], ...], NDArray[np.int32]]:
     """Different combinations of slots that rows see, and which of them each row (N,) sees."""
     by_name = {slot.name: slot for slot in slots}
     label_columns = problem.layout(i).labels
-    by_row = list(zip(*(samples.labels[name] for name in label_columns), strict=True)) or [()] * len(samples)
-    distinct = {labels: j for j, labels in enumerate(dict.fromkeys(by_row))}
+    distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
     patterns = []
     for labels in distinct:
         here = dict(zip(label_columns, labels, strict=True))
@@ -144,7 +161,7 @@ def _patterns(
                     "Fit some rows of each label",
                 )
         patterns.append(tuple(by_name[name] for name in names))
-    return tuple(patterns), np.array([distinct[labels] for labels in by_row], dtype=np.intp)
+    return tuple(patterns), pattern
 
 
 def _data(problem: Problem, i: int, samples: Samples) -> Array:
@@ -156,7 +173,8 @@ def _columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:
     instrument = problem.instruments[i]
     columns = {name: samples.columns[name] for name in instrument.columns}
     for name, values in instrument.known_columns.items():
-        columns[name] = np.array([values.get(label, 0.0) for label in samples.labels[instrument.known_by]])
+        labels = samples.labels[instrument.known_by]
+        columns[name] = np.array([values.get(label, 0.0) for label in labels.names])[labels.codes]
     return columns
 
 
@@ -166,8 +184,9 @@ def _instances(
     """Labels of an unknown's instances (None when there is one for all), with the rows of each."""
     if unknown.per is None:
         return [(None, np.arange(len(samples)))]
-    have = [instrument.instance(key, label) for label in samples.labels[unknown.per]]
-    return [(label, np.flatnonzero(np.array(have) == label)) for label in ordered_labels(have)]
+    labels = samples.labels[unknown.per]
+    have = Labels.coded((instrument.instance(key, label) for label in labels.names), labels.codes)
+    return [(label, np.flatnonzero(have.codes == k)) for k, label in enumerate(have.names)]
 
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
@@ -188,10 +207,6 @@ def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
             "Check nominal values, and that tip uses no unknown without one",
         )
     return Sight(flat.reshape(-1, 4, 4).transpose(0, 2, 1), tips, _columns(problem, i, samples))
-
-
-def _part(sight: Sight, rows: NDArray[np.intp]) -> Sight:
-    return Sight(sight.poses[rows], sight.tips[rows], {name: values[rows] for name, values in sight.columns.items()})
 
 
 def _check_rows(

@@ -10,18 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
-from casacal.least_squares import FilterPass, LeastSquares, Normal
+from casacal.kernels.native_normal import NativeNormal
+from casacal.least_squares import FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
-from casacal.row_groups import RowGroups
+from casacal.row_groups import FEW, RowGroups
 from casacal.samples import Samples
+from casacal.threads import thread_count
 from casacal.unknowns import Parameter
 
 Array: TypeAlias = NDArray[np.float64]
 
+COMPACT = 50_000
+"""Rows beyond which no whole Jacobian is held."""
 
-def bind(problem: Problem, *samples: Samples, backend: str | None = None) -> BoundProblem:
+
+def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
     """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
@@ -31,18 +36,25 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None) -> Bou
         problem: robot and instruments.
         samples: rows of each instrument.
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
+        threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
+            not depend on it.
 
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 
     """
-    return BoundProblem(problem, make_slots(problem, samples), samples, backend)
+    return BoundProblem(problem, make_slots(problem, samples), samples, backend, threads)
 
 
 class BoundProblem(LeastSquares):
     """A `Problem` with its samples; see `bind`."""
 
     def __init__(
-        self, problem: Problem, slots: Sequence[Slot], samples: Sequence[Samples], backend: str | None = None
+        self,
+        problem: Problem,
+        slots: Sequence[Slot],
+        samples: Sequence[Samples],
+        backend: str | None = None,
+        threads: int | None = None,
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
@@ -53,8 +65,8 @@ class BoundProblem(LeastSquares):
         self.start_std = np.array([slot.unknown.start_stds[j] for slot, j in pairs])
         self.datum = np.array([slot.datum for slot, _ in pairs], dtype=bool)
         self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
-        self._asked = backend
-        self._groups = tuple(RowGroups(block, backend) for block in self.blocks)
+        self._asked, self._threads = backend, thread_count(threads)
+        self._groups = tuple(RowGroups(block, backend, self._threads) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     @property
@@ -67,7 +79,7 @@ class BoundProblem(LeastSquares):
 
         Raises ProblemError when a row carries a label that these unknowns do not have.
         """
-        return BoundProblem(self.problem, self.slots, samples, self._asked)
+        return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads)
 
     @property
     def backend(self) -> str:
@@ -88,18 +100,50 @@ class BoundProblem(LeastSquares):
         parts = []
         for groups, block in zip(self._groups, self.blocks, strict=True):
             whole = np.zeros((*block.noise.shape, self.unknowns))
-            for group, _, slopes in groups.slopes(x):
-                whole[group.rows[:, None, None], np.arange(slopes.shape[1])[:, None], group.columns] = (
-                    slopes / block.noise[group.rows][..., None]
+            for piece, _, slopes in groups.slopes(x):
+                whole[piece.rows[:, None, None], np.arange(slopes.shape[1])[:, None], piece.columns] = (
+                    slopes / block.noise[piece.rows][..., None]
                 )
             parts.append(whole.reshape(-1, self.unknowns))
         return np.vstack(parts)
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
+        if loss is None and self._native is not None:
+            return Normal(*self._native.sums(x))
         parts = [groups.normal(x, loss) for groups in self._groups]
         costs, gradients, informations = zip(*parts, strict=True)
         return Normal(sum(costs), np.sum(gradients, axis=0), np.sum(informations, axis=0))
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+        """A damped Gauss-Newton step; in C where rows are evaluated in C."""
+        if self._native is None:
+            return super().damped_step(x, normal, damping)
+        found = self._native.step(x, normal.gradient, normal.information, damping)
+        return None if found is None else Step(*found)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows, piece by piece."""
+        if self.rows <= COMPACT:
+            return self.jacobian(x)
+        triangle = np.zeros((0, self.unknowns))
+        for groups, block in zip(self._groups, self.blocks, strict=True):
+            for piece, _, slopes in groups.slopes(x):
+                whole = np.zeros((slopes.shape[0] * slopes.shape[1], self.unknowns))
+                whole[:, piece.columns] = (slopes / block.noise[piece.rows][..., None]).reshape(len(whole), -1)
+                triangle = np.asarray(np.linalg.qr(np.vstack([triangle, whole]), mode="r"))
+        return triangle
+
+    @cached_property
+    def _native(self) -> NativeNormal | None:
+        """Sums over all rows in C; None where some instrument's rows are not evaluated in C."""
+        pieces = [groups.native_pieces for groups in self._groups]
+        known = [piece for some in pieces if some is not None for piece in some]
+        if None in pieces or not known:
+            return None
+        return NativeNormal(
+            known, self.x0, self.start_std, self.prior_information, self._threads if self.rows >= FEW else 1
+        )
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
@@ -183,14 +227,14 @@ class BoundProblem(LeastSquares):
                         block.model.raw_residual,
                         np.array(columns, dtype=np.intp),
                         constants,
-                        block.data[rows],
+                        block.rows(rows),
                         block.noise[rows],
                     )
                 )
         return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
-        data = np.zeros((len(joints), block.data.shape[1]))
+        data = np.zeros((len(joints), joints.shape[1] + len(block.known)))
         data[:, : joints.shape[1]] = joints
         outputs: list[Array] = getattr(block.model.batch, name)(x[block.columns[0]], block.constants[0], data)
         return outputs

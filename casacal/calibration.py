@@ -16,13 +16,14 @@ from casacal.cures import cure_for, cures
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.expectation import classical_accuracy, expected_accuracy
+from casacal.holdout import split
 from casacal.identifiability import Identifiability, NullDirection, WeakDirection, identifiability, natural_scale
 from casacal.instruments import DialOnPlane
 from casacal.losses import Loss
 from casacal.metrics import noise_interval, residual_figures, workspace_joints
 from casacal.problem import Problem
 from casacal.result import Result
-from casacal.samples import Samples, ordered_labels
+from casacal.samples import Samples
 
 Array: TypeAlias = NDArray[np.float64]
 Progress = Callable[[int, float], None]
@@ -154,7 +155,7 @@ class Calibration:
             return ()
         (samples,) = self.fit.samples
         per_row = self.fit.rows // len(samples)
-        low = np.flatnonzero(self.result.weights < HALF_WEIGHT)
+        low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
         return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
 
     @cached_property
@@ -173,6 +174,7 @@ def calibrate(
     reference: bool = True,
     loss: Loss | None = None,
     backend: str | None = None,
+    threads: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit the unknowns of a problem with one instrument to its samples.
@@ -185,7 +187,7 @@ def calibrate(
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         loss: a robust loss, for the method "lm" alone.
-        backend: what evaluates the rows, as for `bind`.
+        backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
     Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
@@ -197,7 +199,7 @@ def calibrate(
         raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
     began = time.perf_counter()
     fitted, held = split(samples, holdout, seed)
-    fit = bind(problem, samples.take(fitted), backend=backend)
+    fit = bind(problem, samples.take(fitted) if held.size else samples, backend=backend, threads=threads)
     heldout = fit.on(samples.take(held)) if held.size else None
     if fit.rows < fit.unknowns:
         raise SamplesError(
@@ -218,27 +220,6 @@ def calibrate(
     checked = _check(fit, method, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibration(method, seed, samples, fit, heldout, result, before, checked, seconds)
-
-
-def split(samples: Samples, holdout: float, seed: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows to fit and rows held out, the given part of each label's rows, at random.
-
-    Raises CasacalError unless 0 <= holdout < 1.
-    """
-    if not 0 <= holdout < 1:
-        raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
-    rng = np.random.default_rng(seed)
-    groups = [" ".join(labels) for labels in zip(*samples.labels.values(), strict=True)] or ["all rows"] * len(samples)
-    held: list[int] = []
-    for label in ordered_labels(groups):
-        rows = np.array([i for i, group in enumerate(groups) if group == label])
-        chosen = rng.permutation(rows)[: round(holdout * len(rows))]
-        if len(chosen) == len(rows):
-            raise CasacalError(f"Holding out {holdout:g} leaves no row of '{label}' to fit", "Hold fewer rows out")
-        held += chosen.tolist()
-    mask = np.zeros(len(samples), dtype=bool)
-    mask[held] = True
-    return np.flatnonzero(~mask), np.flatnonzero(mask)
 
 
 def _check(fit: BoundProblem, method: str, result: Result) -> Reference:

@@ -204,7 +204,7 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
         method="truth",
         problem=bound,
         x=simulation.truth(bound),
-        covariance=np.zeros((bound.unknowns, bound.unknowns)),
+        belief=np.zeros((bound.unknowns, bound.unknowns)),
         status=Status.TRUTH,
         trace={},
         steps=0,

@@ -14,11 +14,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.linalg import damped_solution
 from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
@@ -45,6 +46,14 @@ def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss |
         gradient += weighted.T @ r
         information += weighted.T @ jacobian
     return Normal(cost, gradient, information)
+
+
+class Step(NamedTuple):
+    """A damped Gauss-Newton step: the x (n,) it leads to, its squared length s'Hs, and the fall of cost it predicts."""
+
+    x: Array
+    squared_length: float
+    predicted: float
 
 
 @dataclass(frozen=True)
@@ -111,6 +120,24 @@ class LeastSquares(ABC):
         """Cost, gradient and information of the data at x (n,), without the prior; rows weighted by a loss."""
         return accumulate([(self.residual(x), self.jacobian(x))], self.unknowns, loss)
 
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
+        return self.jacobian(x)
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+        """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
+
+        None when that matrix is not positive definite. `normal` is the data's part of H and g at x.
+        """
+        scale = self.start_std
+        information = scale[:, None] * normal.information * scale
+        information.flat[:: scale.size + 1] += scale**2 * self.prior_information
+        gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
+        step = damped_solution(information, gradient, damping)
+        if step is None:
+            return None
+        return Step(x + scale * step, float(step @ information @ step), float(step @ (damping * step - gradient)) / 2)
+
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
         return np.array([self.cost(x) for x in states])
@@ -163,6 +190,10 @@ class Restricted(LeastSquares):
     def jacobian(self, x: Array) -> Array:
         """Columns of the free unknowns (rows, m)."""
         return self.whole.jacobian(self.expand(x))[:, self.free]
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, m) with the J'J of the free columns."""
+        return self.whole.compact_jacobian(self.expand(x))[:, self.free]
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states."""

@@ -47,7 +47,7 @@ def downdated(root: Array, u: Array) -> Array | None:
     return np.asarray(np.tril(root * np.sqrt(left / before) - beyond * (u / np.sqrt(left * before))))
 
 
-def damped_step(information: Array, gradient: Array, damping: Array | float) -> Array | None:
+def damped_solution(information: Array, gradient: Array, damping: Array | float) -> Array | None:
     """Solve (H + diag(damping)) step = -g by Cholesky; None when that matrix is not positive definite.
 
     Args:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from casacal.errors import CasacalError
 from casacal.files import ProblemFile, load_problem, write_text
+from casacal.layout import Layout
 from casacal.metrics import tip_stds, up_to_base, workspace_joints
-from casacal.samples import Layout, Samples
+from casacal.samples import Samples
 from casacal.tables import read_table
 from casacal.unknowns import Parameter
 

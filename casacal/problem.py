@@ -13,8 +13,9 @@ from typing import Any
 from casacal.compile import RowModel, compile_rows
 from casacal.errors import ProblemError, UnknownNameError
 from casacal.instruments import Instrument
+from casacal.layout import Layout
 from casacal.robot import Robot
-from casacal.samples import Layout, Samples
+from casacal.samples import Samples
 from casacal.unknowns import Unknown
 
 
@@ -62,7 +63,7 @@ class Problem:
 
     def read(self, path: str | Path, instrument: int = 0, *, absurd: bool = False) -> Samples:
         """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass."""
-        return Samples.from_csv(path, self.layout(instrument), absurd=absurd)
+        return Samples.from_file(path, self.layout(instrument), absurd=absurd)
 
     def prefix(self, instrument: int) -> str:
         """What the names of an instrument's unknowns begin with: nothing when there is only one."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares
-from casacal.linalg import column_scales
+from casacal.linalg import column_scales, posterior_covariance
 from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
@@ -43,20 +43,32 @@ class Status(Enum):
 class Result:
     """An estimate and how it came about.
 
-    x: estimate (n,) in the units of `problem.units`, deviations from nominal. covariance: (n, n), of x.
-    trace: one array a quantity, one entry a step. residual_rows, jacobian_rows: how many rows of each were evaluated.
+    x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array a quantity, one entry a
+    step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data at x,
+    from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
     """
 
     method: str
     problem: LeastSquares
     x: Array
-    covariance: Array
     status: Status
     trace: Mapping[str, Array]
     steps: int
     residual_rows: int
     jacobian_rows: int
     loss: Loss | None = None
+    information: Array | None = None
+    belief: Array | None = None
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
+        if self.belief is not None:
+            return self.belief
+        information = (
+            self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        )
+        return posterior_covariance(information, self.problem.prior_std)
 
     @cached_property
     def cost(self) -> float:

@@ -1,4 +1,4 @@
-"""The rows of one instrument on their kernels: rows that see the same unknowns are evaluated together."""
+"""The rows of one instrument on their kernels: rows that see the same unknowns are evaluated together, in pieces."""
 
 from __future__ import annotations
 
@@ -11,13 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block
+from casacal.kernels.native import NativeKernels
+from casacal.kernels.native_normal import NativePiece
 from casacal.losses import Loss
+from casacal.threads import shared_out
 
 Array: TypeAlias = NDArray[np.float64]
 
+FEW = 8_192
+"""Rows below which all stay together: threads would spend more on one another than they save."""
+MOST_PIECES = 16
+LARGEST_PIECE = 65_536
+MANY_LANES = 50_000
+"""Candidates times rows from which candidates are shared out."""
+STATES = 32
+"""Candidates evaluated together, when there are many."""
+
 
 @dataclass(frozen=True)
-class Group:
+class Piece:
     """Rows of one pattern: where they stand, which of x they see, their constants, their data as kernels read it."""
 
     rows: NDArray[np.intp]
@@ -25,7 +37,7 @@ class Group:
     constants: Array
     lanes: Any
     square: tuple[NDArray[np.intp], ...]
-    """Where the group's part of an n x n matrix stands."""
+    """Where the piece's part of an n x n matrix stands."""
 
     def parameters(self, x: Array) -> Array:
         """What the kernels call p, at x (n,) or at many (m, n)."""
@@ -36,10 +48,15 @@ class Group:
 
 
 class RowGroups:
-    """Residuals, slopes and their sums over all rows of a block."""
+    """Residuals, slopes and their sums over all rows of a block.
 
-    def __init__(self, block: Block, backend: str | None) -> None:
+    How rows fall into pieces depends on their number alone, and pieces are summed in order: results are the same
+    whatever the number of threads.
+    """
+
+    def __init__(self, block: Block, backend: str | None, threads: int) -> None:
         self.block, self._rows = block, block.model.rows(backend)
+        self._threads = threads if self._rows.kernels.shareable and len(block.noise) >= FEW else 1
 
     @property
     def backend(self) -> str:
@@ -47,49 +64,76 @@ class RowGroups:
         return self._rows.kernels.name
 
     @cached_property
-    def groups(self) -> tuple[Group, ...]:
+    def pieces(self) -> tuple[Piece, ...]:
         """Rows by pattern, packed for the kernels when first used."""
         block, found = self.block, []
         for i, (columns, constants) in enumerate(zip(block.columns, block.constants, strict=True)):
-            rows = np.flatnonzero(block.pattern == i)
-            if rows.size:
-                lanes = self._rows.lanes([block.data[rows]], block.noise[rows])
-                found.append(Group(rows, columns, constants, lanes, np.ix_(columns, columns)))
+            rows, square = np.flatnonzero(block.pattern == i), np.ix_(columns, columns)
+            for some in _parts(rows):
+                lanes = self._rows.lanes([block.rows(some)], block.noise[some])
+                found.append(Piece(some, columns, constants, lanes, square))
         return tuple(found)
+
+    @property
+    def native_pieces(self) -> tuple[NativePiece, ...] | None:
+        """The pieces as compiled sums take them; None where rows are not evaluated in C."""
+        kernels = self._rows.kernels
+        if not isinstance(kernels, NativeKernels):
+            return None
+        return tuple(NativePiece(kernels, piece.columns, piece.constants, piece.lanes) for piece in self.pieces)
 
     def residual(self, x: Array) -> Array:
         """Plain residuals (N, m)."""
         e = np.empty(self.block.noise.shape)
-        for group in self.groups:
-            e[group.rows] = self._rows.kernels.residual(group.parameters(x), group.lanes).T
+
+        def fill(piece: Piece) -> None:
+            e[piece.rows] = self._rows.kernels.residual(piece.parameters(x), piece.lanes).T
+
+        shared_out(fill, self.pieces, self._threads)
         return e
 
-    def slopes(self, x: Array) -> Iterator[tuple[Group, Array, Array]]:
-        """Group by group, plain residuals (n, m) and slopes (n, m, z)."""
-        for group in self.groups:
-            e, j = self._rows.kernels.slopes(group.parameters(x), group.lanes)
-            yield group, e.T, j.transpose(2, 0, 1)
+    def slopes(self, x: Array) -> Iterator[tuple[Piece, Array, Array]]:
+        """Piece by piece, plain residuals (n, m) and slopes (n, m, z)."""
+        for piece in self.pieces:
+            e, j = self._rows.kernels.slopes(piece.parameters(x), piece.lanes)
+            yield piece, e.T, j.transpose(2, 0, 1)
 
     def costs(self, states: Array) -> Array:
         """Half the whitened sum of squares at many x (m, n): (m,)."""
-        total = np.zeros(len(states))
-        for group in self.groups:
-            total += self._rows.kernels.costs(group.parameters(states), group.lanes)
-        return total
+        many = len(states) * len(self.block.noise) >= MANY_LANES
+        few = [states[k : k + STATES] for k in range(0, len(states), STATES)] if many else [states]
+
+        def total(some: Array) -> Array:
+            parts = (self._rows.kernels.costs(piece.parameters(some), piece.lanes) for piece in self.pieces)
+            return np.asarray(sum(parts, start=np.zeros(len(some))))
+
+        return np.concatenate(shared_out(total, few, self._threads))
 
     def normal(self, x: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Half the whitened sum of squares, its gradient (n,), and J'J (n, n); with a loss, rows by their weights."""
         kernels = self._rows.kernels
-        cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
-        for group in self.groups:
-            p, lanes = group.parameters(x), group.lanes
+
+        def part(piece: Piece) -> tuple[float, Array]:
+            p, lanes, cost = piece.parameters(x), piece.lanes, 0.0
             if loss is not None:  # a weight on r^2 is its root on r
-                noise = self.block.noise[group.rows].T
+                noise = self.block.noise[piece.rows].T
                 r = kernels.residual(p, lanes) / noise
                 lanes = kernels.reweighted(lanes, np.sqrt(loss.weight(r)) / noise)
-                cost += float(loss.cost(r).sum())
+                cost = float(loss.cost(r).sum())
             s = kernels.normal(p, lanes)
-            cost += float(s[-1, -1]) / 2 if loss is None else 0.0
-            gradient[group.columns] += s[:-1, -1]
-            information[group.square] += s[:-1, :-1]
+            return (cost if loss is not None else float(s[-1, -1]) / 2), s
+
+        cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
+        for piece, (some, s) in zip(self.pieces, shared_out(part, self.pieces, self._threads), strict=True):
+            cost += some
+            gradient[piece.columns] += s[:-1, -1]
+            information[piece.square] += s[:-1, :-1]
         return cost, gradient, information
+
+
+def _parts(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Rows in pieces: one of few, else as many as threads may want, none too large to be packed at once."""
+    if len(rows) < FEW:
+        return [rows] if len(rows) else []
+    count = max(min(2 * len(rows) // FEW, MOST_PIECES), -(-len(rows) // LARGEST_PIECE))
+    return np.array_split(rows, count)

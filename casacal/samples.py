@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays, read_large_csv
 from casacal.errors import SamplesError
-from casacal.instruments.instrument import Dimension
+from casacal.labels import Labels
+from casacal.layout import LARGEST, Layout, match_columns, numeric_columns
 from casacal.tables import Table, read_table
 from casacal.unknowns.unknown import Array
 
-UNITS: Mapping[Dimension, Mapping[str, float]] = {
-    "angle": {"deg": math.pi / 180, "rad": 1.0},
-    "length": {"mm": 1.0, "um": 1e-3, "in": 25.4},
-    "number": {"": 1.0},
-}
-"""Suffixes a column may carry, with their factor to rad or mm."""
-
-LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
-"""Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Which columns a file must have: what a problem asks of its samples."""
-
-    joints: tuple[Dimension, ...]
-    columns: Mapping[str, Dimension]
-    labels: tuple[str, ...] = ()
-    refused: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def quantities(self) -> dict[str, Dimension]:
-        """Name to dimension of all numeric columns, joints first."""
-        joints: dict[str, Dimension] = {f"q{i + 1}": dimension for i, dimension in enumerate(self.joints)}
-        return joints | dict(self.columns)
+MANY = 100_000
+"""Rows from which lines are numbers in an array rather than Python objects."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +30,14 @@ class Samples:
     """Rows of measurements.
 
     joints: (N, n), rad or mm. columns: the instrument's own, each (N,), mm or rad. labels: label columns, each (N,) of
-    str. lines: line of each row in its file (N,). extra: further columns, kept as text. All arrays are read-only.
+    str. lines: line of each row in its file (N,). extra: further columns, kept as text; those of large files and of
+    arrays are left where they are. All arrays are read-only.
     """
 
     joints: Array
     columns: Mapping[str, Array]
-    labels: Mapping[str, tuple[str, ...]]
-    lines: tuple[int, ...]
+    labels: Mapping[str, Labels]
+    lines: Sequence[int]
     extra: Mapping[str, tuple[str, ...]]
     file: str
     sha256: str
@@ -66,7 +46,8 @@ class Samples:
         object.__setattr__(self, "joints", _frozen(self.joints))
         columns = {name: _frozen(values) for name, values in self.columns.items()}
         object.__setattr__(self, "columns", MappingProxyType(columns))
-        object.__setattr__(self, "labels", MappingProxyType(dict(self.labels)))
+        labels = {name: Labels.of(values) for name, values in self.labels.items()}
+        object.__setattr__(self, "labels", MappingProxyType(labels))
         object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
 
     def __len__(self) -> int:
@@ -78,20 +59,56 @@ class Samples:
         return Samples(
             self.joints[index],
             {name: values[index] for name, values in self.columns.items()},
-            {name: tuple(values[i] for i in index) for name, values in self.labels.items()},
-            tuple(self.lines[i] for i in index),
+            {name: values.take(index) for name, values in self.labels.items()},
+            _lines(self.lines, index),
             {name: tuple(values[i] for i in index) for name, values in self.extra.items()},
             self.file,
             self.sha256,
         )
 
     @staticmethod
+    def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Read a samples file: .npy with named fields, .npz with one array a column, or else CSV as `from_csv` does."""
+        if Path(path).suffix.lower() in ARRAYS:
+            return Samples.from_columns(read_arrays(Path(path)), layout, absurd=absurd)
+        return Samples.from_csv(path, layout, absurd=absurd)
+
+    @staticmethod
     def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Read a samples file; `absurd` lets values pass that no robot has, for those who look for their cause.
+        """Read delimited text; `absurd` lets values pass that no robot has, for those who look for their cause.
 
         Raises SamplesError that names file, line, column, what is wrong and the fix.
         """
+        columns = read_large_csv(Path(path), lambda header: numeric_columns(header, layout))
+        if columns is not None:
+            return Samples.from_columns(columns, layout, absurd=absurd)
         return Samples.from_table(read_table(path), layout, absurd=absurd)
+
+    @staticmethod
+    def from_columns(columns: Columns, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Samples from columns of numbers and labels; raises SamplesError."""
+        found = match_columns(columns, layout)
+        count = len(columns.lines)
+
+        def quantity(name: str) -> Array:
+            column, factor = found[name]
+            values = columns.number(column) * factor
+            _check_size(columns, column, values, math.inf if absurd else LARGEST[layout.quantities[name]])
+            values.setflags(write=False)
+            return values
+
+        joints = np.empty((count, len(layout.joints)))
+        for i in range(len(layout.joints)):
+            joints[:, i] = quantity(f"q{i + 1}")
+        joints.setflags(write=False)
+        labels = {
+            name: _filled(columns, name, columns.text(name))
+            if name in columns.header
+            else Labels((name,), np.zeros(count, dtype=np.int32))
+            for name in layout.labels
+        }
+        read = {name: quantity(name) for name in layout.columns}
+        return Samples(joints, read, labels, columns.lines, {}, columns.file, columns.sha256)
 
     @staticmethod
     def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
@@ -100,6 +117,12 @@ class Samples:
         Raises SamplesError as `from_csv` does; "line" is then the row of the frame, counted from 1.
         """
         header = tuple(str(name) for name in frame.columns)
+        numbers = numeric_columns(header, layout)
+        if len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
+            used = {name: frame[name].to_numpy() for name in numbers}
+            used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
+            columns = columns_of_arrays(used, source, digest_of(used))
+            return Samples.from_columns(dataclasses.replace(columns, header=header), layout)
         rows = tuple(tuple(_cell(value) for value in row) for row in frame.itertuples(index=False, name=None))
         digest = hashlib.sha256(repr((header, rows)).encode()).hexdigest()
         table = Table(source, digest, header, 0, rows, tuple(range(1, len(rows) + 1)), decimal_comma=False)
@@ -114,7 +137,7 @@ class Samples:
             for name, (column, factor) in found.items()
         }
         joint_names = [f"q{i + 1}" for i in range(len(layout.joints))]
-        labels = {name: _labels(table, name) for name in layout.labels}
+        labels = {name: Labels.of(_labels(table, name)) for name in layout.labels}
         used = {column for column, _ in found.values()} | set(layout.labels)
         return Samples(
             np.column_stack([values[name] for name in joint_names]),
@@ -127,58 +150,34 @@ class Samples:
         )
 
 
-def match_columns(table: Table, layout: Layout) -> dict[str, tuple[str, float]]:
-    """Find the column and the factor to mm or rad of each quantity.
-
-    Raises SamplesError for a quantity that is missing, without unit, given twice, or refused by the instrument.
-    """
-
-    def refuse(what: str, fix: str, column: str | None = None) -> SamplesError:
-        return SamplesError(table.file, what, fix, line=table.header_line or None, column=column)
-
-    for name, reason in layout.refused.items():
-        for column in table.header:
-            if re.fullmatch(rf"{name}(_\w+)?", column):
-                raise refuse(
-                    f"the file has this column but {reason}", "Change the problem, or remove the column", column
-                )
-    for column in table.header:
-        number = re.fullmatch(r"q(\d+)(_\w+)?", column)
-        if number and not 1 <= int(number[1]) <= len(layout.joints):
-            raise refuse(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
-    return {name: _find(table, name, dimension, refuse) for name, dimension in layout.quantities.items()}
-
-
-def _find(table: Table, name: str, dimension: Dimension, refuse: Any) -> tuple[str, float]:
-    spellings = {f"{name}_{unit}" if unit else name: factor for unit, factor in UNITS[dimension].items()}
-    present = [column for column in table.header if column in spellings]
-    wanted = " or ".join(spellings)
-    if len(present) > 1:
-        raise refuse(f"'{present[0]}' and '{present[1]}' both give {name}", "Keep one of the two", present[1])
-    if present:
-        return present[0], spellings[present[0]]
-    if name in table.header:
-        raise refuse(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
-    wrong = [column for column in table.header if column.startswith(f"{name}_")]
-    if wrong:
-        raise refuse(f"the column does not carry a unit known for {name}", f"Name it {wanted}", wrong[0])
-    alike = [column for column in table.header if column.lower() in {key.lower() for key in spellings}]
-    seen = f"it is written '{alike[0]}'" if alike else "the columns are " + ", ".join(table.header[:20])
-    raise refuse(f"there is no column for {name}: {seen}", f"Add {wanted}", None)
-
-
 def _quantity(table: Table, column: str, factor: float, largest: float) -> Array:
     values = np.array(table.numbers(column)) * factor
+    _check_size(table, column, values, largest)
+    return values
+
+
+def _check_size(table: Table | Columns, column: str, values: Array, largest: float) -> None:
+    if math.isinf(largest):
+        return
     for i in np.flatnonzero(np.abs(values) > largest)[:1]:
         limit = "100 m" if largest == LARGEST["length"] else "10 turns"
+        written = table.column(column)[i] if isinstance(table, Table) else f"{table.number(column)[i]:g}"
         raise SamplesError(
             table.file,
-            f"{table.column(column)[i]} is absurd (beyond {limit})",
+            f"{written} is absurd (beyond {limit})",
             "Check the value and the unit in the column's name",
             line=table.lines[i],
             column=column,
         )
-    return values
+
+
+def _filled(columns: Columns, name: str, labels: Labels) -> Labels:
+    if "" in labels.names:
+        row = int(np.flatnonzero(labels.codes == labels.names.index(""))[0])
+        raise SamplesError(
+            columns.file, "the label is empty", "Give the row its label", line=columns.lines[row], column=name
+        )
+    return labels
 
 
 def _labels(table: Table, name: str) -> tuple[str, ...]:
@@ -195,6 +194,12 @@ def _cell(value: Any) -> str:
     return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()
 
 
+def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
+    """Lines of some rows: a tuple of few, an array of many."""
+    chosen = np.asarray(lines)[index]
+    return tuple(chosen.tolist()) if len(index) < MANY else cast(Sequence[int], chosen)
+
+
 def _frozen(values: Array) -> Array:
     """The values as a read-only array of its own; one that is read-only already is kept."""
     if values.flags.writeable or not values.flags.c_contiguous:
@@ -205,7 +210,10 @@ def _frozen(values: Array) -> Array:
 
 def joined(first: Samples, second: Samples) -> Samples:
     """Rows of two sets after each other, with the provenance of the first."""
-    labels = {name: (*first.labels[name], *second.labels.get(name, (name,) * len(second))) for name in first.labels}
+    labels = {
+        name: Labels.of((*values, *second.labels.get(name, (name,) * len(second))))
+        for name, values in first.labels.items()
+    }
     return Samples(
         np.vstack([first.joints, second.joints]),
         {k: np.concatenate([v, second.columns[k]]) for k, v in first.columns.items()},

@@ -18,6 +18,7 @@ from casacal.errors import SimulationError
 from casacal.estimators import lm
 from casacal.instruments import DialOnPlane
 from casacal.inverse_kinematics import Touch, random_joints
+from casacal.labels import Labels
 from casacal.least_squares import Restricted
 from casacal.problem import Problem
 from casacal.samples import Samples
@@ -106,7 +107,7 @@ def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, 
     if instrument.reading:
         shown = readings + noise_rng.normal(size=samples) * noise + outlier
         columns["reading"] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
-    labels = {"plane": tuple(cell.faces[i].label for i in which)} if instrument.plane.per else {}
+    labels = {"plane": Labels([face.label for face in cell.faces], which)} if instrument.plane.per else {}
     name = f"simulated-{seed}"
     rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name)
     return Simulation(problem, rows, MappingProxyType(local), cell, seed)

@@ -1,10 +1,20 @@
-"""How many threads linear algebra may use: the matrices of an arm are too small to share."""
+"""How many threads share the work: rows are worth it in thousands, the matrices of an arm never."""
 
 from __future__ import annotations
 
+import functools
 import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+from casacal.errors import ProblemError
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+VARIABLE = "CASACAL_THREADS"
+ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def one_thread_each() -> None:
@@ -12,5 +22,42 @@ def one_thread_each() -> None:
 
     Threads that share a matrix of thirty unknowns mostly wait for one another. A user's own setting stands.
     """
-    for name in THREADS:
+    for name in ALGEBRA:
         os.environ.setdefault(name, "1")
+
+
+def thread_count(asked: int | None = None) -> int:
+    """Threads that may share rows: what was asked for, else CASACAL_THREADS, else the processors at hand.
+
+    Raises ProblemError for less than one, or what is not a number.
+    """
+    given = os.environ.get(VARIABLE) if asked is None else str(asked)
+    if not given:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not given.isdecimal() or int(given) < 1:
+        raise ProblemError(f"{given!r} threads were asked for", "Give one or more")
+    return int(given)
+
+
+def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:
+    """What a task makes of each item, in the order of the items; the calling thread takes its share."""
+    waiting = list(items)
+    count = min(threads, len(waiting))
+    if count <= 1:
+        return [task(item) for item in waiting]
+    made: dict[int, Made] = {}
+
+    def work(first: int) -> None:
+        for k in range(first, len(waiting), count):
+            made[k] = task(waiting[k])
+
+    others = [_pool(count - 1).submit(work, first) for first in range(1, count)]
+    work(0)
+    for other in others:
+        other.result()
+    return [made[k] for k in range(len(waiting))]
+
+
+@functools.cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="casacal")

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
-from casacal.calibration import split
 from casacal.harness.statistics import mean_interval, paired
+from casacal.holdout import split
 from casacal.least_squares import Restricted
 from casacal.metrics import residual_figures
 from studies import rivals

@@ -130,8 +130,10 @@ def medians(contenders: dict[str, Callable[[], object]], seconds: float) -> dict
 def kernels(bound: BoundProblem) -> tuple[object, np.ndarray, object]:
     """The kernels of a bound problem, its parameters at x0 and its lanes."""
     (groups,) = bound._groups
-    (group,) = groups.groups
-    return groups._rows.kernels, group.parameters(bound.x0), group.lanes
+    (block,) = bound.blocks
+    rows = groups._rows
+    p = np.concatenate([bound.x0[block.columns[0]], block.constants[0]])
+    return rows.kernels, p, rows.lanes([block.data], block.noise)
 
 
 def mapped(bound: BoundProblem) -> Callable[[], object]:

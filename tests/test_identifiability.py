@@ -76,8 +76,9 @@ def test_a_dial_turns_null_directions_into_weak_ones(hsr):
     assert [found.count(kind) for kind in ("invisible", "rigid", "scale")] == [3, 2, 0]
     # a1 and d2 + d3 move tips along a horizontal plate: null where the fitted plate is exactly horizontal, and with
     # it 1e-9 of the largest singular value, at the edge of rank, where rounding tilts it
-    blind = {direction.words.split(":")[0] for direction in found.null if direction.kind == "blind"}
-    assert blind <= {"a1 moves alone", "d2, d3 move together", "d3, d2 move together"}
+    words = [direction.words.split(" move")[0] for direction in found.null if direction.kind == "blind"]
+    assert len(words) <= 2
+    assert {name for each in words for name in each.split(", ")} <= {"a1", "d2", "d3"}
     assert len(found.weak) >= 5
     assert all(direction.singular_value < 1 for direction in found.weak)
 

@@ -19,7 +19,7 @@ from casacal.kernels import backend as backends
 from casacal.kernels import compiler
 from casacal.kernels.backend import RowKernels
 from casacal.kernels.operations import NUMPY, C, evaluate
-from casacal.kernels.program import read_program
+from casacal.kernels.reading import read_program
 from casacal.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casacal.linalg import correlation, damped_step, downdated, inverse_triangle, posterior_covariance, tria
+from casacal.linalg import correlation, damped_solution, downdated, inverse_triangle, posterior_covariance, tria
 
 
 def test_tria_is_lower_triangular_with_the_same_product():
@@ -14,12 +14,12 @@ def test_tria_is_lower_triangular_with_the_same_product():
     np.testing.assert_allclose(s @ s.T, a @ a.T, atol=1e-12)
 
 
-def test_damped_step_solves_the_damped_system_or_says_it_cannot():
+def test_damped_solution_solves_the_damped_system_or_says_it_cannot():
     rng = np.random.default_rng(1)
     j, g = rng.normal(size=(8, 4)), rng.normal(size=4)
-    step = damped_step(j.T @ j, g, 0.3)
+    step = damped_solution(j.T @ j, g, 0.3)
     np.testing.assert_allclose((j.T @ j + 0.3 * np.eye(4)) @ step, -g, atol=1e-10)
-    assert damped_step(-np.eye(3), np.ones(3), 0.1) is None
+    assert damped_solution(-np.eye(3), np.ones(3), 0.1) is None
 
 
 def test_covariance_is_the_inverse_and_infinite_where_nothing_is_known():

@@ -59,7 +59,7 @@ def exchanged_labels(
     tips = nominal_sight(problem, 0, samples).tips
     home: dict[tuple[str, str], list[int]] = defaultdict(list)
     lost = []
-    for i in np.flatnonzero(bad):
+    for i in np.flatnonzero(bad).tolist():
         label = samples.labels["plane"][i] if "plane" in samples.labels else "plane"
         fits = [name for name, plane in planes.items() if abs(tips[i] @ plane[:3] - plane[3]) < GROSS * scatter]
         if fits and label not in fits:

@@ -141,4 +141,4 @@ def _grid(values: Array, grids: Array) -> float:
 
 
 def _lines(samples: Samples, bad: NDArray[np.bool_]) -> tuple[int, ...]:
-    return tuple(samples.lines[i] for i in np.flatnonzero(bad))
+    return tuple(samples.lines[i] for i in np.flatnonzero(bad).tolist())

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.least_squares import LeastSquares
-from casacal.linalg import posterior_covariance
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -58,12 +57,11 @@ class Search:
     def result(self, method: str, steps: int) -> Result:
         """The best candidate, with the curvature there as covariance."""
         counts, costs = np.array(self.history).T
-        information = self.problem.normal(self.best).information
         return Result(
             method=method,
             problem=self.problem,
             x=self.best,
-            covariance=posterior_covariance(information, self.problem.prior_std),
+            information=self.problem.normal(self.best).information,
             status=Status.BUDGET if np.isfinite(self.best_cost) else Status.NOT_FINITE,
             trace={"cost": costs, "candidates": counts},
             steps=steps,

@@ -62,7 +62,7 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         method="ekf",
         problem=problem,
         x=problem.x0 + scale * mean,
-        covariance=scale[:, None] * covariance * scale,
+        belief=scale[:, None] * covariance * scale,
         status=Status.ONE_PASS if finite else Status.NOT_FINITE,
         trace={"innovation": innovation, "innovation_std": innovation_stds, "x": np.array(means)},
         steps=problem.rows,

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.least_squares import LeastSquares
-from casacal.linalg import posterior_covariance
 from casacal.raw_graph import RawBlock, RawGraph
 from casacal.result import Result, Status
 
@@ -47,7 +46,6 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
         method="ipopt",
         problem=problem,
         x=x,
-        covariance=posterior_covariance(problem.normal(x).information, problem.prior_std),
         status=_status(str(stats["return_status"]), x),
         trace={
             "cost": np.array(history.get("obj", [])),

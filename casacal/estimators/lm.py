@@ -13,14 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.least_squares import LeastSquares, Normal
-from casacal.linalg import damped_step, posterior_covariance
 from casacal.losses import Loss
 from casacal.result import Result, Status
 
@@ -35,8 +33,7 @@ UNSEEN = 1e-9
 STUCK_DAMPING = 1e20
 
 
-@dataclass(frozen=True)
-class Point:
+class Point(NamedTuple):
     """A place on the way: x, the data's normal equations there, and the whole objective."""
 
     x: Array
@@ -71,24 +68,23 @@ def lm(
     trace = [(here.cost, mu, math.nan, math.nan)]
     status = Status.MAX_STEPS if math.isfinite(here.cost) else Status.NOT_FINITE
     while status is Status.MAX_STEPS and tried < max_steps:
-        information, gradient = scaled_system(problem, here.normal, here.x)
-        step = damped_step(information, gradient, mu)
+        step = problem.damped_step(here.x, here.normal, mu)
         if step is None:
             mu, growth = mu * growth, growth * 2
             continue
-        length = math.sqrt(max(float(step @ information @ step), 0.0))
-        predicted = float(step @ (mu * step - gradient)) / 2
+        length = math.sqrt(max(step.squared_length, 0.0))
         # so near the minimum the cost differs by rounding alone: the step is judged by its length instead
-        hidden = predicted <= UNSEEN * (1 + here.cost)
+        hidden = step.predicted <= UNSEEN * (1 + here.cost)
         if hidden and length**2 <= tolerance * last_length:
             # steps shrink at least in proportion, so the next would be negligible: this one needs no look from its end
-            here, tried, status = replace(here, x=here.x + problem.start_std * step), tried + 1, Status.CONVERGED
+            here, tried, status = here._replace(x=step.x), tried + 1, Status.CONVERGED
             trace.append((here.cost, mu, 1.0, length))
             break
-        there, tried = _point(problem, here.x + problem.start_std * step, loss), tried + 1
+        there, tried = _point(problem, step.x, loss), tried + 1
         evaluations += 1
         unseen = math.isfinite(there.cost) and hidden
-        gain = (here.cost - there.cost) / predicted if math.isfinite(there.cost) and predicted > 0 else -math.inf
+        usable = math.isfinite(there.cost) and step.predicted > 0
+        gain = (here.cost - there.cost) / step.predicted if usable else -math.inf
         if gain > 0 or unseen:
             here = there
             status = _ended(length, tolerance, last_unseen if unseen else math.inf)
@@ -118,7 +114,7 @@ def _result(
         method="lm",
         problem=problem,
         x=here.x,
-        covariance=posterior_covariance(here.normal.information, problem.prior_std),
+        information=here.normal.information,
         status=status,
         trace=dict(zip(("cost", "damping", "gain_ratio", "step"), np.array(trace).T, strict=True)),
         steps=tried,
@@ -126,15 +122,6 @@ def _result(
         jacobian_rows=evaluations * problem.rows,
         loss=loss,
     )
-
-
-def scaled_system(problem: LeastSquares, normal: Normal, x: Array) -> tuple[Array, Array]:
-    """Information H (n, n) and gradient g (n,) of the whole objective at x, in coordinates (x - x0) / start_std."""
-    scale = problem.start_std
-    information = scale[:, None] * normal.information * scale
-    information.flat[:: scale.size + 1] += scale**2 * problem.prior_information
-    gradient = scale * (normal.gradient + problem.prior_information * (x - problem.x0))
-    return information, gradient
 
 
 def _point(problem: LeastSquares, x: Array, loss: Loss | None) -> Point:

@@ -14,7 +14,7 @@ def nominal(problem: LeastSquares) -> Result:
         method="nominal",
         problem=problem,
         x=problem.x0.copy(),
-        covariance=np.diag(problem.prior_std**2),
+        belief=np.diag(problem.prior_std**2),
         status=Status.NOMINAL,
         trace={},
         steps=0,

@@ -8,7 +8,6 @@ import numpy as np
 
 from casacal.estimators.lm import lm
 from casacal.least_squares import LeastSquares, Restricted
-from casacal.linalg import posterior_covariance
 from casacal.result import Result
 
 
@@ -21,6 +20,5 @@ def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float 
     part = Restricted(problem, problem.datum, problem.x0)
     fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
     covariance = np.diag(problem.prior_std**2)
-    free = np.ix_(part.free, part.free)
-    covariance[free] = posterior_covariance(part.normal(fitted.x).information, part.prior_std)
-    return replace(fitted, method="plane-only", problem=problem, x=part.expand(fitted.x), covariance=covariance)
+    covariance[np.ix_(part.free, part.free)] = fitted.covariance
+    return replace(fitted, method="plane-only", problem=problem, x=part.expand(fitted.x), belief=covariance)

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from casacal.least_squares import LeastSquares
-from casacal.linalg import posterior_covariance
 from casacal.result import Result, Status
 
 TOLERANCE = 1e-14
@@ -40,7 +39,6 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
         method="scipy",
         problem=problem,
         x=x,
-        covariance=posterior_covariance(problem.normal(x).information, problem.prior_std),
         status=status,
         trace={"cost": np.array([outcome.cost])},
         steps=int(outcome.nfev),

@@ -120,7 +120,7 @@ def sckf(
         method="sckf",
         problem=problem,
         x=problem.x0 + scale * belief.mean,
-        covariance=root @ root.T,
+        belief=root @ root.T,
         status=Status.ONE_PASS if finite else Status.NOT_FINITE,
         trace={"innovation": innovation, "innovation_std": innovation_std, "x": np.array(means)},
         steps=problem.rows,

@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from casacal.errors import StudyError
+from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
 Task = TypeVar("Task")
@@ -51,6 +52,7 @@ def in_processes(function: Callable[[Task], Outcome], tasks: Sequence[Task], wor
 def _begin_worker() -> None:
     """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.setdefault(THREADS, "1")  # the processors are shared out already
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import FilterPass, LeastSquares, Normal
+from casacal.least_squares import FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
@@ -59,6 +59,15 @@ class Metered(LeastSquares):
         if loss is None:
             self._seen(normal.cost + self.prior_cost(x))
         return normal
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+        """A damped step, which costs no rows."""
+        return self.problem.damped_step(x, normal, damping)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows with the J'J of the Jacobian."""
+        self._count(0, self.rows)
+        return self.problem.compact_jacobian(x)
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m,)."""

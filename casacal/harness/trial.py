@@ -15,7 +15,6 @@ from casacal.harness.description import Study, Trial
 from casacal.harness.metering import Metered
 from casacal.harness.records import TIMINGS, Record
 from casacal.least_squares import LeastSquares
-from casacal.linalg import posterior_covariance
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -93,8 +92,7 @@ def _result(outcome: Result | Array, problem: LeastSquares, method: str) -> Resu
         raise StudyError("The estimate is not finite", "See the method's status on this problem alone")
     if isinstance(outcome, Result):
         return replace(outcome, method=method, problem=problem, x=x)
-    covariance = posterior_covariance(problem.normal(x).information, problem.prior_std)
-    return Result(method, problem, x, covariance, Status.UNSAID, {}, 0, 0, 0)
+    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)
 
 
 def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:

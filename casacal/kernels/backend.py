@@ -19,7 +19,8 @@ from casacal.kernels.compiler import CompilerError
 from casacal.kernels.native import NativeKernels
 from casacal.kernels.operations import can_evaluate, evaluate
 from casacal.kernels.plain import PlainKernels
-from casacal.kernels.program import Program, Role, read_program
+from casacal.kernels.program import Program, Role
+from casacal.kernels.reading import read_program
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -32,6 +33,8 @@ class Kernels(Protocol):
 
     name: str
     components: int
+    shareable: bool
+    """Whether several threads may use them at once."""
 
     def lanes(self, d: Array, w: Array) -> Any:
         """Data (columns, n) and weights (m, n) as the kernels read them."""

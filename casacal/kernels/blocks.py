@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
@@ -33,13 +34,14 @@ class Lanes:
 class BlockKernels:
     """The four kernels of a row model on CasADi's virtual machine."""
 
-    name = "blocks"
+    name, shareable = "blocks", True
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self._slopes, self._parameters = slopes, parameters
-        self._functions: dict[tuple[str, int], _Buffered] = {}
+        # one set a thread: CasADi's machine works in memory of its function's own
+        self._local = threading.local()
 
     def lanes(self, d: Array, w: Array) -> Lanes:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
@@ -89,10 +91,13 @@ class BlockKernels:
         return s
 
     def _function(self, name: str, lanes: Lanes) -> _Buffered:
-        width = lanes.d.shape[2]
-        if (name, width) not in self._functions:
-            self._functions[name, width] = _Buffered(self._built(name, width))
-        return self._functions[name, width]
+        if not hasattr(self._local, "functions"):
+            self._local.functions = {}
+        functions: dict[tuple[str, int], _Buffered] = self._local.functions
+        key = (name, lanes.d.shape[2])
+        if key not in functions:
+            functions[key] = _Buffered(self._built(*key))
+        return functions[key]
 
     def _built(self, name: str, width: int) -> ca.Function:
         slopes, residual = self._slopes, self._slopes.only(0)

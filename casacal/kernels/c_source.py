@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from string import Template
+from collections.abc import Iterable, Sequence
 
 import casadi as ca
 
-from casacal.kernels.c_templates import FILTER, HEAD, KERNELS, ONLY_RESIDUAL, PART_OF_NORMAL
+from casacal.kernels.c_filter import FILTER
+from casacal.kernels.c_normal import NORMAL_EQUATIONS
+from casacal.kernels.c_templates import ERRORS, HEAD, KERNELS, PREPARE
 from casacal.kernels.operations import C
 from casacal.kernels.program import TRIGONOMETRIC, Program
 
@@ -25,40 +26,31 @@ def rows_of_normal(unknowns: int) -> int:
 
 
 def kernel_source(slopes: Program, parameters: int) -> str:
-    """C source of `residual`, `slopes`, `costs` and `normal`.
+    """C source of `residual`, `slopes`, `costs` and `normal`, and of what sums and steps need.
 
     Args:
         slopes: outputs e (m), and its derivative row by row (m * z).
         parameters: numbers in p: the arguments of role "once", one after the other.
 
     """
-    residual = slopes.only(0)
-    components, unknowns = len(residual.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
-    rows = rows_of_normal(unknowns)
-    e, s = _Printer(residual), _Printer(slopes)
-    parts = []
+    components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
+    rows, e, s = rows_of_normal(unknowns), _Printer(slopes.only(0)), _Printer(slopes)
+    out = [f"const double w{m} = w[{m} * distance + i];" for m in range(components)]
     for m in range(components):
-        row = slopes.outputs[1][m * unknowns : (m + 1) * unknowns]
-        values = [*row, slopes.outputs[0][m]]
-        out = [f"a[{r} * PART + k] = weight * {s.name(value)};" for r, value in enumerate(values)]
-        out += [f"a[{r} * PART + k] = 0.0;" for r in range(len(values), rows)]
-        lane = s.lane(values)
-        parts.append(PART_OF_NORMAL.substitute(lane=lane, component=m, out=_lines(out), rows=rows))
-    outputs = residual.outputs[0]
-    return HEAD + Template(ONLY_RESIDUAL.template + KERNELS.template).substitute(
-        residual_once=e.once(e.program.results),
-        residual_lane=e.lane(e.program.results),
-        residual_out=_lines(f"e[{m} * ld + i] = {e.name(value)};" for m, value in enumerate(outputs)),
-        cost_sum=_lines(f"{{ const double r = w[{m} * ld + i] * {e.name(v)}; total += r * r; }}"
-                        for m, v in enumerate(outputs)),
-        slopes_once=s.once(s.program.results),
-        slopes_lane=s.lane(s.program.results),
-        slopes_out=_lines([*(f"e[{m} * ld + i] = {s.name(value)};" for m, value in enumerate(slopes.outputs[0])),
-                           *(f"j[{k} * ld + i] = {s.name(value)};" for k, value in enumerate(slopes.outputs[1]))]),
+        values = [*slopes.outputs[1][m * unknowns : (m + 1) * unknowns], slopes.outputs[0][m]]
+        out += [f"a[{m * rows + r} * PART + i] = w{m} * {s.name(value)};" for r, value in enumerate(values)]
+    kernels = KERNELS.substitute(
+        prepared=s.prepared(),
+        lane=s.lane(),
+        out=_lines(out),
         parameters=parameters,
+        components=components,
+        unknowns=unknowns,
         rows=rows,
-        normal_parts="".join(parts),
-    )  # fmt: skip
+        errors_values=max(len(e.once), 1),
+        slopes_values=max(len(s.once), 1),
+    )
+    return "".join((HEAD, e.prepare("errors"), s.prepare("slopes"), e.errors(), kernels, NORMAL_EQUATIONS))
 
 
 def filter_source(residual: Program, unknowns: int, once: int) -> str:
@@ -72,21 +64,19 @@ def filter_source(residual: Program, unknowns: int, once: int) -> str:
     """
     printer = _Printer(residual)
     printer.place = {value: residual.operations[value].element[1] for value in residual.lanes}
-    outputs = residual.outputs[0]
-    body = ONLY_RESIDUAL.substitute(
-        residual_once=printer.once(residual.results),
-        residual_lane=printer.lane(residual.results),
-        residual_out=_lines(f"e[{m} * ld + i] = {printer.name(value)};" for m, value in enumerate(outputs)),
-    )
-    return HEAD + body + FILTER.substitute(z=unknowns, m=len(outputs), once=once)
+    run = FILTER.substitute(z=unknowns, m=len(residual.outputs[0]), once=once, values=max(len(printer.once), 1))
+    return HEAD + printer.prepare("errors") + printer.errors() + run
 
 
 class _Printer:
-    """Prints the operations of one program."""
+    """Prints the operations of one program: those on parameters alone in a loop over states, the others over lanes."""
 
     def __init__(self, program: Program) -> None:
-        self.program = program
+        self.program, self.needed = program, program.needed(program.results)
         self.place = {value: k for k, value in enumerate(program.lanes)}
+        mixed = {arg for v in self.needed if program.kinds[v] == "mixed" for arg in program.operations[v].args}
+        self.once = [v for v in sorted(mixed | set(program.results)) if program.kinds[v] == "once"]
+        """Values of parameters alone that lanes read."""
 
     def name(self, value: int) -> str:
         operation = self.program.operations[value]
@@ -94,25 +84,33 @@ class _Printer:
             return _constant(operation.constant)
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
-    def once(self, roots: list[int]) -> str:
-        return self._printed(roots, "once")
+    def prepare(self, name: str) -> str:
+        out = _lines(f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once))
+        wanted = [v for v in self.program.needed(self.once) if self.program.kinds[v] == "once"]
+        return PREPARE.substitute(name=name, once=self._printed(wanted), out=out)
 
-    def lane(self, roots: list[int]) -> str:
-        needed = set(self.program.needed(roots))
-        loads = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in needed]
-        return _lines(loads) + "\n" + self._printed(roots, "mixed")
+    def errors(self) -> str:
+        outputs = self.program.outputs[0]
+        out = _lines(f"e[{m} * distance + i] = {self.name(value)};" for m, value in enumerate(outputs))
+        return ERRORS.substitute(prepared=self.prepared(), lane=self.lane(), out=out)
 
-    def _printed(self, roots: list[int], kind: str) -> str:
-        chosen = [v for v in self.program.needed(roots) if self.program.kinds[v] == kind]
-        return _lines(f"const double v{v} = {self._expression(v)};" for v in chosen)
+    def prepared(self) -> str:
+        return _lines(f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once))
+
+    def lane(self) -> str:
+        used = set(self.needed)
+        loads = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
+        return _lines(loads) + "\n" + self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
+
+    def _printed(self, values: Sequence[int]) -> str:
+        return _lines(f"const double v{v} = {self._expression(v)};" for v in values)
 
     def _expression(self, value: int) -> str:
         operation = self.program.operations[value]
         if operation.op == ca.OP_INPUT:
-            return f"p[{self.program.position(value)}]"
-        if operation.op in TRIGONOMETRIC and self.program.kinds[value] == "mixed":
-            return f"lane_{C[operation.op].format(self.name(operation.args[0]))}"
-        return C[operation.op].format(*(self.name(arg) for arg in operation.args))
+            return f"p[{self.program.position(value)} * states + s]"
+        called = "lane_" if operation.op in TRIGONOMETRIC else ""
+        return called + C[operation.op].format(*(self.name(arg) for arg in operation.args))
 
 
 def _constant(value: float) -> str:

@@ -17,12 +17,17 @@ from casacal.kernels.program import Program
 Array: TypeAlias = NDArray[np.float64]
 
 PAD = 8
-"""Lanes are padded to a multiple of this, so that vector loads need no tail in memory that is not ours."""
+"""Lanes are padded to a multiple of this, so that loops over them need no tail."""
+LARGE = 1 << 22
+"""Bytes of a Jacobian beyond which it is written past the caches."""
 
 
 @dataclass(frozen=True)
 class Lanes:
-    """Data of some rows, column by column: d (columns, ld) and weights w (m, ld), padded by zeros; n rows."""
+    """Data of n rows, column by column: d (columns, ld) and weights w (m, ld).
+
+    The padding repeats the last row, with weight zero.
+    """
 
     n: int
     d: Array
@@ -37,22 +42,22 @@ class Lanes:
 class NativeKernels:
     """The four kernels of a row model in C."""
 
-    name = "c"
+    name, shareable = "c", True
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self.rows = rows_of_normal(self.unknowns)
-        self._library = load_library(kernel_source(slopes, parameters))
+        self.library = load_library(kernel_source(slopes, parameters))
         long, pointer = ctypes.c_long, ctypes.c_void_p
         self._residual = self._function("residual", long, long, pointer, pointer, pointer)
-        self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer)
+        self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer, long)
         self._costs = self._function("costs", long, long, long, pointer, pointer, pointer, pointer)
         self._normal = self._function("normal", long, long, pointer, pointer, pointer, pointer)
 
     def lanes(self, d: Array, w: Array) -> Lanes:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
-        return Lanes(d.shape[1], _padded(d), _padded(w))
+        return Lanes(d.shape[1], _padded(d, repeat=True), _padded(w))
 
     def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
         """The same rows with other weights (m, n)."""
@@ -67,8 +72,8 @@ class NativeKernels:
     def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
         """Plain residuals (m, n) and slopes (m, z, n)."""
         e = np.empty((self.components, lanes.ld))
-        j = np.empty((self.components * self.unknowns, lanes.ld))
-        self._slopes(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e), _at(j))
+        j = _aligned(self.components * self.unknowns, lanes.ld)
+        self._slopes(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e), _at(j), j.nbytes > LARGE)
         return e[:, : lanes.n], j.reshape(self.components, self.unknowns, -1)[:, :, : lanes.n]
 
     def costs(self, states: Array, lanes: Lanes) -> Array:
@@ -79,18 +84,30 @@ class NativeKernels:
 
     def normal(self, p: Array, lanes: Lanes) -> Array:
         """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
-        s = np.zeros((self.rows, self.rows))
+        s = np.empty((self.rows, self.rows))
         self._normal(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(lanes.w), _at(s))
         return s[: self.unknowns + 1, : self.unknowns + 1]
 
     def _function(self, name: str, *types: Any) -> Callable[..., None]:
-        function = getattr(self._library, name)
+        function = getattr(self.library, name)
         function.argtypes, function.restype = types, None
         return function  # type: ignore[no-any-return]
 
 
-def _padded(columns: Array) -> Array:
-    return np.ascontiguousarray(np.pad(columns, ((0, 0), (0, -columns.shape[1] % PAD))))
+def _padded(columns: Array, *, repeat: bool = False) -> Array:
+    """Columns (k, n) with lanes added up to a multiple of `PAD`: zeros, or the last one again."""
+    count, n = columns.shape
+    padded = _aligned(count, -(-n // PAD) * PAD)
+    padded[:, :n] = columns
+    padded[:, n:] = columns[:, -1:] if repeat and n else 0.0
+    return padded
+
+
+def _aligned(rows: int, columns: int) -> Array:
+    """An uninitialised array whose numbers begin at a multiple of 64 bytes."""
+    raw = np.empty(rows * columns + 8)
+    skipped = -(raw.ctypes.data // 8) % 8
+    return raw[skipped : skipped + rows * columns].reshape(rows, columns)
 
 
 def _at(array: Array) -> int:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from casacal.kernels.c_source import can_print, filter_source
 from casacal.kernels.compiler import CompilerError, load_library
-from casacal.kernels.program import read_program
+from casacal.kernels.reading import read_program
 from casacal.linalg import LEAST_LEFT
 
 Array: TypeAlias = NDArray[np.float64]
-Integers: TypeAlias = NDArray[np.intp]
+Integers: TypeAlias = NDArray[np.integer[Any]]
 
 
 class NativeFilter:

@@ -27,7 +27,7 @@ class Lanes:
 class PlainKernels:
     """The four kernels of a row model by CasADi's own map."""
 
-    name = "map"
+    name, shareable = "map", False
 
     def __init__(self, slopes: ca.Function, once: Sequence[int], roles: Sequence[str]) -> None:
         self.components = slopes.numel_out(0)

@@ -1,0 +1,198 @@
+"""Samples by the million: columns of numbers from large CSV files, .npy and .npz, without a Python object a cell.
+
+What is unusual in a CSV file is left to `tables`, which reads cell by cell, understands more and can say what is wrong
+in which line.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.errors import SamplesError
+from casacal.labels import Labels
+
+Array: TypeAlias = NDArray[np.float64]
+
+LARGE_FILE = 1 << 21
+"""Bytes from which a CSV file is worth the time it takes to import pandas."""
+ARRAYS = (".npy", ".npz")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Named columns of equal length; `number` and `text` read one of them.
+
+    header_line: where a text file has its header, 0 for arrays. lines: of each row in its file; for arrays its row,
+    counted from 1.
+    """
+
+    file: str
+    sha256: str
+    header: tuple[str, ...]
+    header_line: int
+    lines: range
+    number: Callable[[str], Array]
+    text: Callable[[str], Labels]
+
+
+def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str]]) -> Columns | None:
+    """Columns of a plain large CSV file; None where the file is small, or anything in it is out of the ordinary.
+
+    Args:
+        path: of the file.
+        numbers: which columns of a header must be numbers; the others are labels.
+
+    """
+    try:
+        if path.stat().st_size < LARGE_FILE:
+            return None
+        header, header_line = _header(path)
+    except (OSError, UnicodeDecodeError):
+        return None
+    delimiter = max(",;\t", key=header.count)
+    names = tuple(name.strip() for name in header.split(delimiter))
+    if len(set(names)) != len(names) or any(not name or '"' in name for name in names):
+        return None
+    wanted = numbers(names)
+    with ThreadPoolExecutor(1) as other:  # the file is hashed while it is parsed
+        scanned = other.submit(_scan, path)
+        frame = _parsed(path, delimiter, names, header_line, wanted)
+        digest, newlines, ends = scanned.result()
+    # a row for each line after the header, or else blank lines or quoted ones shift the count
+    if frame is None or len(frame) != newlines - header_line + (0 if ends else 1):
+        return None
+    if any(not np.isfinite(frame[name].to_numpy()).all() for name in wanted):
+        return None
+    lines = range(header_line + 1, header_line + 1 + len(frame))
+
+    def text(name: str) -> Labels:
+        return Labels.coded(frame[name].cat.categories, frame[name].cat.codes.to_numpy())
+
+    return Columns(str(path), digest, names, header_line, lines, lambda name: frame[name].to_numpy(), text)
+
+
+def _header(path: Path) -> tuple[str, int]:
+    """The header line and its number; comment lines and blank ones before it are counted."""
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            text = line.decode("utf-8-sig").strip()
+            if text and not text.startswith("#"):
+                return text, number
+    return "", 0
+
+
+def _scan(path: Path) -> tuple[str, int, bool]:
+    """SHA-256 of a file, how many line ends it has, and whether it ends with one."""
+    digest, newlines, last = hashlib.sha256(), 0, b""
+    with path.open("rb") as file:
+        while part := file.read(1 << 20):
+            digest.update(part)
+            newlines += part.count(b"\n")
+            last = part[-1:]
+    return digest.hexdigest(), newlines, last == b"\n"
+
+
+def _parsed(path: Path, delimiter: str, names: Sequence[str], header_line: int, numbers: Sequence[str]) -> Any:
+    """The cells as pandas reads them, numbers as float64, the rest as categories; None when it cannot."""
+    import pandas as pd
+
+    for decimal in (".",) if delimiter == "," else (".", ","):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                return pd.read_csv(
+                    path,
+                    sep=delimiter,
+                    decimal=decimal,
+                    names=list(names),
+                    header=None,
+                    skiprows=header_line,
+                    index_col=False,
+                    dtype={name: "float64" if name in numbers else "category" for name in names},
+                    keep_default_na=False,
+                    na_filter=False,
+                    encoding="utf-8",
+                    encoding_errors="strict",
+                )
+        except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
+            continue
+    return None
+
+
+def read_arrays(path: Path) -> Columns:
+    """Columns of a .npy file with named fields, mapped into memory, or of an .npz file with one array a column.
+
+    Raises SamplesError for anything else.
+    """
+    file = str(path)
+    try:
+        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
+        digest, *_ = _scan(path)
+    except FileNotFoundError:
+        raise SamplesError(file, "there is no such file", "Check the path") from None
+    except (OSError, ValueError, EOFError):
+        raise SamplesError(
+            file, "this is not an array file of NumPy without Python objects", "Write it with numpy.save or numpy.savez"
+        ) from None
+    if isinstance(loaded, np.ndarray) and loaded.dtype.names is None:
+        raise SamplesError(
+            file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array a column"
+        )
+    names = tuple(loaded.files) if not isinstance(loaded, np.ndarray) else loaded.dtype.names or ()
+    rows = {name: _length(file, name, loaded[name]) for name in names}
+    if len(set(rows.values())) != 1 or not next(iter(rows.values())):
+        found = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise SamplesError(file, f"the columns hold {found or 'no'} rows", "Give all columns the same number of rows")
+    return columns_of_arrays({name: loaded[name] for name in names}, file, digest)
+
+
+def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Columns:
+    """Columns of arrays by name, of equal length; what is read as numbers must be numbers."""
+
+    def number(name: str) -> Array:
+        values = np.asarray(arrays[name])
+        if values.dtype.kind not in "iuf":
+            raise SamplesError(file, f"the column holds {values.dtype}, not numbers", "Store float64", column=name)
+        values = np.asarray(values, dtype=np.float64)
+        for row in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise SamplesError(
+                file,
+                f"'{values[row]}' is not a finite number",
+                "Mend or remove the row",
+                line=int(row) + 1,
+                column=name,
+            )
+        return values
+
+    def text(name: str) -> Labels:
+        return Labels.coded(*np.unique(np.asarray(arrays[name]), return_inverse=True))
+
+    count = len(next(iter(arrays.values())))
+    return Columns(file, digest, tuple(arrays), 0, range(1, count + 1), number, text)
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of columns: their names and their bytes."""
+    digest = hashlib.sha256()
+    for name, values in arrays.items():
+        digest.update(name.encode() + b"\0")
+        buffer = io.BytesIO()
+        np.save(buffer, values, allow_pickle=False)
+        digest.update(buffer.getbuffer())
+    return digest.hexdigest()
+
+
+def _length(file: str, name: str, values: NDArray[Any]) -> int:
+    if values.ndim != 1:
+        raise SamplesError(file, f"the column has the shape {values.shape}", "Give one number a row", column=name)
+    return len(values)
