@@ -220,17 +220,10 @@ class BoundProblem(LeastSquares):
         for block in self.blocks:
             for i, slots in enumerate(block.slots):
                 rows = np.flatnonzero(block.pattern == i)
-                constants = np.broadcast_to(block.constants[i], (len(rows), block.constants.shape[1]))
                 columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
-                blocks.append(
-                    RawBlock(
-                        block.model.raw_residual,
-                        np.array(columns, dtype=np.intp),
-                        constants,
-                        block.rows(rows),
-                        block.noise[rows],
-                    )
-                )
+                position = np.array(columns, dtype=np.intp)
+                kernel, constants = block.model.curvature, block.constants[i]
+                blocks.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows]))
         return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:

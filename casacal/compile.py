@@ -10,6 +10,7 @@ row and the raw form for the IPOPT reference come from the same graph. Coordinat
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +26,9 @@ from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
+from casacal.kernels.block_filter import BlockFilter
 from casacal.kernels.compiler import CompilerError
+from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.native_filter import NativeFilter
 from casacal.kinematics import Product, position
 from casacal.robot import Robot
@@ -70,20 +73,31 @@ class RowModel:
             self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
         return self._rows[key]
 
-    def filter(self, backend: str | None = None) -> NativeFilter | None:
-        """The cubature filter's pass in C; None where rows are not evaluated in C either."""
-        return self._native_filter if self.rows(backend).kernels.name == "c" else None
+    def filter(self, backend: str | None = None) -> NativeFilter | BlockFilter | None:
+        """The cubature filter's pass, on the back end that evaluates rows; None where CasADi maps them."""
+        name = self.rows(backend).kernels.name
+        if name not in self._filters:
+            self._filters[name] = None if name == "map" else self._made_filter(name)
+        return self._filters[name]
+
+    def _made_filter(self, name: str) -> NativeFilter | BlockFilter:
+        if name == "c":
+            with contextlib.suppress(CompilerError):
+                return NativeFilter(self.residual)
+        return BlockFilter(self.residual)
 
     @cached_property
-    def _native_filter(self) -> NativeFilter | None:
-        try:
-            return NativeFilter(self.residual)
-        except CompilerError:
-            return None
+    def _filters(self) -> dict[str, NativeFilter | BlockFilter | None]:
+        return {}
 
     @cached_property
     def _rows(self) -> dict[str, RowKernels]:
         return {}
+
+    @cached_property
+    def curvature(self) -> CurvatureKernel:
+        """Cost, gradient and exact Hessian over many rows at one (v, c), for the IPOPT reference."""
+        return CurvatureKernel(self.raw_residual)
 
     @cached_property
     def batch(self) -> SimpleNamespace:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.kernels.curvature import CurvatureKernel, Lanes
 from casacal.unknowns import Unknown
 
 Array: TypeAlias = NDArray[np.float64]
@@ -19,16 +21,21 @@ Array: TypeAlias = NDArray[np.float64]
 class RawBlock:
     """Rows that see the same raw coordinates."""
 
-    residual: ca.Function
-    """(v, c, d) -> e (m), the residual of one row."""
+    kernel: CurvatureKernel
+    """Cost, gradient and Hessian of the rows' raw residual."""
     columns: NDArray[np.intp]
-    """Positions of the function's v in the whole raw vector."""
+    """Positions of the kernel's v in the whole raw vector."""
     constants: Array
-    """c by row (N, nc)."""
+    """What else the rows share (nc,)."""
     data: Array
     """d by row (N, nd)."""
     noise: Array
     """Standard deviation of each residual (N, m)."""
+
+    @cached_property
+    def lanes(self) -> Lanes:
+        """The rows as the kernel reads them."""
+        return self.kernel.lanes(self.data, self.noise)
 
 
 @dataclass(frozen=True)

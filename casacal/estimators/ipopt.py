@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -9,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
+from casacal.kernels.replay import Buffered
 from casacal.least_squares import LeastSquares
-from casacal.raw_graph import RawBlock, RawGraph
+from casacal.raw_graph import RawGraph
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -34,14 +37,14 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
     if not isinstance(problem.graph, RawGraph):
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     graph = problem.graph
-    program, options, scales = _program(graph, problem, max_steps, tolerance, verbose)
+    objective = Objective(graph, problem)
+    program, options, kept = _program(graph, objective, max_steps, tolerance, verbose)
     solver = ca.nlpsol("reference", "ipopt", program, options)
     solution = solver(x0=np.zeros(graph.start.size), lbg=0.0, ubg=0.0)
+    del kept  # CasADi calls these but does not hold them
     stats: dict[str, Any] = solver.stats()
-    raw = graph.start + scales * np.asarray(solution["x"]).ravel()
-    x = np.asarray(graph.local(raw)).ravel()
+    x = np.asarray(graph.local(objective.raw(np.asarray(solution["x"]).ravel()))).ravel()
     history = stats.get("iterations") or {}
-    calls = {name: int(stats.get(f"n_call_nlp_{name}", 0)) for name in ("f", "grad_f", "hess_l")}
     return Result(
         method="ipopt",
         problem=problem,
@@ -53,42 +56,80 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
             "constraint_violation": np.array(history.get("inf_pr", [])),
         },
         steps=int(stats["iter_count"]),
-        residual_rows=problem.rows * (calls["f"] + calls["grad_f"] + calls["hess_l"]),
-        jacobian_rows=problem.rows * (calls["grad_f"] + calls["hess_l"]),
+        residual_rows=problem.rows * objective.evaluations,
+        jacobian_rows=problem.rows * objective.evaluations,
     )
 
 
+class Objective:
+    """The objective in scaled raw coordinates y, v = start + scales * y, with exact gradient and Hessian.
+
+    Each coordinate is in units of its own conditional standard deviation at the start: gradients then vanish to
+    rounding. All three are found together, once for each y that IPOPT asks about.
+    """
+
+    def __init__(self, graph: RawGraph, problem: LeastSquares) -> None:
+        n = graph.start.size
+        self._graph, self._prior = graph, Buffered(_prior(graph, problem))
+        self.start, self.scales, self.evaluations = graph.start, np.ones(n), 0
+        self._at, self._found = np.full(n, np.nan), (math.nan, np.zeros(n), np.zeros((n, n)))
+        diagonal = np.abs(np.diagonal(self(np.zeros(n))[2]))
+        self.scales = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        self._at, self.evaluations = np.full(n, np.nan), 0
+
+    def raw(self, y: Array) -> Array:
+        """Raw coordinates v (n,)."""
+        return np.asarray(self.start + self.scales * y)
+
+    def __call__(self, y: Array) -> tuple[float, Array, Array]:
+        """Value, gradient (n,) and Hessian (n, n) by y."""
+        if not np.array_equal(y, self._at):
+            cost, gradient, hessian = self._evaluate(self.raw(y))
+            self._at = y.copy()
+            self._found = cost, self.scales * gradient, self.scales[:, None] * hessian * self.scales
+        return self._found
+
+    def _evaluate(self, v: Array) -> tuple[float, Array, Array]:
+        self.evaluations += 1
+        value, gradient, hessian = np.empty(1), np.empty(v.size), np.empty((v.size, v.size))
+        self._prior((v,), (value, gradient, hessian))
+        cost = float(value[0])
+        for block in self._graph.blocks:
+            some, slope, bend = block.kernel(v[block.columns], block.constants, block.lanes)
+            cost += some
+            np.add.at(gradient, block.columns, slope)
+            np.add.at(hessian, np.ix_(block.columns, block.columns), bend)
+        return cost, gradient, hessian
+
+
 def _program(
-    graph: RawGraph, problem: LeastSquares, max_steps: int, tolerance: float, verbose: bool
-) -> tuple[dict[str, Any], dict[str, Any], Array]:
-    """The nonlinear program in scaled raw coordinates y, v = start + scales * y; the solver's options; the scales."""
-    objective = _objective(graph, problem)
-    # each variable in units of its own conditional standard deviation: gradients then vanish to rounding
-    diagonal = np.abs(np.diagonal(np.asarray(objective(graph.start)[2])))
-    scales = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    y = ca.MX.sym("y", graph.start.size)
-    value, slope, curvature = objective(graph.start + scales * y)
-
-    unscaled = ca.SX.sym("y", graph.start.size)
-    g = graph.constraints(graph.start + scales * unscaled)
+    graph: RawGraph, objective: Objective, max_steps: int, tolerance: float, verbose: bool
+) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
+    """The nonlinear program in scaled raw coordinates, the solver's options, and what must outlive the solver."""
+    n = graph.start.size
+    y, upper = ca.SX.sym("y", n), ca.Sparsity.upper(n)
+    g = graph.constraints(objective.start + objective.scales * y)
     multipliers = ca.SX.sym("lam_g", g.numel())
-    bend = ca.Function("bend", [unscaled, multipliers], [ca.densify(ca.hessian(ca.dot(multipliers, g), unscaled)[0])])
-    constraint = ca.Function("g", [unscaled], [g])
+    bend = Buffered(ca.Function("bend", [y, multipliers], [ca.densify(ca.hessian(ca.dot(multipliers, g), y)[0])]))
+    below = np.tril_indices(n)
 
-    parameters, lam_f, lam_g = ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
-    hessian = ca.triu(lam_f * (scales[:, None] @ scales[None] * curvature) + bend(y, lam_g))
+    def hessian(y: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
+        bent = np.empty((n, n))
+        bend((y, lam_g), (bent,))
+        return [ca.DM(upper, (lam_f[0] * objective(y)[2] + bent).T[below])]
+
+    point, nothing, one = ca.Sparsity.dense(n), ca.Sparsity.dense(0), ca.Sparsity.dense(1)
+    dual = ca.Sparsity.dense(g.numel())
+    value = Call("value", [point], [one], lambda y: [objective(y)[0]])
+    slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
+    curvature = Call("curvature", [point, nothing, one, dual], [upper], hessian)
+    x = ca.MX.sym("x", n)
     options: dict[str, Any] = {
         "print_time": False,
         "show_eval_warnings": verbose,
-        # derivatives row by row from small SX graphs: differentiating the mapped whole costs an order more
-        "grad_f": ca.Function("nlp_grad_f", [y, parameters], [value, scales * slope], ["x", "p"], ["f", "grad_f_x"]),
-        "hess_lag": ca.Function(
-            "nlp_hess_l",
-            [y, parameters, lam_f, lam_g],
-            [hessian],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
-        ),
+        "no_nlp_grad": True,  # it would differentiate the objective once more, for sensitivities that nobody asks
+        "grad_f": _named(slope, ["x", "p"], ["f", "grad_f_x"]),
+        "hess_lag": _named(curvature, ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
         "ipopt": {
             "max_iter": max_steps,
             "tol": tolerance,
@@ -103,40 +144,45 @@ def _program(
             "sb": "yes",
         },
     }
-    return {"x": y, "f": value, "g": constraint(y)}, options, scales
+    program = {"x": x, "f": value(x), "g": ca.Function("g", [y], [g])(x)}
+    return program, options, [value, slope, curvature]
 
 
-def _objective(graph: RawGraph, problem: LeastSquares) -> ca.Function:
-    """Function v -> cost, gradient, Hessian of the objective in raw coordinates."""
-    v = ca.MX.sym("v", graph.start.size)
-    terms = [_prior(graph, problem)(v)] + [_data(block, v) for block in graph.blocks]
-    return ca.Function("objective", [v], [sum((term[i] for term in terms[1:]), terms[0][i]) for i in range(3)])
+def _named(call: Call, inputs: list[str], outputs: list[str]) -> ca.Function:
+    """The function with the names by which CasADi's solvers know arguments and results."""
+    arguments = [ca.MX.sym(name, call.sparsity_in(i)) for i, name in enumerate(inputs)]
+    return ca.Function(f"nlp_{call.name()}", arguments, call.call(arguments), inputs, outputs)
 
 
-def _data(block: RawBlock, v: ca.MX) -> list[ca.MX]:
-    """Cost, gradient and Hessian of one block of rows, in the whole raw vector v."""
-    count, components = block.noise.shape
-    here = ca.SX.sym("v", block.columns.size)
-    c, d = ca.SX.sym("c", block.constants.shape[1]), ca.SX.sym("d", block.data.shape[1])
-    noise, held = ca.SX.sym("w", components), ca.SX.sym("held", components)
-    e = block.residual(here, c, d) / noise
-    slopes = ca.jacobian(e, here).T
-    # Hessian of e'e/2: slopes slopes', left to one matrix product, plus e times the curvature of e (upper triangle)
-    bend = ca.substitute(ca.triu(ca.jacobian(slopes @ held, here)), held, e)
-    row = ca.Function("row", [here, c, d, noise], ca.cse([ca.densify(e), ca.densify(slopes), bend]))
-    total = row.map(count, [True, False, False, False], [False, False, True]) if count > 1 else row
-    data = (ca.DM(values.T) for values in (block.constants, block.data, block.noise))
-    residuals, gradients, bends = total(v[block.columns.tolist()], *data)
-    flat = ca.reshape(gradients, block.columns.size, count * components)
-    place = ca.DM.triplet(
-        block.columns.tolist(),
-        list(range(block.columns.size)),
-        ca.DM.ones(block.columns.size),
-        v.numel(),
-        block.columns.size,
-    )
-    hessian = ca.triu2symm(bends) + flat @ flat.T
-    return [ca.sumsqr(residuals) / 2, place @ (flat @ ca.vec(residuals)), place @ hessian @ place.T]
+class Call(ca.Callback):
+    """A Python function of flat arrays that CasADi can call."""
+
+    def __init__(
+        self, name: str, inputs: list[ca.Sparsity], outputs: list[ca.Sparsity], function: Callable[..., list[Any]]
+    ) -> None:
+        super().__init__()
+        self._inputs, self._outputs, self._function = inputs, outputs, function
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """Number of arguments; CasADi asks for this and the following."""
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        """Number of results."""
+        return len(self._outputs)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Shape of an argument."""
+        return self._inputs[i]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """Shape of a result."""
+        return self._outputs[i]
+
+    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
+        """The results."""
+        return self._function(*(np.asarray(each).ravel() for each in arg))
 
 
 def _prior(graph: RawGraph, problem: LeastSquares) -> ca.Function:

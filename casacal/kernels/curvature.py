@@ -1,0 +1,106 @@
+"""Half a weighted sum of squares with exact gradient and Hessian, summed over rows in blocks by CasADi's machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.kernels.batch import Batch
+from casacal.kernels.operations import can_evaluate, evaluate
+from casacal.kernels.reading import read_program
+from casacal.kernels.replay import Buffered, blocked, product, replayed, width_for
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Data d (blocks, columns, width) and weights w (blocks, m, width) of rows; as they came where they are mapped."""
+
+    d: Array
+    w: Array
+
+
+class CurvatureKernel:
+    """|We|^2 / 2, its gradient and its Hessian by v, for a residual (v, c, d) -> e (m) and rows of d and weights W.
+
+    The Hessian is J'WWJ, one matrix product a block, and sum w^2 e d2e/dv2, of which only the upper triangle's entries
+    that are not zero are evaluated.
+    """
+
+    def __init__(self, residual: ca.Function) -> None:
+        v, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("vcd"))
+        e = residual(v, c, d)
+        slopes = ca.jacobian(e, v)
+        bends = [ca.triu(ca.jacobian(slopes[m, :].T, v)) * e[m] for m in range(e.numel())]
+        pattern = ca.Sparsity(v.numel(), v.numel())
+        for bend in bends:
+            pattern = pattern + bend.sparsity()
+        self.unknowns, self.components, self._constants = v.numel(), e.numel(), c.numel()
+        self._rows, self._columns = (np.array(index, dtype=np.intp) for index in pattern.get_triplet())
+        bent = [ca.project(bend, pattern).nz[:] for bend in bends]
+        outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
+        self._function = ca.Function("curved", [v, c, d], outputs)
+        program = read_program(self._function, ("once", "once", "lane"))
+        self._program = program if can_evaluate(program) else None
+        self._built: dict[int, Buffered] = {}
+
+    def lanes(self, data: Array, noise: Array) -> Lanes:
+        """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
+        if self._program is None:
+            return Lanes(data, 1.0 / noise)
+        lanes = self._program.lanes
+        d = np.zeros((len(lanes), len(data)))
+        if lanes:
+            empty = np.zeros(0)
+            d += evaluate(self._program, lanes, [empty, empty, data.T]).reshape(len(lanes), -1)
+        width = width_for(len(data))
+        return Lanes(blocked(d, width, "edge"), blocked(1.0 / noise.T, width, "constant"))
+
+    def __call__(self, v: Array, constants: Array, lanes: Lanes) -> tuple[float, Array, Array]:
+        """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c."""
+        z = self.unknowns
+        if self._program is None:
+            s, bent = self._mapped(v, constants, lanes)
+        else:
+            p, width = np.concatenate([v, constants]), lanes.d.shape[2]
+            if width not in self._built:
+                self._built[width] = Buffered(self._block(width))
+            s, bent = np.zeros((z + 1, z + 1)), np.zeros(self._rows.size)
+            some, others = np.empty_like(s), np.empty_like(bent)
+            for d, w in zip(lanes.d, lanes.w, strict=True):
+                self._built[width]((p, d, w), (some, others))
+                s += some
+                bent += others
+        bend = np.zeros((z, z))
+        bend[self._rows, self._columns] = bent
+        return float(s[-1, -1]) / 2, s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
+
+    def _block(self, width: int) -> ca.Function:
+        """(p, d, w) -> normal matrix of slopes and residual, entries of the bend; of one block."""
+        assert self._program is not None
+        z, count = self.unknowns, self._rows.size
+        p = ca.MX.sym("p", z + self._constants)
+        d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
+        values = [value for output in self._program.outputs for value in output]
+        columns = replayed(self._program, values, p, d)
+        e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
+        total, bend = ca.MX.zeros(z + 1, z + 1), ca.MX.zeros(count, 1)
+        for m in range(self.components):
+            weighted = ca.horzcat(j[:, m * z : (m + 1) * z], e[:, m]) * w[:, m]
+            total += product(weighted.T, weighted)
+            bend += product(bent[:, m * count : (m + 1) * count].T, w[:, m] ** 2)
+        return ca.Function("block", [p, d, w], [total, bend])
+
+    def _mapped(self, v: Array, constants: Array, lanes: Lanes) -> tuple[Array, Array]:
+        """The same by CasADi's own map, for graphs with operations that NumPy does not know."""
+        e, j, bent = Batch(self._function)(v, constants, lanes.d)
+        rows = np.concatenate([j.reshape(*e.shape, -1), e[..., None]], axis=2) * lanes.w[..., None]
+        weights = np.repeat(lanes.w**2, self._rows.size, axis=1)
+        return np.einsum("nmi,nmj->ij", rows, rows), (weights * bent).sum(axis=0).reshape(self.components, -1).sum(
+            axis=0
+        )

@@ -1,0 +1,91 @@
+"""A program replayed on columns of some hundred samples: CasADi's machine does each operation for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.kernels.program import Program
+
+Array: TypeAlias = NDArray[np.float64]
+
+WIDTHS = (128, 512)
+"""Samples a block: for few rows, and for many."""
+
+
+def width_for(rows: int) -> int:
+    """Samples a block for so many rows."""
+    return WIDTHS[0] if rows <= 4 * WIDTHS[0] else WIDTHS[1]
+
+
+class Buffered:
+    """A CasADi function called on memory that NumPy owns; the function must outlive its buffer, so both are kept."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._kept = function
+        self._buffer: Any
+        self._evaluate: Callable[[], None]
+        self._buffer, self._evaluate = function.buffer()
+
+    def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
+        """Evaluate: arrays of float64 in C order, the outputs' overwritten; shapes are as CasADi's, transposed."""
+        self.bound(inputs, outputs)()
+
+    def bound(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
+        """What evaluates from and to the same memory whenever it is called, as long as this object lives."""
+        for i, array in enumerate(inputs):
+            self._buffer.set_arg(i, _flat(array))
+        for i, array in enumerate(outputs):
+            self._buffer.set_res(i, _flat(array))
+        self._arrays = (inputs, outputs)
+        return self._evaluate
+
+
+def _flat(array: Array) -> memoryview:
+    """An array's own memory; a copy would be gone before CasADi reads it."""
+    if not array.flags.c_contiguous:
+        raise ValueError("an array must lie in memory row by row")
+    return array.reshape(-1).data
+
+
+def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX) -> ca.MX:
+    """Some values, one column each, with the operations of a program on columns of samples."""
+    known: dict[int, ca.MX] = {value: d[:, k] for k, value in enumerate(program.lanes)}
+    for value in program.needed(values):
+        operation = program.operations[value]
+        if value in known or program.kinds[value] == "lane":
+            continue
+        if operation.op == ca.OP_CONST:
+            known[value] = ca.MX(operation.constant)
+        elif operation.op == ca.OP_INPUT:
+            known[value] = p[program.position(value)]
+        elif len(operation.args) == 1:
+            known[value] = ca.MX.unary(operation.op, known[operation.args[0]])
+        else:
+            one, other = (known[arg] for arg in operation.args)
+            known[value] = ca.MX.binary(operation.op, one, other)
+    ones = ca.MX.ones(d.shape[0], 1)
+    return ca.horzcat(*(known[v] if known[v].shape == ones.shape else known[v] * ones for v in values))
+
+
+def product(one: ca.MX, other: ca.MX) -> ca.MX:
+    """Matrix product by the BLAS that CasADi was built with, several times faster than its own; 3.8 lets one choose."""
+    try:
+        return ca.mtimes(one, other, "classic")
+    except (TypeError, NotImplementedError, RuntimeError):
+        return ca.mtimes(one, other)
+
+
+def blocked(columns: Array, width: int, fill: Literal["edge", "constant"]) -> Array:
+    """Blocks (blocks, k, width) of columns (k, n), the last one filled up."""
+    padded = np.pad(columns, ((0, 0), (0, -columns.shape[1] % width)), mode=fill)
+    return np.ascontiguousarray(padded.reshape(len(columns), -1, width).transpose(1, 0, 2))
+
+
+def joined(blocks: Array, n: int) -> Array:
+    """Columns (k, n) from blocks (blocks, k, width)."""
+    return np.asarray(blocks.transpose(1, 0, 2).reshape(blocks.shape[1], -1)[:, :n])
