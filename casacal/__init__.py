@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     )
     from casacal.files import ProblemFile, load_problem
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
+    from casacal.joints import Joint
     from casacal.kinematics import chain, deg, dh, modified_dh
     from casacal.problem import Problem
     from casacal.result import Result, Status
-    from casacal.robot import Joint, Robot
+    from casacal.robot import Robot
     from casacal.samples import Samples
     from casacal.simulated_trials import Simulated
     from casacal.simulation import Simulation, simulate
@@ -69,7 +70,8 @@ _HOMES = {
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
     "casacal.problem": ("Problem",),
     "casacal.result": ("Result", "Status"),
-    "casacal.robot": ("Joint", "Robot"),
+    "casacal.joints": ("Joint",),
+    "casacal.robot": ("Robot",),
     "casacal.samples": ("Samples",),
     "casacal.simulated_trials": ("Simulated",),
     "casacal.simulation": ("Simulation", "simulate"),

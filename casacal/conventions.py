@@ -50,6 +50,13 @@ class Conventions:
         """Of a controller that means what the model means."""
         return Conventions((1,) * joints, (0.0,) * joints)
 
+    def check_joints(self, count: int, name: str) -> None:
+        """Raise ProblemError unless these are conventions of `count` joints."""
+        if len(self.signs) != count:
+            raise ProblemError(
+                f"'{name}' has {count} joints and conventions for {len(self.signs)}", "Give one sign and offset a joint"
+            )
+
     @property
     def matrix(self) -> Array:
         """M (n, n) of q_model = M q_controller + offsets."""

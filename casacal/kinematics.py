@@ -1,4 +1,4 @@
-"""Rigid transforms as CasADi expressions: Denavit-Hartenberg, rotations, translations, chains.
+"""Rigid transforms as CasADi expressions: Denavit-Hartenberg, Hayati, screws, rotations, translations, chains.
 
 Every function takes CasADi symbols or plain floats and returns a 4x4 `SX`, `MX` or (from floats alone) `DM`.
 Lengths in millimetres, angles in radians.
@@ -140,6 +140,45 @@ def modified_dh(alpha: Expression, a: Expression, d: Expression, theta: Expressi
     return chain(rotate_x(alpha), translate(a, 0, 0), rotate_z(theta), translate(0, 0, d))
 
 
+def hayati(alpha: Expression, beta: Expression, a: Expression, theta: Expression) -> Expression:
+    """Hayati's link between parallel axes, 4x4: RotZ(theta) TransX(a) RotX(alpha) RotY(beta).
+
+    Where two axes are nearly parallel, their common normal, and with it d, jumps by metres when one of them tilts by a
+    hair. Here the second axis is met where it pierces the plane across the first, and a turn `beta` about y takes the
+    place of d. Hayati, Robot arm geometric link parameter estimation, 22nd IEEE CDC (1983) 1477-1483.
+    """
+    return chain(rotate_z(theta), translate(a, 0, 0), rotate_x(alpha), rotate_y(beta))
+
+
+def rotate(axis: Expression, angle: Expression) -> Expression:
+    """Rotation by `angle` rad about a unit axis (3,) through the origin, 4x4.
+
+    Rodrigues' formula, eq (3.51) of Lynch & Park, Modern Robotics (2017).
+    """
+    cross: Expression = ca.skew(_column(axis))  # [w] v = w x v
+    squared: Expression = ca.mtimes(cross, cross)
+    turn = ca.DM.eye(3) + ca.sin(angle) * cross + (1 - ca.cos(angle)) * squared
+    return _rigid(turn, ca.DM.zeros(3))
+
+
+def slide(axis: Expression, length: Expression) -> Expression:
+    """Translation by `length` mm along a unit axis (3,), 4x4.
+
+    Exponential of the screw of a prismatic joint, eq (3.89) of Lynch & Park, Modern Robotics (2017), with omega = 0.
+    """
+    return translate(axis[0] * length, axis[1] * length, axis[2] * length)
+
+
+def screw(axis: Expression, point: Expression, angle: Expression) -> Expression:
+    """Rotation by `angle` rad about a unit axis (3,) through a point (3, mm), 4x4.
+
+    Exponential of the screw (omega, v) of a revolute joint, v = -omega x point, eq (3.88) of Lynch & Park, Modern
+    Robotics (2017). With G(angle) as printed there, G v = (I - R) point, as omega v = 0.
+    """
+    turn = rotate(axis, angle)[:3, :3]
+    return _rigid(turn, _column(point) - ca.mtimes(turn, _column(point)))
+
+
 def chain(*transforms: Expression) -> Expression:
     """Product T_1 T_2 ... T_n of 4x4 transforms, eq (2) of arXiv:2208.02652."""
     factors = (each.factors if isinstance(each, Product) else (each,) for each in transforms)
@@ -174,3 +213,13 @@ def rotation_of_quaternion(q: Expression) -> Expression:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def _column(vector: Expression) -> Expression:
+    """Three numbers or expressions as a column."""
+    return ca.vertcat(vector[0], vector[1], vector[2])
+
+
+def _rigid(turn: Expression, shift: Expression) -> Expression:
+    """4x4 of a rotation matrix and a translation."""
+    return ca.vertcat(ca.horzcat(turn, shift), ca.DM([[0, 0, 0, 1]]))

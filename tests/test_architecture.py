@@ -10,8 +10,8 @@ PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     {"errors", "labels", "threads"},
-    {"conventions", "kinematics", "linalg", "losses", "tables", "columns", "unknowns"},
-    {"robot", "instruments", "layout", "samples", "holdout", "least_squares", "result"},
+    {"conventions", "joints", "kinematics", "linalg", "losses", "tables", "columns", "unknowns"},
+    {"arms", "robot", "instruments", "layout", "samples", "holdout", "least_squares", "result"},
     {"kernels", "compile", "problem", "raw_graph", "binding", "row_groups", "bound_problem", "estimators"},
     {
         "cells",
