@@ -28,6 +28,7 @@ def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentPa
     _add_check(subparsers.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
     _add_predict(subparsers.add_parser("predict", help="poses of a calibrated arm at joint values"))
     _add_study(subparsers.add_parser("study", help="many trials of many methods, recorded and reported"))
+    _add_new(subparsers.add_parser("new", help="a problem folder from a DH table or a URDF"))
     for name, command in commands_by_name.items():
         subparsers.choices[name].set_defaults(command=command)
     return parser
@@ -107,3 +108,14 @@ def _add_study(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="keep the records in DIR and make the missing ones")
     parser.add_argument("--report", action="store_true", help="run nothing: write the report from the records in DIR")
     parser.add_argument("--out", metavar="DIR", help="records and report; default: out/NAME")
+
+
+def _add_new(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Write a problem folder for an arm that comes as a DH table or as a URDF."
+    parser.add_argument("name", metavar="NAME", help="of the folder, which must not exist")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--dh", metavar="FILE", help="DH table in CSV or TOML")
+    source.add_argument("--urdf", metavar="FILE", help="URDF, xacro already expanded")
+    parser.add_argument("--tip", metavar="LINK", help="link that is the flange; default: the only last one")
+    parser.add_argument("--base", metavar="LINK", help="link that is the base frame; default: the root")
+    parser.add_argument("--out", metavar="DIR", default=".", help="where the folder goes; default: here")

@@ -200,7 +200,20 @@ def _study(options: argparse.Namespace) -> int:
     return study_command(options)
 
 
-COMMANDS = {"calibrate": _calibrate, "simulate": _simulate, "check": _check, "predict": _predict, "study": _study}
+def _new(options: argparse.Namespace) -> int:
+    from casacal.robot_cli import new_command
+
+    return new_command(options)
+
+
+COMMANDS = {
+    "calibrate": _calibrate,
+    "simulate": _simulate,
+    "check": _check,
+    "predict": _predict,
+    "study": _study,
+    "new": _new,
+}
 
 
 if __name__ == "__main__":

@@ -26,9 +26,9 @@ FLOORS = [
         "scale",
         "simulated_trials",
     },
-    {"files", "calibration", "guards", "doctor", "documents", "prediction", "report", "plots"},
+    {"files", "calibration", "guards", "doctor", "documents", "new_problem", "prediction", "report", "plots"},
     {"harness", "study", "study_report"},
-    {"arguments", "study_cli", "cli"},
+    {"arguments", "robot_cli", "study_cli", "cli"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 NUMPY_ONLY = {"least_squares", "linalg", "result", "metrics", "identifiability"}

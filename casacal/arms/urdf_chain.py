@@ -25,7 +25,7 @@ MM = 1000.0
 
 @dataclass(frozen=True)
 class UrdfChain:
-    """The joints (moving and fixed) of a URDF from `base` to `tip`, with the file they come from."""
+    """The joints, moving and fixed, between two links of a URDF; `file` is the file's name, without its folder."""
 
     file: str
     name: str
@@ -33,10 +33,8 @@ class UrdfChain:
     conventions: Conventions | None = None
 
     def __post_init__(self) -> None:
-        for joint in self.chain:
-            check_joint(self.file, joint)
         if not self.moving:
-            raise ProblemError(f"{self.file}: no joint moves between base and tip", "Name a base below or a tip above")
+            raise ProblemError(f"{self.file}: no joint moves between base and tip", "Name a tip above moving joints")
         if self.conventions is not None:
             self.conventions.check_joints(len(self.moving), self.name)
 
@@ -44,7 +42,10 @@ class UrdfChain:
     def read(path: str | Path, base: str | None, tip: str | None, conventions: Conventions | None) -> UrdfChain:
         """Read a URDF and take the chain from a base link to a tip link; raises ProblemError."""
         found = read_urdf(path)
-        return UrdfChain(found.file, found.name, found.chain(base, tip), conventions)
+        joints = found.chain(base, tip)
+        for joint in joints:
+            check_joint(found.file, joint)
+        return UrdfChain(Path(path).name, found.name, joints, conventions)
 
     @property
     def moving(self) -> tuple[UrdfJoint, ...]:
