@@ -29,6 +29,7 @@ def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentPa
     _add_predict(subparsers.add_parser("predict", help="poses of a calibrated arm at joint values"))
     _add_study(subparsers.add_parser("study", help="many trials of many methods, recorded and reported"))
     _add_new(subparsers.add_parser("new", help="a problem folder from a DH table or a URDF"))
+    _add_export(subparsers.add_parser("export", help="a calibrated arm as DH table, URDF, zero offsets or C"))
     for name, command in commands_by_name.items():
         subparsers.choices[name].set_defaults(command=command)
     return parser
@@ -119,3 +120,17 @@ def _add_new(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tip", metavar="LINK", help="link that is the flange; default: the only last one")
     parser.add_argument("--base", metavar="LINK", help="link that is the base frame; default: the root")
     parser.add_argument("--out", metavar="DIR", default=".", help="where the folder goes; default: here")
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Write a calibrated arm in a form that others read."
+    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
+    parser.add_argument(
+        "--to",
+        required=True,
+        choices=("dh", "urdf", "zeros", "ur", "c"),
+        help="DH table (CSV, or TOML by --out), URDF, zero corrections (CSV), ur_description kinematics (YAML), C99",
+    )
+    parser.add_argument("--out", required=True, metavar="FILE")
+    parser.add_argument("--source", metavar="FILE", help="dh, urdf: file written back with only its numbers changed")
+    parser.add_argument("--prefix", metavar="WORD", help="c: what functions' names begin with; default: the problem's")

@@ -206,6 +206,12 @@ def _new(options: argparse.Namespace) -> int:
     return new_command(options)
 
 
+def _export(options: argparse.Namespace) -> int:
+    from casacal.robot_cli import export_command
+
+    return export_command(options)
+
+
 COMMANDS = {
     "calibrate": _calibrate,
     "simulate": _simulate,
@@ -213,6 +219,7 @@ COMMANDS = {
     "predict": _predict,
     "study": _study,
     "new": _new,
+    "export": _export,
 }
 
 

@@ -7,8 +7,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +69,33 @@ def read_result(path: str | Path) -> ResultFile:
             f"{file}: its problem {source.path} has changed since the calibration",
             "Calibrate again, or restore the problem file",
         )
+    _check_nominal(file, source, document)
     return ResultFile(file, source, document)
+
+
+def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) -> None:
+    """Refuse a result whose arm has changed since, as where problem.py reads a URDF that was edited."""
+    began = {row["name"]: row.get("nominal") for row in document["parameters"]}
+    for key, unknown in source.problem.robot.parameters.items():
+        if not isinstance(unknown, Parameter) or unknown.nominal is None:
+            continue
+        for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
+            was = began.get(name)
+            if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
+                raise CasacalError(
+                    f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})",
+                    "Calibrate again, or restore the file that the problem reads",
+                )
+
+
+def arm_values(result: ResultFile, *, nominal: bool = False) -> SimpleNamespace:
+    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM)."""
+    values = {}
+    for key, unknown in result.source.problem.robot.parameters.items():
+        if unknown.nominal is None:
+            raise CasacalError(f"'{key}' of the arm has no nominal value", "Give it one in the problem file")
+        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal)))
+    return SimpleNamespace(**values)
 
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
@@ -161,6 +189,8 @@ def _local(key: str, unknown: Any, result: ResultFile, nominal: bool) -> Array:
         known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
     else:
         known = {row["name"]: float(row["value"]) for row in result.document["unknowns"]}
+        if not known.keys() & set(unknown.names(key)):  # held by the calibration
+            return np.zeros(unknown.size)
     missing = [name for name in unknown.names(key) if name not in known]
     if missing:
         raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")

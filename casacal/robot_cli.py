@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.prediction import ResultFile
 
 
 def new_command(options: argparse.Namespace) -> int:
@@ -26,3 +30,37 @@ def new_command(options: argparse.Namespace) -> int:
     print(f"Written: {place}")
     print(f"Next: write your tool into {place}/problem.py, then casacal simulate {place} --out out/{options.name}.csv")
     return 0
+
+
+def export_command(options: argparse.Namespace) -> int:
+    """Write a calibrated arm in the form that --to names; returns 0."""
+    from casacal.export import remark
+    from casacal.files import write_text
+    from casacal.prediction import read_result
+
+    if options.source is not None and options.to not in ("dh", "urdf"):
+        raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
+    result = read_result(options.result)
+    write_text(options.out, _exported(result, options))
+    print(f"Written: {options.out}")
+    for line in remark(result):
+        print(line)
+    return 0
+
+
+def _exported(result: ResultFile, options: argparse.Namespace) -> str:
+    """The text that is asked for."""
+    from casacal.arms.dh_file import is_toml
+    from casacal.export import c_text, dh_text, ur_kinematics_text, urdf_text, zeros_text
+
+    if options.to == "dh":
+        if options.source is not None and is_toml(options.source) != is_toml(options.out):
+            raise CasacalError(
+                f"'{options.out}' would hold what '{options.source}' holds", "End both names alike, in .csv or .toml"
+            )
+        return dh_text(result, options.source, toml=is_toml(options.out))
+    if options.to == "urdf":
+        return urdf_text(result, options.source)
+    if options.to == "c":
+        return c_text(result, prefix=options.prefix)
+    return {"zeros": zeros_text, "ur": ur_kinematics_text}[options.to](result)

@@ -69,6 +69,18 @@ IIWA = {  # KUKA LBR iiwa 14 R820, manual of the media flange; modified DH, mm a
     "theta": (0,) * 7,
 }
 
+KR16_CSV = """# KUKA KR 16, its drawing's lengths; Craig's convention, joint 3 turned so that zero is the pendant's
+# convention: modified
+# parallel: 2
+joint,alpha_deg,a_mm,d_mm,theta_deg,lower_deg,upper_deg
+1,0,0,675,0,-185,185
+2,-90,260,0,0,-155,35
+3,0,680,0,-90,-130,154
+4,-90,-35,670,0,-350,350
+5,90,0,0,0,-130,130
+6,-90,0,115,180,-350,350
+"""
+
 UR5_URDF = """<?xml version="1.0" encoding="utf-8"?>
 <!-- the numbers of ur_description's ur5, the layout everyone's own -->
 <robot name='ur5' xmlns:xacro="http://wiki.ros.org/xacro">

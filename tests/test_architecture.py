@@ -26,7 +26,7 @@ FLOORS = [
         "scale",
         "simulated_trials",
     },
-    {"files", "calibration", "guards", "doctor", "documents", "new_problem", "prediction", "report", "plots"},
+    {"files", "calibration", "guards", "doctor", "documents", "export", "new_problem", "prediction", "report", "plots"},
     {"harness", "study", "study_report"},
     {"arguments", "robot_cli", "study_cli", "cli"},
 ]

@@ -41,7 +41,7 @@ def test_a_toml_table_in_mixed_units(file):
     assert table.conventions.coupling == ((3, 2, -1.0),)
 
 
-SLIDE = """# convention: modified
+SLIDE = """# convention: modified;;;;;;;;;
 # signs: 1 1 -1
 # offsets_deg: 0; 90; 0
 # offsets_m: 0 0 0.25
@@ -54,7 +54,7 @@ joint;alpha_rad;a_m;d_m;theta_rad;kind;lower_deg;upper_deg;lower_mm;upper_mm
 
 
 def test_a_spreadsheet_of_another_country_with_a_slide(file):
-    table = read_dh_file(file(SLIDE.replace("; 90; 0", ", 90, 0").encode("utf-16"), "slide.csv"))
+    table = read_dh_file(file(SLIDE.encode("utf-16"), "slide.csv"))
     assert table.name == "slide"
     assert table.convention == "modified"
     assert table.d == (400, 0, 0)
@@ -64,9 +64,7 @@ def test_a_spreadsheet_of_another_country_with_a_slide(file):
 
 
 @pytest.mark.parametrize("name", ["again.csv", "again.toml"])
-@pytest.mark.parametrize(
-    ("text", "source"), [(UR5_CSV, "a.csv"), (PUMA_TOML, "a.toml"), (SLIDE.replace("; 90; 0", " 90 0"), "a.csv")]
-)
+@pytest.mark.parametrize(("text", "source"), [(UR5_CSV, "a.csv"), (PUMA_TOML, "a.toml"), (SLIDE, "a.csv")])
 def test_what_is_written_is_read_again(file, text, source, name):
     table = read_dh_file(file(text, source))
     again = read_dh_file(file(dh_file_text(table, name), name))

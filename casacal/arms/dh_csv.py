@@ -98,7 +98,7 @@ def _block(text: str, file: str) -> dict[str, Any]:
         found = ENTRY.fullmatch(line)
         if not found:
             continue
-        key, value = found.group(1), found.group(2)
+        key, value = found.group(1), found.group(2).rstrip(",;\t ")  # spreadsheets fill up lines with delimiters
         where = f"{file}, line {number}"
         if key not in BLOCK_FIELDS:
             close = get_close_matches(key.lower(), BLOCK_FIELDS, n=1, cutoff=0.8)
@@ -129,7 +129,7 @@ def _value(key: str, text: str, where: str) -> Any:
 
 
 def _numbers(text: str, where: str) -> list[float]:
-    return [_number(part, where) for part in re.split(r"[,\s]+", text.strip().strip("[]")) if part]
+    return [_number(part, where) for part in re.split(r"[,;\s]+", text.strip().strip("[]")) if part]
 
 
 def _number(text: str, where: str) -> float:

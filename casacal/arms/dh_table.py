@@ -129,7 +129,7 @@ class DHTable:
         if twist_std is not None:
             stds = spread(twist_std, len(self.alpha), "twist_std")
             beside = tuple(float(stds[row - shift]) for row in self.parallel)
-        labels = tuple(str(row) for row in self.parallel)
+        labels = tuple(str(int(row)) for row in self.parallel)
         found["beta"] = Parameter(self.beta, unit="rad", prior_std=beside, labels=labels)
         return found
 

@@ -1,0 +1,29 @@
+"""What every exported file says about itself: where it comes from, and how far to trust it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casacal
+from casacal.prediction import ResultFile
+
+MARK = "casacal: "
+"""What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
+
+
+def remark(result: ResultFile) -> list[str]:
+    """Lines, without comment signs, on the origin and the expected accuracy of what is exported."""
+    document = result.document
+    name = result.source.name
+    if document.get("method") == "truth":
+        return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {casacal.__version__})"]
+    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {casacal.__version__}"]
+    if not document.get("converged", True):
+        lines.append(f"{MARK}WARNING, this is no minimum: {document.get('status')}")
+    error = (document.get("tip") or {}).get("expected_rms_mm")
+    shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, up to the base frame"
+    return [
+        *lines,
+        f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",
+        f"{MARK}what the samples could not tell stands where the prior held it; the result names it",
+    ]

@@ -1,0 +1,110 @@
+"""The `kinematics:` block of ur_description (default_kinematics.yaml, and what calibration_correction writes)."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.arms.dh_table import NEARLY, DHTable
+from casacal.arms.urdf_chain import UrdfChain
+from casacal.conventions import Conventions
+from casacal.errors import CasacalError
+from casacal.export.remark import MARK, remark
+from casacal.export.rotations import roll_pitch_yaw
+from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
+from casacal.prediction import ResultFile, arm_values
+
+Array: TypeAlias = NDArray[np.float64]
+JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+FIX = "Export it as dh, urdf, zeros or c"
+
+
+def ur_kinematics_text(result: ResultFile) -> str:
+    """Origins of the six joints in the frame before, m and rad, as YAML; each joint turns about its own z.
+
+    Frames stay beside the nominal ones: lengths are not re-seated onto common normals, which parallel axes would
+    throw metres away. What stands behind the last joint has no place in this format and is said in a comment.
+    `hash` is made from the numbers; a driver that compares it with the controller's own says that they differ.
+
+    Raises CasacalError for an arm that is no 6R arm with three parallel axes from the second on.
+
+    """
+    robot = result.source.problem.robot
+    name, arm = robot.name, robot.arm
+    if not isinstance(arm, (DHTable, UrdfChain)):
+        raise CasacalError(f"'{name}' was not built from a DH table or a URDF", "Export it as zeros or c")
+    if len(arm.joints) != 6 or any(joint.kind != "revolute" for joint in arm.joints):
+        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, a UR six that turn", FIX)
+    conventions = arm.conventions or Conventions.plain(6)
+    if not np.array_equal(conventions.matrix, np.eye(6)):
+        raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", FIX)
+    _check_structure(name, _origins(arm, arm_values(result, nominal=True), conventions)[0])
+    origins, rest = _origins(arm, arm_values(result), conventions)
+    lines = [f"# {line}" for line in remark(result)]
+    if not np.allclose(rest, np.eye(4), rtol=0, atol=1e-12):
+        shift = " ".join(_fixed(v, 6) for v in rest[:3, 3])
+        turn = " ".join(_fixed(math.degrees(v), 6) for v in roll_pitch_yaw(rest[:3, :3]))
+        lines += [
+            f"# {MARK}behind wrist_3 the calibrated flange stands at x y z {shift} mm, roll pitch yaw {turn} deg:",
+            f"# {MARK}this format has no place for that; put it before your tool",
+        ]
+    block = []
+    for joint, origin in zip(JOINTS, origins, strict=True):
+        values = [*(origin[:3, 3] / 1000), *roll_pitch_yaw(origin[:3, :3])]
+        block.append(f"  {joint}:")
+        named = zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)
+        block += [f"    {key}: {_fixed(value)}" for key, value in named]
+    digest = hashlib.sha256("\n".join(block).encode()).hexdigest()[:16]
+    return "\n".join([*lines, "kinematics:", *block, f"  hash: casacal_{digest}"]) + "\n"
+
+
+def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tuple[list[Array], Array]:
+    """Origins (4x4, mm) of the joints, each in the frame before, and what stands behind the last one."""
+    if isinstance(arm, DHTable):
+        return _of_table(arm.at(p), conventions)
+    kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain)
+    if "f" in kinds.strip("f") or any(joint.axis != (0.0, 0.0, 1.0) for joint in arm.moving):
+        raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", FIX)
+    # fixed joints before the first and behind the last moving one are the description's own
+    turns = [np.array(rotate_z(offset), dtype=np.float64) for offset in conventions.offsets]
+    return [origin @ turn for origin, turn in zip(arm.origins_at(p), turns, strict=True)], np.eye(4)
+
+
+def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Array]:
+    """The same of a DH table: what lies between one axis and the next, up to the turn of the joint."""
+    beta = dict(zip(table.parallel, table.beta, strict=True))
+    origins, rest = [], chain()
+    for i, offset in enumerate(conventions.offsets):
+        spin = chain(translate(0, 0, table.d[i]), rotate_z(table.theta[i] + offset))
+        lean = chain(translate(table.a[i], 0, 0), rotate_x(table.alpha[i]))
+        if table.convention == "standard":
+            origins.append(chain(rest, spin))
+            rest = chain(lean, rotate_y(beta.get(i + 1, 0.0)))
+        else:
+            origins.append(chain(lean, rotate_y(beta.get(i, 0.0)), spin))
+    return [np.array(origin, dtype=np.float64) for origin in origins], np.array(rest, dtype=np.float64)
+
+
+def _check_structure(name: str, origins: list[Array]) -> None:
+    """Refuse an arm whose drawn axes are not a UR's: 2, 3 and 4 parallel, the others at right angles."""
+    frame, axes = np.eye(4), []
+    for origin in origins:
+        frame = frame @ origin
+        axes.append(frame[:3, 2])
+    crossed = [abs(float(one @ two)) for one, two in pairwise(axes)]
+    wanted = [0, 1, 1, 0, 0]
+    if any(abs(math.acos(min(c, 1.0)) - math.acos(w)) > NEARLY for c, w in zip(crossed, wanted, strict=True)):
+        raise CasacalError(
+            f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles", FIX
+        )
+
+
+def _fixed(value: float, digits: int = 12) -> str:
+    """A number without exponent, which YAML readers take for a text where it has no point."""
+    shown = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if shown in ("-0", "") else shown

@@ -1,0 +1,146 @@
+"""The calibrated arm as the URDF it came from, in which nothing but the origins of calibrated joints is edited."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.arms.dh_csv import plain
+from casacal.arms.urdf_chain import MM, UrdfChain, origin_matrix
+from casacal.errors import CasacalError
+from casacal.export.rotations import roll_pitch_yaw
+from casacal.prediction import ResultFile, arm_values
+
+Array: TypeAlias = NDArray[np.float64]
+ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+def urdf_text(result: ResultFile, source: str | Path | None = None) -> str:
+    """The URDF with the calibrated origins; every other byte is that of the source, so it carries no remark.
+
+    A number that is the same to twelve digits keeps its text; where a joint has no <origin> and needs one, it is put
+    behind the joint's start tag.
+
+    Args:
+        result: of a robot built by `Robot.from_urdf`.
+        source: the URDF; None takes that of the arm's name beside the problem file.
+
+    Raises CasacalError for other robots, and for a source that is not the one the calibration began with.
+
+    """
+    arm = result.source.problem.robot.arm
+    if not isinstance(arm, UrdfChain):
+        raise CasacalError(
+            f"'{result.source.problem.robot.name}' was not built from a URDF", "Export it as dh, zeros or c"
+        )
+    path = Path(result.source.path).parent / arm.file if source is None else Path(source)
+    _check_source(path, arm)
+    data = path.read_bytes()
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
+    places = _Places.of(data)
+    edits: list[tuple[int, int, bytes]] = []
+    for joint, new in zip(arm.moving, arm.origins_at(arm_values(result)), strict=True):
+        old = origin_matrix(joint)
+        changed: dict[str, tuple[float, ...]] = {}
+        if not np.allclose(new[:3, 3], old[:3, 3], rtol=0, atol=1e-9):
+            changed["xyz"] = tuple(float(v) for v in new[:3, 3] / MM)
+        if not np.allclose(new[:3, :3], old[:3, :3], rtol=0, atol=1e-12):
+            changed["rpy"] = roll_pitch_yaw(new[:3, :3], joint.rpy)
+        if changed:
+            edits += _edits(data, places, joint.name, changed)
+    for start, end, text in sorted(edits, reverse=True):
+        data = data[:start] + text + data[end:]
+    return data.decode("utf-8")
+
+
+def _check_source(path: Path, arm: UrdfChain) -> None:
+    """Refuse a URDF in which the joints of the arm are not those the calibration began with."""
+    there = UrdfChain.read(path, arm.chain[0].parent, arm.chain[-1].child, arm.conventions)
+    fix = "Give the URDF that the problem was made from"
+    if [joint.name for joint in there.chain] != [joint.name for joint in arm.chain]:
+        raise CasacalError(f"{path}: the joints between base and tip are not those of the calibrated arm", fix)
+    for one, two in zip(there.chain, arm.chain, strict=True):
+        same = (one.kind, one.axis) == (two.kind, two.axis)
+        if not same or not np.allclose((one.xyz, one.rpy), (two.xyz, two.rpy), rtol=0, atol=1e-9):
+            raise CasacalError(f"{path}: joint '{one.name}' is not as it was when the calibration began", fix)
+
+
+def _edits(
+    data: bytes, places: _Places, name: str, changed: dict[str, tuple[float, ...]]
+) -> list[tuple[int, int, bytes]]:
+    """What to replace, as (start, end, text), so that a joint's origin has other xyz or rpy."""
+    if name not in places.origins:
+        at = _tag_end(data, places.joints[name])
+        indent = re.match(rb"\s*", data[at:])
+        said = b"".join(b' %s="%s"' % (key.encode(), _numbers(values)) for key, values in changed.items())
+        return [(at, at, (indent.group(0) if indent else b"") + b"<origin" + said + b"/>")]
+    start = places.origins[name]
+    tag = data[start : _tag_end(data, start)]
+    edits = []
+    for key, values in changed.items():
+        found = [m for m in ATTRIBUTE.finditer(tag) if m.group(1) == key.encode()]
+        if found:
+            first, last = found[0].span(2)
+            edits.append((start + first + 1, start + last - 1, _in_place(tag[first + 1 : last - 1], values)))
+        else:
+            at = start + len(b"<origin")
+            edits.append((at, at, b' %s="%s"' % (key.encode(), _numbers(values))))
+    return edits
+
+
+def _in_place(text: bytes, values: tuple[float, ...]) -> bytes:
+    """Three numbers in the blanks of the old ones; a number that is the same keeps its text."""
+    given = iter(values)
+
+    def number(found: re.Match[bytes]) -> bytes:
+        value = next(given)
+        same = math.isclose(float(found.group(0)), value, rel_tol=1e-12, abs_tol=1e-12)
+        return found.group(0) if same else plain(value).encode()
+
+    return re.sub(rb"\S+", number, text)
+
+
+def _numbers(values: tuple[float, ...]) -> bytes:
+    return " ".join(plain(value) for value in values).encode()
+
+
+def _tag_end(data: bytes, start: int) -> int:
+    """Where the start tag that begins at `start` ends; quotes may hold a >."""
+    found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(data, start)
+    return found.end() if found else len(data)
+
+
+@dataclass
+class _Places:
+    """Where the joints of a URDF and their origins begin, in bytes."""
+
+    joints: dict[str, int] = field(default_factory=dict)
+    origins: dict[str, int] = field(default_factory=dict)
+
+    @staticmethod
+    def of(data: bytes) -> _Places:
+        places, path = _Places(), []
+        parser = expat.ParserCreate()
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            path.append((tag, attributes.get("name", "")))
+            tags = [entry[0] for entry in path]
+            if tags == ["robot", "joint"]:
+                places.joints[path[1][1]] = parser.CurrentByteIndex
+            elif tags == ["robot", "joint", "origin"]:
+                places.origins[path[1][1]] = parser.CurrentByteIndex
+
+        parser.StartElementHandler = start
+        parser.EndElementHandler = lambda _: path.pop()
+        parser.Parse(data, True)
+        return places

@@ -1,0 +1,87 @@
+"""Joint zero corrections: what a controller that knows zero offsets alone can be told of a calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.arms.dh_csv import plain
+from casacal.export.remark import MARK, remark
+from casacal.metrics import workspace_joints
+from casacal.prediction import ResultFile, arm_values
+
+Array: TypeAlias = NDArray[np.float64]
+LEVER = 100.0
+"""Distance (mm) from the flange's origin of the points that stand for its orientation."""
+STEPS = 5
+
+
+@dataclass(frozen=True)
+class ZeroCorrections:
+    """Corrections (n,; rad, mm) in the controller's sign, and what they leave.
+
+    values: what to add to each joint value that the controller shows, so that the nominal arm comes nearest to the
+        calibrated one. before, after: distance (mm RMS) between the two without and with them, over the workspace, of
+        the flange's origin and of three points `LEVER` from it along its axes.
+    """
+
+    values: Array
+    before: float
+    after: float
+
+    @property
+    def share(self) -> float:
+        """Part of the calibration's squared effect that zero offsets express, 0 to 1."""
+        return 1.0 - (self.after / self.before) ** 2 if self.before > 0 else 1.0
+
+
+def zero_corrections(result: ResultFile) -> ZeroCorrections:
+    """Least-squares zero corrections of a calibration, whatever the robot is built from."""
+    robot = result.source.problem.robot
+    q = ca.SX.sym("q", len(robot.axes))
+    drawn, true = (_points(ca.SX(robot.pose(arm_values(result, nominal=nominal), q))) for nominal in (True, False))
+    joints = workspace_joints(robot)
+    count = len(joints)
+    evaluate = ca.Function("points", [q], [drawn, ca.jacobian(drawn, q)]).map(count)
+    target = np.asarray(ca.Function("points", [q], [true]).map(count)(joints.T)).T
+    values = np.zeros(len(robot.axes))
+    misses = []
+    for _ in range(STEPS):  # Gauss-Newton on corrections of a degree or less: quadratic at once
+        points, slopes = evaluate((joints + values).T)
+        error = (target - np.asarray(points).T).ravel()
+        misses.append(error)
+        slope = np.asarray(slopes).reshape(12, count, -1).transpose(1, 0, 2).reshape(12 * count, -1)
+        values = values + np.linalg.lstsq(slope, error, rcond=1e-9)[0]
+    rms = [math.sqrt(float((error**2).sum()) / (4 * count)) for error in (misses[0], misses[-1])]
+    return ZeroCorrections(values, rms[0], rms[1])
+
+
+def zeros_text(result: ResultFile) -> str:
+    """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
+    found = zero_corrections(result)
+    axes = result.source.problem.robot.axes
+    slides = any(joint.kind == "prismatic" for joint in axes)
+    lines = [f"# {line}" for line in remark(result)]
+    lines += [
+        f"# {MARK}add each correction to the joint value that the controller shows; the drawn arm is then nearest to "
+        "the calibrated one",
+        f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
+        f"points {LEVER:g} mm from it)",
+        f"# {MARK}zero offsets express {100 * found.share:.0f} % of that, by squares; {found.after:.3f} mm RMS remain",
+        "joint,correction_deg" + (",correction_mm" if slides else ""),
+    ]
+    for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
+        turns = joint.kind == "revolute"
+        cells = [str(i), f"{math.degrees(value) + 0.0:.6f}" if turns else ""]
+        lines.append(",".join(cells + (["" if turns else plain(round(value, 6))] if slides else [])))
+    return "\n".join(lines) + "\n"
+
+
+def _points(pose: ca.SX) -> ca.SX:
+    """The flange's origin and three points along its axes (12), mm."""
+    return ca.vertcat(pose[:3, 3], *(pose[:3, 3] + LEVER * pose[:3, k] for k in range(3)))
