@@ -11,7 +11,7 @@ import tomllib
 import numpy as np
 import pytest
 from oracles import rot_x, rot_z, shift
-from robots_of_others import IIWA, ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
+from robots_of_others import IIWA, KR16_CSV, ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
@@ -35,6 +35,7 @@ def place(tmp_path_factory):
         "ur5.csv": UR5_CSV,
         "puma.toml": PUMA_TOML,
         "iiwa.csv": IIWA_CSV,
+        "kr16.csv": KR16_CSV,
         "ur.urdf": UR5_URDF,
         "odd.urdf": ODD_URDF,
     }
@@ -160,7 +161,7 @@ def test_toml_is_written_back_in_both_its_styles(place, tmp_path):
 
 
 @pytest.mark.parametrize("toml", [False, True])
-@pytest.mark.parametrize("name", ["ur5", "puma", "iiwa"])
+@pytest.mark.parametrize("name", ["ur5", "puma", "iiwa", "kr16"])
 def test_a_table_written_afresh_moves_as_the_calibrated_arm(place, tmp_path, name, toml):
     result = made(place / name, 1)
     path = tmp_path / ("a.toml" if toml else "a.csv")
@@ -374,14 +375,10 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
         ("puma", "joint signs or coupling"),
         ("iiwa", "7 joints, a UR six"),
         ("odd", "3 joints, a UR six"),
-        ("kr", "not built like a UR"),
+        ("kr16", "not built like a UR"),
     ],
 )
-def test_other_arms_are_no_ur(place, tmp_path, name, words):
-    if name == "kr":
-        rows = "1,-90,260,675,0\n2,0,680,0,0\n3,90,-35,0,90\n4,-90,0,-670,0\n5,90,0,0,0\n6,180,0,-115,0\n"
-        (tmp_path / "kr.csv").write_text("# convention: standard\n" + PLAIN + rows)
-        place = new_from_dh("kr", tmp_path / "kr.csv", tmp_path)[0].parent
+def test_other_arms_are_no_ur(place, name, words):
     with pytest.raises(casacal.CasacalError, match=words):
         export.ur_kinematics_text(made(place / name))
 
@@ -622,3 +619,31 @@ def test_least_squares_agrees_on_zero_offsets_of_a_small_arm(tmp_path):
 
     found = least_squares(misses, np.zeros(2), xtol=1e-12)
     np.testing.assert_allclose(export.zero_corrections(result).values, found.x, atol=1e-8)
+
+
+SCREWS = """from casacal import DialOnPlane, Problem, Robot
+
+robot = Robot.from_screws(
+    "UR5",
+    axes=[(0, 0, 1), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 0, -1), (0, 1, 0)],
+    points=[(0, 0, 0), (0, 0, 89), (425, 0, 89), (817, 0, 89), (817, 109, 0), (817, 0, -6)],
+    home=[[-1, 0, 0, 817], [0, 0, 1, 191], [0, 1, 0, -6], [0, 0, 0, 1]],
+)
+problem = Problem(robot, DialOnPlane(noise_std=0.01))
+"""
+
+
+def test_screws_calibrate_and_export_also_with_a_part_held(tmp_path, capsys):
+    folder = tmp_path / "screws"
+    folder.mkdir()
+    (folder / "problem.py").write_text(SCREWS)
+    samples, out = tmp_path / "s.csv", tmp_path / "out"
+    assert main(["simulate", str(folder), "--out", str(samples), "--seed", "1"]) == 0
+    held = ["--fix", "home,axis1", "--method", "lm", "--out", str(out)]
+    assert main(["calibrate", str(folder), str(samples), *held]) == 0
+    assert "ipopt agrees" in capsys.readouterr().out
+    result = read_result(out / "result.json")
+    moved = export.zero_corrections(result)
+    assert 0 < moved.after < moved.before < 20
+    with pytest.raises(casacal.CasacalError, match="was not built from a DH table or a URDF"):
+        export.ur_kinematics_text(result)

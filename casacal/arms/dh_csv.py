@@ -82,8 +82,8 @@ def conventions_comments(conventions: Conventions, turns: list[bool]) -> list[st
 
 
 def plain(value: float) -> str:
-    """A number to twelve digits, without trailing zeros, never -0."""
-    return f"{value + 0.0:.12g}"
+    """A number to twelve digits, without trailing zeros; zero, never -0, for what is rounding alone."""
+    return f"{value:.12g}" if abs(value) > 1e-12 else "0"
 
 
 def degrees(value: float) -> str:
