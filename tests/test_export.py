@@ -27,6 +27,11 @@ IIWA_CSV = "# convention: modified\n" + PLAIN
 IIWA_CSV += "".join(f"{i + 1},{IIWA['alpha'][i]},0,{IIWA['d'][i]},0\n" for i in range(7))
 
 
+@pytest.fixture(autouse=True)
+def without_compiling(monkeypatch):
+    monkeypatch.setenv("CASACAL_BACKEND", "blocks")  # each arm is calibrated once: not worth a compiler's seconds
+
+
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """A folder with files of well known arms and a problem made from each."""

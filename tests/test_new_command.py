@@ -36,6 +36,7 @@ def place(tmp_path, monkeypatch):
     ):
         (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CASACAL_BACKEND", "blocks")  # each arm is calibrated once: not worth a compiler's seconds
     return tmp_path
 
 
@@ -89,14 +90,12 @@ def test_parallel_axes_are_found(place, capsys):
     assert sum(u.size for u in load_problem("mine").problem.robot.parameters.values()) == 24
 
 
-@pytest.mark.parametrize("source", ["ur5.csv", "puma.toml", "ur5.urdf"])
-def test_what_is_made_simulates_and_calibrates(place, source, capsys):
-    assert main(["new", "mine", *SOURCES[source]]) == 0
+def test_what_is_made_simulates_checks_calibrates_and_predicts(place, capsys):
+    assert main(["new", "mine", "--dh", "puma.toml"]) == 0
     assert main(["simulate", "mine", "--out", "out/mine.csv", "--seed", "2"]) == 0
     assert main(["check", "mine", "out/mine.csv"]) == 0
-    reference = [] if source == "ur5.csv" else ["--no-reference"]
-    assert main(["calibrate", "mine", "out/mine.csv", "--method", "lm", "--out", "out/mine", *reference]) == 0
-    assert ("agrees" in capsys.readouterr().out) == (not reference)
+    assert main(["calibrate", "mine", "out/mine.csv", "--method", "lm", "--out", "out/mine"]) == 0
+    assert "ipopt agrees" in capsys.readouterr().out
     assert main(["predict", "out/mine/result.json", "out/mine.csv", "--out", "out/p.csv"]) == 0
 
 
