@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
     from casacal.joints import Joint
     from casacal.kinematics import chain, deg, dh, modified_dh
+    from casacal.prediction import read_result
     from casacal.problem import Problem
     from casacal.result import Result, Status
     from casacal.robot import Robot
@@ -68,6 +69,7 @@ _HOMES = {
     "casacal.files": ("ProblemFile", "load_problem"),
     "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
+    "casacal.prediction": ("read_result",),
     "casacal.problem": ("Problem",),
     "casacal.result": ("Result", "Status"),
     "casacal.joints": ("Joint",),

@@ -32,8 +32,8 @@ Made by `casacal new`; edit it as you like.
   Who knows the absolute accuracy that the maker states gives it to `casacal calibrate --accuracy`.
 {more}- Noise: 0.01 mm along the plunger.
 - Tool: the plunger's tip stands at the flange's origin and points along its z axis. Yours does not: measure where it
-  is and write `DialOnPlane(noise_std=0.01, tool=tool_point(0, 0, 120, prior_std=1.0))`; a larger reading lengthens the
-  tool unless `sign=-1` is given.
+  is and write `DialOnPlane(noise_std=0.01, tool=tool_point(0, 0, 120, prior_std=1.0))`, with `tool_point` imported
+  from casacal. A larger reading lengthens the tool unless `sign=-1` is given.
 - Limits: those of the file{limits}. The simulated cell uses them.
 - Cell: none is defined, so `casacal simulate` looks for three faces in reach.
 

@@ -81,7 +81,7 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
             continue
         for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
             was = began.get(name)
-            if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
+            if isinstance(was, (int, float)) and abs(was - value) > 1e-9 * (1 + abs(value)):
                 raise CasacalError(
                     f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})",
                     "Calibrate again, or restore the file that the problem reads",

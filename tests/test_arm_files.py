@@ -204,6 +204,7 @@ LINK = '<link name="{0}"/>'
         ('<link name="a"/>', '<link name="b"/>', "two links are named 'b'"),
         ('<link name="a"/>', '<link name="a"/><link name="lamp"/>', "2 links that could be the tip: 'lamp', 'e'"),
         ("</robot>", "", "broken XML"),
+        ("<robot name", '<?xml version="1.0" encoding="klingon"?><robot name', "encoding cannot be read"),
         ('<robot name="odd">', '<!DOCTYPE r [<!ENTITY x "1">]><robot name="odd">', "declares an entity"),
         ("robot", "sdf", "begins with <sdf>"),
     ],
@@ -241,3 +242,36 @@ def test_a_loop_has_no_root(file):
     )
     with pytest.raises(ProblemError, match="loop"):
         Robot.from_urdf(file(loop + "</robot>", "loop.urdf"))
+
+
+@pytest.mark.parametrize("name", ["ur5.csv", "slide.csv", "puma.toml", "odd.urdf"])
+def test_damaged_files_are_read_or_refused_in_a_sentence(file, name):
+    text = {"ur5.csv": UR5_CSV, "slide.csv": SLIDE, "puma.toml": PUMA_TOML, "odd.urdf": ODD_URDF}[name].encode()
+    rng = np.random.default_rng(11)
+    pieces = (
+        b"nan",
+        b"-1",
+        b"",
+        b'"',
+        b"<",
+        b"#",
+        b",",
+        b";",
+        b"[",
+        b"\n",
+        b"\x00",
+        b"\xff",
+        b"true",
+        b"9" * 30,
+        b"[]",
+    )
+    refused = 0
+    for _ in range(150):
+        start = int(rng.integers(len(text)))
+        piece = pieces[rng.integers(len(pieces))]
+        path = file(text[:start] + piece + text[start + int(rng.integers(8)) :], name)
+        try:
+            Robot.from_urdf(path) if name.endswith("urdf") else Robot.from_dh_file(path)
+        except ProblemError:
+            refused += 1
+    assert refused > 30

@@ -249,6 +249,12 @@ def test_what_did_not_change_keeps_every_byte(place):
     assert "rpy='0 0 0.001'\n              xyz='0 0 0.090159' />   <!--" in turned
 
 
+def test_numbers_written_as_character_references(place, tmp_path):
+    (tmp_path / "ur.urdf").write_text(UR5_URDF.replace('"-0.425 0 0"', '"&#45;0.425 0&#32;0"'))
+    written = export.urdf_text(made(place / "ur", change={"x3": 0.5}), tmp_path / "ur.urdf")
+    assert '<origin xyz="-0.4245 0 0"/>' in written
+
+
 def test_another_urdf_is_not_written_into(place, tmp_path):
     result = made(place / "ur")
     for old, new, words in (

@@ -95,6 +95,8 @@ def read_urdf(path: str | Path) -> UrdfFile:
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
         raise ProblemError(f"{file}, line {error.lineno}: broken XML ({said})", "Mend the file") from None
+    except (LookupError, ValueError) as error:  # an encoding that nobody knows, or that expat does not
+        raise ProblemError(f"{file}: its encoding cannot be read ({error})", "Save it as UTF-8") from None
     return reader.finished()
 
 

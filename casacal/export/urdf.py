@@ -100,6 +100,8 @@ def _edits(
 
 def _in_place(text: bytes, values: tuple[float, ...]) -> bytes:
     """Three numbers in the blanks of the old ones; a number that is the same keeps its text."""
+    if b"&" in text:  # written as character references: all afresh
+        return _numbers(values)
     given = iter(values)
 
     def number(found: re.Match[bytes]) -> bytes:
