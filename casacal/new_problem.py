@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from casacal.arms.dh_csv import degrees, plain
+from casacal.arms.decimals import degrees, plain
 from casacal.arms.dh_file import read_dh_file
 from casacal.arms.dh_table import DHTable
 from casacal.arms.urdf_chain import UrdfChain

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from casacal.arms.decimals import degrees, plain
 from casacal.arms.dh_fields import BLOCK_FIELDS, OFFSETS, Fields
 from casacal.arms.dh_table import DHTable
 from casacal.conventions import Conventions
@@ -79,16 +80,6 @@ def conventions_comments(conventions: Conventions, turns: list[bool]) -> list[st
         entries = (f"{i} {j} {plain(factor)}" for i, j, factor in conventions.coupling)
         lines.append(f"# coupling: {'; '.join(entries)}")
     return lines
-
-
-def plain(value: float) -> str:
-    """A number to twelve digits, without trailing zeros; zero, never -0, for what is rounding alone."""
-    return f"{value:.12g}" if abs(value) > 1e-12 else "0"
-
-
-def degrees(value: float) -> str:
-    """An angle in rad, in degrees to twelve digits."""
-    return plain(math.degrees(value))
 
 
 def _block(text: str, file: str) -> dict[str, Any]:

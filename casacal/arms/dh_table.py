@@ -18,9 +18,7 @@ from casacal.unknowns.unknown import spread
 
 Stds = float | Sequence[float] | None
 NEARLY = math.radians(5.0)
-"""Largest angle between axes that may be declared parallel."""
-EXACTLY = math.radians(0.01)
-"""Largest angle between axes that count as parallel when nobody declares them."""
+"""Largest angle between axes that count as parallel: below it, the foot of their common normal moves far too easily."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +88,7 @@ class DHTable:
 
     def parallel_axes(self) -> tuple[int, ...]:
         """Rows, from 1, whose axis is nominally parallel to the next one, declared or not."""
-        return tuple(row for row in range(1, len(self.alpha)) if abs(math.sin(self.twist(row))) < EXACTLY)
+        return tuple(row for row in range(1, len(self.alpha)) if abs(math.sin(self.twist(row))) <= math.sin(NEARLY))
 
     def pose(self, p: Any, q: Expression) -> Expression:
         """Flange pose (4x4, mm) at `p.alpha`, `p.a`, `p.d`, `p.theta` (and `p.beta`) and joint values q."""

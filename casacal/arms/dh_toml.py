@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from casacal.arms.dh_csv import degrees, plain
+from casacal.arms.decimals import degrees, plain
 from casacal.arms.dh_fields import BLOCK_FIELDS, OFFSETS, Fields, check_names
 from casacal.arms.dh_table import DHTable
 from casacal.conventions import Conventions

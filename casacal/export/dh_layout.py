@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from casacal.arms.dh_csv import plain
+from casacal.arms.decimals import plain
 from casacal.arms.dh_fields import UNITS
 from casacal.arms.dh_table import DHTable
 

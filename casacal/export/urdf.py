@@ -12,7 +12,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.arms.dh_csv import plain
+from casacal.arms.decimals import plain
 from casacal.arms.urdf_chain import MM, UrdfChain, origin_matrix
 from casacal.errors import CasacalError
 from casacal.export.rotations import roll_pitch_yaw

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.arms.dh_csv import plain
+from casacal.arms.decimals import plain
 from casacal.export.remark import MARK, remark
 from casacal.metrics import workspace_joints
 from casacal.prediction import ResultFile, arm_values
