@@ -21,7 +21,9 @@ from casacal.unknowns import Unknown
 Array: TypeAlias = NDArray[np.float64]
 
 ENOUGH = 20_000
-"""Rows of a face that propose where it is, and rows looked at together."""
+"""Rows of a face that propose where it is."""
+TOGETHER = 16_384
+"""Rows looked at together, so that a million are never copied at once."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +127,9 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
     known = tuple(_columns(problem, i, samples).values())
     noise = np.empty((len(samples), model.components))
     block = Block(model, samples, row_slots, pattern, columns, constants, known, noise)
-    for first in range(0, len(samples), ENOUGH):
-        some = slice(first, first + ENOUGH)
-        (noise[some],) = model.batch.noise(np.zeros(nz), constants[pattern[some]], block.rows(some))
+    for k, constant in enumerate(constants):
+        for rows in np.array_split(np.flatnonzero(pattern == k), 1 + len(samples) // TOGETHER):
+            noise[rows] = model.noises(np.zeros(nz), constant, block.rows(rows))
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])

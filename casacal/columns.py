@@ -26,6 +26,10 @@ Array: TypeAlias = NDArray[np.float64]
 LARGE_FILE = 1 << 21
 """Bytes from which a CSV file is worth the time it takes to import pandas."""
 ARRAYS = (".npy", ".npz")
+PART = 1 << 20
+"""Bytes read at a time."""
+TOGETHER = 1 << 17
+"""Rows parsed at a time."""
 
 
 @dataclass(frozen=True)
@@ -57,28 +61,25 @@ def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str
         if path.stat().st_size < LARGE_FILE:
             return None
         header, header_line = _header(path)
+        newlines, complete = _count_lines(path)
     except (OSError, UnicodeDecodeError):
         return None
     delimiter = max(",;\t", key=header.count)
     names = tuple(name.strip() for name in header.split(delimiter))
     if len(set(names)) != len(names) or any(not name or '"' in name for name in names):
         return None
-    wanted = numbers(names)
+    wanted, rows = numbers(names), newlines - header_line + (not complete)
     with ThreadPoolExecutor(1) as other:  # the file is hashed while it is parsed
-        scanned = other.submit(_scan, path)
-        frame = _parsed(path, delimiter, names, header_line, wanted)
-        digest, newlines, ends = scanned.result()
-    # a row for each line after the header, or else blank lines or quoted ones shift the count
-    if frame is None or len(frame) != newlines - header_line + (0 if ends else 1):
-        return None
-    if any(not np.isfinite(frame[name].to_numpy()).all() for name in wanted):
-        return None
-    lines = range(header_line + 1, header_line + 1 + len(frame))
-
-    def text(name: str) -> Labels:
-        return Labels.coded(frame[name].cat.categories, frame[name].cat.codes.to_numpy())
-
-    return Columns(str(path), digest, names, header_line, lines, lambda name: frame[name].to_numpy(), text)
+        digest = other.submit(_digest, path)
+        for decimal in (".",) if delimiter == "," else (".", ","):
+            read = _parsed(path, delimiter, decimal, names, header_line, wanted, rows)
+            if read is not None:
+                values, labels = read
+                lines = range(header_line + 1, header_line + 1 + rows)
+                return Columns(
+                    str(path), digest.result(), names, header_line, lines, values.__getitem__, labels.__getitem__
+                )
+    return None
 
 
 def _header(path: Path) -> tuple[str, int]:
@@ -91,42 +92,63 @@ def _header(path: Path) -> tuple[str, int]:
     return "", 0
 
 
-def _scan(path: Path) -> tuple[str, int, bool]:
-    """SHA-256 of a file, how many line ends it has, and whether it ends with one."""
-    digest, newlines, last = hashlib.sha256(), 0, b""
+def _count_lines(path: Path) -> tuple[int, bool]:
+    """How many line ends a file has, and whether it ends with one."""
+    newlines, last = 0, b""
     with path.open("rb") as file:
-        while part := file.read(1 << 20):
-            digest.update(part)
+        while part := file.read(PART):
             newlines += part.count(b"\n")
             last = part[-1:]
-    return digest.hexdigest(), newlines, last == b"\n"
+    return newlines, last == b"\n"
 
 
-def _parsed(path: Path, delimiter: str, names: Sequence[str], header_line: int, numbers: Sequence[str]) -> Any:
-    """The cells as pandas reads them, numbers as float64, the rest as categories; None when it cannot."""
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _parsed(
+    path: Path,
+    delimiter: str,
+    decimal: str,
+    names: Sequence[str],
+    header_line: int,
+    numbers: Sequence[str],
+    rows: int,
+) -> tuple[dict[str, Array], dict[str, Labels]] | None:
+    """Numbers and labels as pandas reads them, some rows at a time; None when it cannot, or finds other than `rows`."""
     import pandas as pd
 
-    for decimal in (".",) if delimiter == "," else (".", ","):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                return pd.read_csv(
-                    path,
-                    sep=delimiter,
-                    decimal=decimal,
-                    names=list(names),
-                    header=None,
-                    skiprows=header_line,
-                    index_col=False,
-                    dtype={name: "float64" if name in numbers else "category" for name in names},
-                    keep_default_na=False,
-                    na_filter=False,
-                    encoding="utf-8",
-                    encoding_errors="strict",
-                )
-        except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
-            continue
-    return None
+    values = {name: np.empty(rows) for name in numbers}
+    texts = [name for name in names if name not in values]
+    codes = {name: np.empty(rows, dtype=np.int32) for name in texts}
+    known: dict[str, dict[str, int]] = {name: {} for name in texts}
+    done = 0
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            chunks = pd.read_csv(
+                path, sep=delimiter, decimal=decimal, names=list(names), header=None, skiprows=header_line,
+                index_col=False, dtype={name: "float64" if name in values else "category" for name in names},
+                keep_default_na=False, na_filter=False, encoding="utf-8", encoding_errors="strict", chunksize=TOGETHER,
+            )  # fmt: skip
+            for chunk in chunks:
+                here = slice(done, done + len(chunk))
+                done = here.stop
+                if done > rows:
+                    return None
+                for name in numbers:
+                    values[name][here] = chunk[name].to_numpy()
+                for name in texts:
+                    column, places = chunk[name].cat, known[name]
+                    numbered = [places.setdefault(str(label).strip(), len(places)) for label in column.categories]
+                    codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes.to_numpy()]
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
+        return None
+    # fewer rows than lines: blank lines or quoted ones shift the count
+    if done != rows or any(not np.isfinite(column).all() for column in values.values()):
+        return None
+    return values, {name: Labels(tuple(known[name]), codes[name]) for name in texts}
 
 
 def read_arrays(path: Path) -> Columns:
@@ -137,7 +159,7 @@ def read_arrays(path: Path) -> Columns:
     file = str(path)
     try:
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
-        digest, *_ = _scan(path)
+        digest = _digest(path)
     except FileNotFoundError:
         raise SamplesError(file, "there is no such file", "Check the path") from None
     except (OSError, ValueError, EOFError):

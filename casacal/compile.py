@@ -27,6 +27,7 @@ from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
 from casacal.kernels.block_filter import BlockFilter
+from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.compiler import CompilerError
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.native_filter import NativeFilter
@@ -93,6 +94,11 @@ class RowModel:
     @cached_property
     def _rows(self) -> dict[str, RowKernels]:
         return {}
+
+    @cached_property
+    def noises(self) -> Columnwise:
+        """The noise of many rows at one (z, c)."""
+        return Columnwise(self.noise)
 
     @cached_property
     def curvature(self) -> CurvatureKernel:

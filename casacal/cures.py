@@ -84,7 +84,7 @@ def cure_for(bound: BoundProblem, offers: list[Cure], direction: NullDirection |
 
 def _seen(bound: BoundProblem, names: dict[str, float]) -> float:
     """Whitened singular value along a direction of the arm, with all planes free."""
-    jacobian = bound.jacobian(bound.x0)
+    jacobian = bound.compact_jacobian(bound.x0)
     along = np.zeros(bound.unknowns)
     for j, name in enumerate(bound.names):
         along[j] = names.get(name, 0.0)

@@ -49,7 +49,7 @@ def classical_accuracy(bound: BoundProblem, x: Array) -> tuple[float, int]:
     """
     joints = workspace_joints(bound.problem.robot)
     return classical_bound(
-        bound.jacobian(x), natural_scale(bound), bound.tip_jacobian(x, joints), bound.tips(x, joints)
+        bound.compact_jacobian(x), natural_scale(bound), bound.tip_jacobian(x, joints), bound.tips(x, joints)
     )
 
 

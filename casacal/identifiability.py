@@ -135,7 +135,7 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
 
 def _decompose(problem: LeastSquares, x: Array, scale: Array) -> tuple[Array, Array, int]:
     """Singular values (n,), right singular vectors (n, n; rows) and rank of the scaled whitened Jacobian at x."""
-    _, sizes, right = np.linalg.svd(problem.jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
+    _, sizes, right = np.linalg.svd(problem.compact_jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
     sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
     return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
 

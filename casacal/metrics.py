@@ -110,7 +110,7 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
 
     Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
     """
-    _, sizes, right = np.linalg.svd(jacobian * scale, full_matrices=True)
+    _, sizes, right = np.linalg.svd(jacobian * scale, full_matrices=len(jacobian) < len(scale))
     sizes = np.concatenate([sizes, np.zeros(len(scale) - len(sizes))])
     seen = sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)
     field = without_rigid(tip_jacobian * scale, tips)
@@ -134,9 +134,13 @@ def noise_interval(
         kept: rows (rows,) that count; a robust fit leaves out those that it down-weighted.
 
     """
-    jacobian = problem.jacobian(x)[kept]
+    if kept.all():
+        information = problem.normal(x).information
+    else:
+        jacobian = problem.jacobian(x)[kept]
+        information = jacobian.T @ jacobian
     held = np.where(np.isfinite(covariance), covariance, 0.0)
-    free = max(int(kept.sum()) - float(np.einsum("ki,ij,kj->", jacobian, held, jacobian)), 1.0)
+    free = max(int(kept.sum()) - float((information * held).sum()), 1.0)
     total = float((problem.residual(x)[kept] ** 2).sum())
     low, high = (total / float(chi2.ppf(p, free)) for p in (0.975, 0.025))
     return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)

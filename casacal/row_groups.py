@@ -21,7 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 FEW = 8_192
 """Rows below which all stay together: threads would spend more on one another than they save."""
 MOST_PIECES = 16
-LARGEST_PIECE = 65_536
+LARGEST_PIECE = 16_384
 MANY_LANES = 50_000
 """Candidates times rows from which candidates are shared out."""
 STATES = 32

@@ -27,7 +27,7 @@ def scale_direction(bound: BoundProblem) -> Array:
 
 def conditional_scale_std(bound: BoundProblem) -> float:
     """Standard deviation of eps at the nominal when all else is exactly known: 1 / |J g|, g the scale direction."""
-    return 1.0 / float(np.linalg.norm(bound.jacobian(bound.x0) @ scale_direction(bound)))
+    return 1.0 / float(np.linalg.norm(bound.compact_jacobian(bound.x0) @ scale_direction(bound)))
 
 
 def marginal_scale_std(bound: BoundProblem) -> float:

@@ -6,6 +6,15 @@
  */
 #include <math.h>
 
+/* as in casacal's kernels: sine and cosine of several lanes at once, where the library has them */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+double lane_sin(double) __asm__("sin") __attribute__((const, simd("notinbranch")));
+double lane_cos(double) __asm__("cos") __attribute__((const, simd("notinbranch")));
+#else
+#define lane_sin sin
+#define lane_cos cos
+#endif
+
 #define AXES 6
 #define UNKNOWNS 27
 #define ROWS 28
@@ -81,6 +90,31 @@ void limit_slopes(long count, long ld, const double *restrict p, const double *r
         *(loose *)(e_out + i) = e;
 #define TO_MEMORY(row, value) *(loose *)(j + (row)*ld + i) = (value)
         BACKWARD(TO_MEMORY)
+    }
+}
+
+/* The same, the Jacobian written past the caches, which a large one would only empty; j at a multiple of 64 bytes. */
+void limit_slopes_past(long count, long ld, const double *restrict p, const double *restrict q, double *restrict e_out,
+                       double *restrict j)
+{
+    NAMES
+    for (long i = 0; i < count; i += WIDE) {
+        FORWARD
+        *(loose *)(e_out + i) = e;
+#if defined(__clang__)
+#define PAST(row, value) __builtin_nontemporal_store((wide)(value), (wide *)(j + (row)*ld + i))
+#elif defined(__AVX__)
+        typedef double four __attribute__((vector_size(32)));
+#define PAST(row, value)                                                                                               \
+    {                                                                                                                  \
+        const wide out = (value);                                                                                      \
+        for (int k = 0; k < WIDE; k += 4)                                                                              \
+            __builtin_ia32_movntpd256(j + (row)*ld + i + k, *(const four *)((const double *)&out + k));                \
+    }
+#else
+#define PAST TO_MEMORY
+#endif
+        BACKWARD(PAST)
     }
 }
 
@@ -187,4 +221,67 @@ void limit_lm(long count, long ld, const double *restrict start, const double *r
         for (int k = 0; k < UNKNOWNS; k++) x[k] += scale[k] * g[k];
         mu /= 3.0;
     }
+}
+
+/* One pass of the square-root cubature filter over rows that measure zero with unit noise once divided by `noise`, in
+ * coordinates of `scale` about `start`: the points are lanes, the root shrinks by an exact triangular downdate. After the
+ * 34 numbers of p, start holds the point about which the plane turns. q: joint values, axis by axis [AXES][count]; x:
+ * estimate, 27; work: 28 * POINTS + 27 * 27 numbers. */
+#define POINTS 56
+void limit_filter(long count, const double *restrict start, const double *restrict q, const double *restrict scale,
+                  double noise, double *restrict x, double *restrict work)
+{
+    double *state = work, *e = state + UNKNOWNS * POINTS, *root = e + POINTS, mean[UNKNOWNS] = {0};
+    const double reach = sqrt((double)UNKNOWNS), *n = start + 24, *t1 = start + 27, *t2 = start + 30, *base = start + 34;
+    for (int i = 0; i < UNKNOWNS * UNKNOWNS; i++) root[i] = i % (UNKNOWNS + 1) ? 0.0 : 1.0;
+    for (long r = 0; r < count; r++) {
+        for (int k = 0; k < UNKNOWNS; k++) {
+            const double center = (k < 24 ? start[k] : 0.0) + scale[k] * mean[k];
+            double *lane = state + k * POINTS;
+            for (int i = 0; i < UNKNOWNS; i++) {
+                const double offset = reach * scale[k] * root[k * UNKNOWNS + i];
+                lane[i] = center + offset;
+                lane[UNKNOWNS + i] = center - offset;
+            }
+            lane[54] = lane[55] = center;
+        }
+#pragma omp simd
+        for (int i = 0; i < POINTS; i++) {
+            double px = 0.0, py = 0.0, pz = 0.0;
+#pragma GCC unroll 6
+            for (int k = AXES - 1; k >= 0; k--) {
+                const double alpha = state[k * POINTS + i], angle = state[(18 + k) * POINTS + i] + q[k * count + r];
+                const double sa = lane_sin(alpha), ca = lane_cos(alpha), st = lane_sin(angle), ct = lane_cos(angle);
+                const double u = px + state[(6 + k) * POINTS + i], v = ca * py - sa * pz;
+                pz = sa * py + ca * pz + state[(12 + k) * POINTS + i];
+                px = ct * u - st * v;
+                py = st * u + ct * v;
+            }
+            const double a = state[24 * POINTS + i], b = state[25 * POINTS + i], d = 1.0 / (1.0 + 0.25 * (a * a + b * b));
+            const double c = (1.0 - 0.25 * (a * a + b * b)) * d, f = a * d, g = b * d;
+            e[i] = ((c * n[0] + f * t1[0] + g * t2[0]) * (px - base[0]) + (c * n[1] + f * t1[1] + g * t2[1]) * (py - base[1]) +
+                    (c * n[2] + f * t1[2] + g * t2[2]) * (pz - base[2]) - state[26 * POINTS + i]) / noise;
+        }
+        double average = 0.0, variance = 1.0, left = 1.0, v[UNKNOWNS], up[UNKNOWNS], down[UNKNOWNS];
+        for (int i = 0; i < 54; i++) average += e[i] / 54;
+        for (int i = 0; i < 54; i++) variance += (e[i] - average) * (e[i] - average) / 54;
+        const double std = sqrt(variance);
+        for (int i = 0; i < UNKNOWNS; i++) {
+            v[i] = (e[i] - e[UNKNOWNS + i]) / (2 * reach * std);
+            const double before = left;
+            left -= v[i] * v[i];
+            up[i] = sqrt(left / before);
+            down[i] = v[i] / sqrt(left * before);
+        }
+        for (int k = 0; k < UNKNOWNS; k++) {
+            double beyond = 0.0, *row = root + k * UNKNOWNS;
+            for (int j = k; j >= 0; j--) {
+                const double old = row[j];
+                row[j] = old * up[j] - beyond * down[j];
+                beyond += old * v[j];
+            }
+            mean[k] -= beyond / std * average;
+        }
+    }
+    for (int k = 0; k < UNKNOWNS; k++) x[k] = scale[k] * mean[k];
 }
