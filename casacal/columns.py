@@ -66,9 +66,11 @@ def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str
         return None
     delimiter = max(",;\t", key=header.count)
     names = tuple(name.strip() for name in header.split(delimiter))
-    if len(set(names)) != len(names) or any(not name or '"' in name for name in names):
-        return None
     wanted, rows = numbers(names), newlines - header_line + (not complete)
+    if len(set(names)) != len(names) or not all(name.isprintable() and name for name in names) or '"' in header:
+        return None
+    if not wanted or rows < 1:
+        return None
     with ThreadPoolExecutor(1) as other:  # the file is hashed while it is parsed
         digest = other.submit(_digest, path)
         for decimal in (".",) if delimiter == "," else (".", ","):
@@ -159,6 +161,8 @@ def read_arrays(path: Path) -> Columns:
     file = str(path)
     try:
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
+        names = loaded.dtype.names if isinstance(loaded, np.ndarray) else loaded.files
+        arrays = {name: loaded[name] for name in names or ()}
         digest = _digest(path)
     except FileNotFoundError:
         raise SamplesError(file, "there is no such file", "Check the path") from None
@@ -166,16 +170,15 @@ def read_arrays(path: Path) -> Columns:
         raise SamplesError(
             file, "this is not an array file of NumPy without Python objects", "Write it with numpy.save or numpy.savez"
         ) from None
-    if isinstance(loaded, np.ndarray) and loaded.dtype.names is None:
+    if names is None:
         raise SamplesError(
             file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array a column"
         )
-    names = tuple(loaded.files) if not isinstance(loaded, np.ndarray) else loaded.dtype.names or ()
-    rows = {name: _length(file, name, loaded[name]) for name in names}
+    rows = {name: _length(file, name, values) for name, values in arrays.items()}
     if len(set(rows.values())) != 1 or not next(iter(rows.values())):
         found = ", ".join(f"{name} {count}" for name, count in rows.items())
         raise SamplesError(file, f"the columns hold {found or 'no'} rows", "Give all columns the same number of rows")
-    return columns_of_arrays({name: loaded[name] for name in names}, file, digest)
+    return columns_of_arrays(arrays, file, digest)
 
 
 def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Columns:

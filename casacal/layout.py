@@ -41,9 +41,12 @@ class Layout:
 
 
 def numeric_columns(header: Sequence[str], layout: Layout) -> list[str]:
-    """Those columns of a header that hold a quantity of the layout, whatever their unit."""
-    known = {f"{name}_{unit}" if unit else name for name, kind in layout.quantities.items() for unit in UNITS[kind]}
-    return [name for name in header if name in known]
+    """The columns of a header that hold the layout's quantities; none unless there is exactly one for each."""
+    spellings = [
+        {f"{name}_{unit}" if unit else name for unit in UNITS[kind]} for name, kind in layout.quantities.items()
+    ]
+    found = [[name for name in header if name in each] for each in spellings]
+    return [each[0] for each in found] if all(len(each) == 1 for each in found) else []
 
 
 def match_columns(table: Table | Columns, layout: Layout) -> dict[str, tuple[str, float]]:

@@ -118,7 +118,7 @@ class Samples:
         """
         header = tuple(str(name) for name in frame.columns)
         numbers = numeric_columns(header, layout)
-        if len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
+        if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
             used = {name: frame[name].to_numpy() for name in numbers}
             used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
             columns = columns_of_arrays(used, source, digest_of(used))

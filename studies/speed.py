@@ -1,235 +1,87 @@
 """How near does the symbolic model come to C written by hand for one case?
 
 One six-axis standard DH arm in contact with one plane, 27 unknowns. Kernels printed as C and replayed in blocks,
-CasADi's plain map, SciPy on the same kernels, filterpy's cubature filter, and the limit: C written by hand for exactly
-this case (studies/speed/limit.c, compiled by this study). All contenders of a table take turns in one run, and only
-ratios of their medians travel to another machine.
+CasADi's plain map, SciPy and Ceres on the same kernels, filterpy's cubature filter, IPOPT with CasADi's own Hessian,
+and the limit: C written by hand for exactly this case (studies/speed/limit.c, compiled by this study). All contenders
+of a table take turns in one run, and only ratios of their medians travel to another machine.
 
     casacal study studies/speed.py [--quick] [--out DIR]
 """
 
-import ctypes
-import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from scipy.optimize import least_squares
 
-from casacal import BoundProblem, DialOnPlane, Plane, Problem, Run, bind, lm, load_problem, sckf
-from casacal.errors import ProblemError
-from casacal.kernels.batch import Batch
-from casacal.kernels.compiler import CompilerError, load_library
-from casacal.samples import Samples
-from casacal.unknowns.unknown import tangent_basis
-from studies.reporting import PROBLEMS, figure, save, script, table
+from casacal import Run, lm
+from casacal.kernels.compiler import CompilerError
+from studies import speed_contenders, speed_scale
+from studies.reporting import figure, save, script, table
+from studies.speed_case import CANDIDATES, Case, agreement, case
+from studies.speed_contenders import medians
 
-try:  # another library's filter, where it is installed
-    from filterpy.kalman import CubatureKalmanFilter
-except ImportError:
-    CubatureKalmanFilter = None
-
-LIMIT, PRINTED, BLOCKS, MAP = "C by hand", "c", "blocks", "CasADi map"
-EVALUATIONS = 5
-"""Of the normal equations, that LM by hand does without asking: as many as casacal's needs."""
-CANDIDATES = 100
-NOISE = 0.05
-
-
-@dataclass(frozen=True)
-class Case:
-    """The same rows for all: bound on each back end, and as the C by hand reads them."""
-
-    c: BoundProblem | None
-    blocks: BoundProblem
-    truth: np.ndarray
-    q: np.ndarray
-    w: np.ndarray
-    p: np.ndarray
+TARGETS = (
+    ("residual and Jacobian, c over C by hand, N = 10,000", "at most 1.9"),
+    ("residual and Jacobian, c over C by hand past the caches, N = 100,000", "at most 1.35"),
+    ("residual and Jacobian, blocks over C by hand, N = 10,000", "at most 14"),
+    ("residual and Jacobian, blocks over C by hand, N = 100,000", "at most 9"),
+    ("normal equations, c over C by hand, N = 10,000", "at most 1.15"),
+    ("normal equations, c over C by hand, N = 100,000", "at most 1.15"),
+    ("LM, Ceres over c, N = 120", "at least 3"),
+    ("LM, SciPy lm with the same kernels over c, N = 120", "at least 8"),
+    ("LM, Ceres with C kernels over blocks, N = 120", "above 1"),
+    ("LM, c over C by hand, one thread, largest N", "at most 1.2"),
+    ("LM, one thread over two threads, largest N", "at least 1.8"),
+    ("SCKF, c over C by hand", "at most 4"),
+    ("SCKF, blocks over C by hand", "at most 18"),
+    ("SCKF, filterpy over c", "at least 50"),
+    (f"{CANDIDATES} candidates, c over C by hand", "at most 1.5"),
+    ("IPOPT, blocks over MX map and Hessian", "at most 0.1"),
+)
+"""What casacal was built to reach, so that the page says where it falls short."""
 
 
-def case(rows: int) -> Case:
-    """An arm with prior errors and `rows` random poses, moved by their first joint but one until they touch."""
-    robot = load_problem(PROBLEMS / "hsr_jr680").problem.robot
-    normal, point = np.array([0.2, -0.1, 1.0]) / np.linalg.norm([0.2, -0.1, 1.0]), np.array([1200.0, 0.0, 400.0])
-    plane = Plane(tuple(normal), tuple(point), start_std=(0.01, 10.0))
-    problem = Problem(robot, DialOnPlane(reading=False, noise_std=NOISE, plane=plane))
-    rng = np.random.default_rng(0)
-    joints = rng.uniform(-0.6, 0.6, size=(rows, 6))
-    x = np.concatenate([0.3 * np.concatenate([u.prior_stds for u in robot.parameters.values()])
-                        * rng.normal(size=24), [1e-3, -2e-3, 1.5]])  # fmt: skip
-    for _ in range(8):  # secant steps of joint 2 onto the true plane
-        gap, slope = distance(problem, joints, x), distance(problem, joints + 1e-6 * np.eye(6)[1], x)
-        joints[:, 1] -= np.clip(gap / ((slope - gap) / 1e-6), -0.2, 0.2)
-    frame = pd.DataFrame(joints + 1e-5 * rng.normal(size=joints.shape), columns=[f"q{i}_rad" for i in range(1, 7)])
-    samples = Samples.from_frame(frame, problem.layout())
-    kept = np.abs(distance(problem, samples.joints, x)) < 1.0
-    samples = samples.take(np.resize(np.flatnonzero(kept), rows))
-    blocks = bind(problem, samples, backend="blocks")
+def report(run: Run) -> list[str]:
+    """Tables of medians with ratios, growth with the number of rows, memory, and where it falls short."""
+    sizes = (120, 1000) if run.quick else (120, 1000, 10_000, 100_000, 1_000_000)
+    seconds = 0.1 if run.quick else 4.0
+    cases = {rows: case(rows) for rows in sizes}
     try:
-        printed = bind(problem, samples, backend="c")
-    except ProblemError:  # no compiler: the page says so
-        printed = None
-    tangents = tangent_basis(normal).T
-    values = [np.concatenate([np.asarray(u.values, float) for u in robot.parameters.values()]), normal, *tangents]
-    p = np.concatenate([*values, [normal @ point]])
-    pad = ((0, 0), (0, -rows % 8))
-    q = np.ascontiguousarray(np.pad(np.vstack([np.sin(samples.joints.T), np.cos(samples.joints.T)]), pad))
-    w = np.ascontiguousarray(np.pad(np.full((1, rows), 1 / NOISE), pad))
-    return Case(printed, blocks, x, q, w, p)
+        agreed = agreement(cases[120])
+    except CompilerError as error:
+        return ["# Speed", "", f"There is no working C compiler here ({error}), so nothing was compared.", "",
+                *table(("", ""), [])]  # fmt: skip
+    lines = [*introduction(agreed, cases), ""]
+    found: dict[str, dict[int, dict[str, float]]] = {}
+    for title, contenders in speed_contenders.BY_ROWS.items():
+        found[title] = {rows: medians(contenders(made), seconds) for rows, made in cases.items()}
+        lines += [f"## {title}", "", *time_table(found[title]), ""]
+    small = cases[120]
+    for title, once in speed_contenders.AT_120.items():
+        found[title] = {120: medians(once(small), seconds)}
+        lines += [f"## {title}", "", *time_table(found[title]), ""]
+    lines += ["## Against what was aimed at", "", *reached(found), ""]
+    if not run.quick:
+        lines += [*speed_scale.report(), ""]
+    draw({title: found[title] for title in speed_contenders.BY_ROWS}, run.out / "growth.png")
+    return [*lines, "![time over the number of rows](growth.png)"]
 
 
-def distance(problem: Problem, joints: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Distance (N,) of the tips from the plane at x."""
-    frame = pd.DataFrame(joints, columns=[f"q{i}_rad" for i in range(1, 7)])
-    return bind(problem, Samples.from_frame(frame, problem.layout()), backend="blocks").plain_residual(x)
+def introduction(agreed: float, cases: dict[int, Case]) -> list[str]:
+    """What is compared."""
+    needed = ", ".join(f"{lm(made.best).residual_rows // rows} at {rows:,}" for rows, made in cases.items())
+    return [
+        "# How near the symbolic model comes to C by hand",
+        "",
+        "One six-axis standard DH arm in contact with one plane, 24 parameters, two tilts and an offset. Medians in",
+        "microseconds, all contenders of a table in turns in one run; in brackets the ratio to the first. The C by",
+        "hand writes into memory it was given, and its LM makes as many evaluations as casacal's needs from the",
+        f"drawing ({needed} rows). Its results differ from casacal's by {agreed:.0e} at most (residuals in mm,",
+        "Jacobian and filter relative). One thread, but where two are named.",
+    ]
 
 
-class ByHand:
-    """The functions of limit.c on a case."""
-
-    def __init__(self, made: Case) -> None:
-        self.functions = load_library((Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8"))
-        self.made, self.n, self.ld = made, made.blocks.rows, made.q.shape[1]
-        self.e, self.j, self.s = np.empty(self.ld), np.empty((27, self.ld)), np.empty((28, 28))
-        self.x, self.states = np.empty(27), np.tile(made.p, (CANDIDATES, 1))
-        scale, prior, out = made.blocks.start_std.copy(), made.blocks.prior_information.copy(), np.empty(CANDIDATES)
-        self.slopes = self._bound("limit_slopes", made.p, made.q, self.e, self.j)
-        self.normal = self._bound("limit_normal", made.p, made.q, made.w, self.s)
-        self.costs = self._bound("limit_costs", CANDIDATES, self.states, made.q, made.w, out)
-        self.lm = self._bound("limit_lm", made.p, made.q, made.w, scale, prior, EVALUATIONS, self.x)
-
-    def _bound(self, name: str, *values: np.ndarray | int) -> Callable[[], None]:
-        """A function of the library on these arguments, after the rows' counts; a call costs a microsecond."""
-        given = [v.ctypes.data if isinstance(v, np.ndarray) else v for v in values]
-        types = [ctypes.c_void_p if isinstance(v, np.ndarray) else ctypes.c_long for v in values]
-        function = self.functions[name]
-        function.argtypes, function.restype = [ctypes.c_long, ctypes.c_long, *types], None
-        call = partial(function, self.n, self.ld, *given)
-        call.kept = values  # pointers do not keep arrays alive
-        return call
-
-
-def medians(contenders: dict[str, Callable[[], object]], seconds: float) -> dict[str, float]:
-    """Median time (s) of each, all taking turns until the time is up, three turns at least; first turn untimed."""
-    times: dict[str, list[float]] = {name: [] for name in contenders}
-    for call in contenders.values():
-        call()
-    ends = time.perf_counter() + seconds
-    while time.perf_counter() < ends or min(map(len, times.values())) < 3:
-        for name, call in contenders.items():
-            began = time.perf_counter()
-            call()
-            times[name].append(time.perf_counter() - began)
-    return {name: float(np.median(values)) for name, values in times.items()}
-
-
-def kernels(bound: BoundProblem) -> tuple[object, np.ndarray, object]:
-    """The kernels of a bound problem, its parameters at x0 and its lanes."""
-    (groups,) = bound._groups
-    (block,) = bound.blocks
-    rows = groups._rows
-    p = np.concatenate([bound.x0[block.columns[0]], block.constants[0]])
-    return rows.kernels, p, rows.lanes([block.data], block.noise)
-
-
-def mapped(bound: BoundProblem) -> Callable[[], object]:
-    """Residual and Jacobian by CasADi's map of the row function."""
-    (block,) = bound.blocks
-    batch = Batch(block.model.jacobian)
-    return lambda: batch(bound.x0[block.columns[0]], block.constants[0], block.data)
-
-
-def slopes_contenders(made: Case) -> dict[str, Callable[[], object]]:
-    """Residual and Jacobian."""
-    found: dict[str, Callable[[], object]] = {LIMIT: ByHand(made).slopes}
-    for name, bound in ((PRINTED, made.c), (BLOCKS, made.blocks)):
-        if bound is not None:
-            kernel, p, lanes = kernels(bound)
-            found[name] = lambda kernel=kernel, p=p, lanes=lanes: kernel.slopes(p, lanes)
-    return {**found, MAP: mapped(made.blocks)}
-
-
-def normal_contenders(made: Case) -> dict[str, Callable[[], object]]:
-    """Normal equations."""
-    found: dict[str, Callable[[], object]] = {LIMIT: ByHand(made).normal}
-    for name, bound in ((PRINTED, made.c), (BLOCKS, made.blocks)):
-        if bound is not None:
-            kernel, p, lanes = kernels(bound)
-            found[name] = lambda kernel=kernel, p=p, lanes=lanes: kernel.normal(p, lanes)
-    return found
-
-
-def cost_contenders(made: Case) -> dict[str, Callable[[], object]]:
-    """Objective of a hundred candidates."""
-    found: dict[str, Callable[[], object]] = {LIMIT: ByHand(made).costs}
-    for name, bound in ((PRINTED, made.c), (BLOCKS, made.blocks)):
-        if bound is not None:
-            states = np.tile(bound.x0, (CANDIDATES, 1))
-            found[name] = lambda bound=bound, states=states: bound.costs(states)
-    return found
-
-
-def fit_contenders(made: Case) -> dict[str, Callable[[], object]]:
-    """Whole fits from the drawing."""
-    found: dict[str, Callable[[], object]] = {LIMIT: ByHand(made).lm}
-    for name, bound in ((PRINTED, made.c), (BLOCKS, made.blocks)):
-        if bound is not None:
-            found[name] = lambda bound=bound: lm(bound)
-    best = made.c if made.c is not None else made.blocks
-    scale, pull = best.start_std, np.sqrt(best.prior_information) * best.start_std
-
-    def residual(y: np.ndarray) -> np.ndarray:
-        return np.concatenate([best.residual(scale * y), pull * y])
-
-    def jacobian(y: np.ndarray) -> np.ndarray:
-        return np.vstack([best.jacobian(scale * y) * scale, np.diag(pull)])
-
-    found["SciPy lm, same kernels"] = lambda: least_squares(residual, np.zeros(27), jacobian, method="lm")
-    if best.rows <= 10_000:
-        found["SciPy lm, 2-point"] = lambda: least_squares(residual, np.zeros(27), method="lm")
-    return found
-
-
-def filter_contenders(made: Case) -> dict[str, Callable[[], object]]:
-    """One pass of the cubature filter over the rows."""
-    bound = made.c if made.c is not None else made.blocks
-    scale = bound.start_std
-
-    def predicted(y: np.ndarray, k: int) -> np.ndarray:
-        return bound.row(k, (scale * y.ravel())[None])
-
-    def theirs() -> None:
-        other = CubatureKalmanFilter(27, 1, 1.0, hx=predicted, fx=lambda x, _: x)
-        other.x, other.P, other.R, other.Q = np.zeros((27, 1)), np.eye(27), np.eye(1), np.zeros((27, 27))
-        for k in range(bound.rows):
-            other.predict()
-            other.update(np.zeros((1, 1)), hx_args=(k,))
-
-    found = {"casacal, c" if made.c is not None else "casacal, blocks": lambda: sckf(bound)}
-    if made.c is not None:
-        found["casacal, blocks"] = lambda: sckf(made.blocks)
-    return {**found, "filterpy, same h": theirs} if CubatureKalmanFilter is not None else found
-
-
-def checked(made: Case) -> float:
-    """Largest difference of the C by hand from casacal's blocks: residuals in mm, arm's columns over their largest."""
-    hand = ByHand(made)
-    hand.slopes()
-    kernel, p, lanes = kernels(made.blocks)
-    e, j = kernel.slopes(p, lanes)
-    arm = np.abs(hand.j[:24, : hand.n] - j[0][:24]).max() / np.abs(j).max()
-    return float(max(np.abs(hand.e[: hand.n] - e[0]).max(), arm))
-
-
-def compared(
-    title: str, what: Callable[[Case], dict], cases: dict[int, Case], seconds: float
-) -> tuple[list[str], dict]:
-    """Lines of a table of medians, with each contender's ratio to the first, and the medians themselves."""
-    found = {rows: medians(what(made), seconds) for rows, made in cases.items()}
+def time_table(found: dict[int, dict[str, float]]) -> list[str]:
+    """Lines of a table of medians, each with its ratio to the first contender."""
     names = list(dict.fromkeys(name for times in found.values() for name in times))
     body = []
     for name in names:
@@ -238,39 +90,47 @@ def compared(
             first = next(iter(times.values()))
             cells.append(f"{1e6 * times[name]:,.3g} ({times[name] / first:.2f})" if name in times else "")
         body.append((name, *cells))
-    header = (f"{title}, us (ratio)", *(f"N = {rows:,}" for rows in found))
-    return table(header, body), found
+    return table(("us (ratio)", *(f"N = {rows:,}" for rows in found)), body)
 
 
-def report(run: Run) -> list[str]:
-    """Four tables, growth with the number of rows, and the filter."""
-    sizes = (120, 1000) if run.quick else (120, 1000, 10_000, 100_000)
-    seconds = 0.1 if run.quick else 3.0
-    cases = {rows: case(rows) for rows in sizes}
-    try:
-        agreement = checked(cases[120])
-    except CompilerError as error:
-        return ["# Speed", "", f"There is no working C compiler here ({error}), so nothing was compared.", "",
-                *table(("", ""), [])]  # fmt: skip
-    lines = [
-        "# How near the symbolic model comes to C by hand",
-        "",
-        "One six-axis standard DH arm in contact with one plane, 24 parameters, two tilts and an offset. Medians in",
-        "microseconds, all contenders of a table in turns in one run; in brackets the ratio to the first. The C by",
-        f"hand writes into memory it was given; its results differ from casacal's by {agreement:.0e} at most (mm, and",
-        "relative for the Jacobian).",
-        "",
-    ]
-    growth = {}
-    for title, what in (("residual and Jacobian", slopes_contenders), ("normal equations", normal_contenders),
-                        ("LM from the drawing", fit_contenders)):  # fmt: skip
-        made, growth[title] = compared(title, what, cases, seconds)
-        lines += [f"## {title[0].upper()}{title[1:]}", "", *made, ""]
-    small = {120: cases[120]}
-    lines += [f"## {CANDIDATES} candidates", "", *compared("objective", cost_contenders, small, seconds)[0], ""]
-    lines += ["## One pass of the cubature filter", "", *compared("SCKF", filter_contenders, small, seconds)[0], ""]
-    draw(growth, run.out / "growth.png")
-    return [*lines, "![time over the number of rows](growth.png)"]
+def reached(found: dict[str, dict[int, dict[str, float]]]) -> list[str]:
+    """Each aim beside what this run found."""
+    names = speed_contenders
+    slopes, normal, fits, filters, candidates, checks = found.values()
+
+    def ratio(times: dict[str, float] | None, one: str, other: str) -> float:
+        return times[one] / times[other] if times and one in times and other in times else float("nan")
+
+    largest = fits[max(fits)]
+    values = (
+        ratio(slopes.get(10_000), names.PRINTED, names.LIMIT),
+        ratio(slopes.get(100_000), names.PRINTED, names.PAST),
+        ratio(slopes.get(10_000), names.BLOCKS, names.LIMIT),
+        ratio(slopes.get(100_000), names.BLOCKS, names.LIMIT),
+        ratio(normal.get(10_000), names.PRINTED, names.LIMIT),
+        ratio(normal.get(100_000), names.PRINTED, names.LIMIT),
+        ratio(fits[120], names.CERES, names.PRINTED),
+        ratio(fits[120], names.SCIPY, names.PRINTED),
+        ratio(fits[120], names.CERES, names.BLOCKS),
+        ratio(largest, names.PRINTED, names.LIMIT),
+        ratio(largest, names.PRINTED, names.TWO),
+        ratio(filters[120], names.PRINTED, names.LIMIT),
+        ratio(filters[120], names.BLOCKS, names.LIMIT),
+        ratio(filters[120], names.FILTERPY, names.PRINTED),
+        ratio(candidates[120], names.PRINTED, names.LIMIT),
+        ratio(checks[120], names.CROSS_CHECK, names.MX_HESSIAN),
+    )
+    rows = [(what, aim, "-" if np.isnan(value) else f"{value:.3g}", judged(aim, value))
+            for (what, aim), value in zip(TARGETS, values, strict=True)]  # fmt: skip
+    return table(("ratio of medians", "aim", "found", ""), rows)
+
+
+def judged(aim: str, value: float) -> str:
+    """Whether a value is where it was aimed at."""
+    if np.isnan(value):
+        return "not measured"
+    bound = float(aim.split()[-1])
+    return "reached" if (value <= bound if aim.startswith("at most") else value >= bound) else "**missed**"
 
 
 def draw(growth: dict[str, dict[int, dict[str, float]]], path: Path) -> None:

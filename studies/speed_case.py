@@ -16,8 +16,6 @@ from casacal.samples import Samples
 from casacal.unknowns.unknown import tangent_basis
 from studies.reporting import PROBLEMS
 
-EVALUATIONS = 5
-"""Of the normal equations, that LM by hand does without asking: as many as casacal's needs."""
 CANDIDATES = 100
 NOISE = 0.05
 DIFFERENT = 50_000
@@ -111,7 +109,7 @@ def kernels(bound: BoundProblem) -> tuple[object, np.ndarray, object]:
 class ByHand:
     """The functions of limit.c on a case, writing to memory that is there already."""
 
-    def __init__(self, made: Case) -> None:
+    def __init__(self, made: Case, *, evaluations: int = 5) -> None:
         self.functions = load_library((Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8"))
         self.made, self.n, self.ld = made, made.blocks.rows, made.q.shape[1]
         self.x, self.states = np.empty(27), np.tile(made.p, (CANDIDATES, 1))
@@ -119,7 +117,7 @@ class ByHand:
         scale, prior = made.blocks.start_std.copy(), made.blocks.prior_information.copy()
         self.normal = self._bound("limit_normal", self.n, self.ld, made.p, made.q, made.w, self.s)
         self.costs = self._bound("limit_costs", self.n, self.ld, CANDIDATES, self.states, made.q, made.w, out)
-        fit = (made.p, made.q, made.w, scale, prior, EVALUATIONS, self.x)
+        fit = (made.p, made.q, made.w, scale, prior, evaluations, self.x)
         self.lm = self._bound("limit_lm", self.n, self.ld, *fit)
         joints, work = np.ascontiguousarray(made.blocks.samples[0].joints.T), np.empty(28 * 56 + 27 * 27)
         begun = np.concatenate([made.p, POINT])

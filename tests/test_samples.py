@@ -20,6 +20,13 @@ q1_deg,q2_mm,reading_mm,plane,note
 """
 
 
+@pytest.fixture(autouse=True, params=["small", "large"])
+def size(request, monkeypatch):
+    """Every test twice: as files of this size are read, and as those are that take pandas."""
+    if request.param == "large":
+        monkeypatch.setattr("casacal.columns.LARGE_FILE", 0)
+
+
 def read(tmp_path, content, layout=LAYOUT):
     file = tmp_path / "s.csv"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -116,7 +116,7 @@ def _program(
     def hessian(y: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
         bent = np.empty((n, n))
         bend((y, lam_g), (bent,))
-        return [ca.DM(upper, (lam_f[0] * objective(y)[2] + bent).T[below])]
+        return [(lam_f[0] * objective(y)[2] + bent).T[below]]
 
     point, nothing, one = ca.Sparsity.dense(n), ca.Sparsity.dense(0), ca.Sparsity.dense(1)
     dual = ca.Sparsity.dense(g.numel())
@@ -180,9 +180,17 @@ class Call(ca.Callback):
         """Shape of a result."""
         return self._outputs[i]
 
-    def eval(self, arg: Sequence[ca.DM]) -> list[Any]:
-        """The results."""
-        return self._function(*(np.asarray(each).ravel() for each in arg))
+    def has_eval_buffer(self) -> bool:
+        """Whether `eval_buffer` is to be called; numbers then need not be copied into CasADi's matrices and back."""
+        return True
+
+    def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
+        """Write the results' entries, column by column."""
+        given = [np.frombuffer(each) if each is not None else np.zeros(0) for each in arg]
+        for place, values in zip(res, self._function(*given), strict=True):
+            if place is not None:
+                np.frombuffer(place)[:] = values
+        return 0
 
 
 def _prior(graph: RawGraph, problem: LeastSquares) -> ca.Function:

@@ -1,0 +1,125 @@
+"""Rules that save work, exact curvature and compiled steps: against CasADi's own evaluation and plain NumPy."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from test_kernels import BACKENDS, HAS_COMPILER
+
+from casacal import bind, chain, dh
+from casacal.kernels.columnwise import Columnwise
+from casacal.kernels.curvature import CurvatureKernel
+from casacal.kernels.operations import evaluate
+from casacal.kernels.reading import read_program
+from casacal.kinematics import transform_point
+from casacal.least_squares import LeastSquares
+
+
+def arm(joints):
+    """Distance of a tip from a plane, with its slopes, of an arm whose DH parameters are all unknown."""
+    p, q, n = ca.SX.sym("p", 4 * joints), ca.SX.sym("q", joints), ca.SX.sym("n", 3)
+    links = (dh(p[4 * i], p[4 * i + 1], p[4 * i + 2], p[4 * i + 3] + q[i]) for i in range(joints))
+    e = ca.dot(n, transform_point(chain(*links), ca.SX([10.0, -20.0, 30.0]))) / n[0]
+    return ca.Function("arm", [p, n, q], [e, ca.jacobian(e, ca.vertcat(p, n)).T])
+
+
+def mixed(program):
+    return [v for v in program.needed(program.results) if program.kinds[v] == "mixed"]
+
+
+def test_slopes_by_angles_become_cross_products_of_what_is_known():
+    function = arm(6)
+    program = read_program(function, ("once", "once", "lane"))
+    plain = function.n_instructions()
+    # CasADi finds each of the eleven angles' slopes (the first twist's needs no less) with six operations too many
+    assert len(mixed(program)) < 260 < plain
+    assert not [v for v in mixed(program) if program.operations[v].op == ca.OP_DIV]  # by parameters: once, not a lane
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        given = [rng.normal(size=24), rng.normal(size=3), rng.normal(size=6)]
+        expected = [np.array(part).ravel() for part in function(*given)]
+        for values, part in zip(program.outputs, expected, strict=True):
+            np.testing.assert_allclose(evaluate(program, values, given).ravel(), part, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("signs", [(a, b, c, d) for a in (1, -1) for b in (1, -1) for c in (1, -1) for d in (1, -1)])
+def test_the_rule_for_rotations_knows_all_signs(signs):
+    a, b, p, q, angle = (ca.SX.sym(name) for name in "abpqt")
+    s, c = ca.sin(angle), ca.cos(angle)
+    first, second, third, fourth = signs
+    turned, other = c * a - first * (s * b), second * (c * b) + first * second * (s * a)
+    slope = c * (p * a - third * (q * b)) - fourth * (s * (p * b + third * (q * a)))
+    function = ca.Function("f", [ca.vertcat(p, q, angle), ca.vertcat(a, b)], [ca.vertcat(turned, other, slope)])
+    program = read_program(function, ("once", "lane"))
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        given = [rng.normal(size=3), rng.normal(size=2)]
+        expected = np.array(function(*given)).ravel()
+        np.testing.assert_allclose(evaluate(program, program.outputs[0], given).ravel(), expected, atol=1e-14)
+
+
+def two_residuals():
+    v, c, d = ca.SX.sym("v", 4), ca.SX.sym("c", 2), ca.SX.sym("d", 2)
+    e = ca.vertcat(ca.sin(v[0] * d[0] + c[0]) * v[1], v[2] ** 2 * d[1] - c[1] * v[3] + ca.exp(v[0]) * v[2])
+    return ca.Function("e", [v, c, d], [e])
+
+
+@pytest.mark.parametrize("rows", [1, 100, 128, 700])
+def test_cost_gradient_and_hessian_are_casadis(rows):
+    residual = two_residuals()
+    kernel, rng = CurvatureKernel(residual), np.random.default_rng(rows)
+    data, noise = rng.normal(size=(rows, 2)), rng.uniform(0.5, 2.0, size=(rows, 2))
+    v, c = rng.normal(size=4), rng.normal(size=2)
+    symbol = ca.SX.sym("v", 4)
+    total = sum(ca.sumsqr(residual(symbol, c, d) / w) for d, w in zip(data, noise, strict=True)) / 2
+    hessian, gradient = ca.hessian(total, symbol)
+    expected = ca.Function("f", [symbol], [total, gradient, hessian])(v)
+    cost, slope, bend = kernel(v, c, kernel.lanes(data, noise))
+    assert cost == pytest.approx(float(expected[0]), rel=1e-12)
+    np.testing.assert_allclose(slope, np.array(expected[1]).ravel(), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(bend, np.array(expected[2]), rtol=1e-11, atol=1e-11)
+
+
+def test_curvature_of_a_graph_that_numpy_does_not_know():
+    v, d = ca.SX.sym("v", 2), ca.SX.sym("d")
+    residual = ca.Function("e", [v, ca.SX.sym("c", 0), d], [ca.vertcat(v[0] ** 2 * ca.erfinv(d) - v[1] * v[0])])
+    kernel, data = CurvatureKernel(residual), np.linspace(-0.5, 0.5, 9)[:, None]
+    total = sum(ca.sumsqr(residual(v, [], value)) for value in data.ravel()) / 2
+    expected = ca.Function("f", [v], [ca.hessian(total, v)[0]])([1.5, -0.5])
+    found = kernel(np.array([1.5, -0.5]), np.zeros(0), kernel.lanes(data, np.ones((9, 1))))
+    np.testing.assert_allclose(found[2], np.array(expected), rtol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [5, 5000])
+def test_a_function_of_many_rows_is_casadis(rows):
+    residual, rng = two_residuals(), np.random.default_rng(0)
+    v, c, data = rng.normal(size=4), rng.normal(size=2), rng.normal(size=(rows, 2))
+    found = Columnwise(residual)(v, c, data)
+    expected = np.array(residual.map(rows)(v, c, data.T)).T
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_damped_step_solves_the_system_of_the_whole_objective(hsr, backend):
+    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend=backend)
+    x = 0.3 * bound.start_std * np.random.default_rng(0).normal(size=bound.unknowns)
+    jacobian, r = bound.jacobian(x), bound.residual(x)
+    stacked = np.vstack([jacobian, np.diag(np.sqrt(bound.prior_information))]) * bound.start_std
+    residual = np.concatenate([r, np.sqrt(bound.prior_information) * (x - bound.x0)])
+    for damping in (1e-3, 10.0):
+        damped = np.vstack([stacked, np.sqrt(damping) * np.eye(bound.unknowns)])
+        y = np.linalg.lstsq(damped, -np.concatenate([residual, np.zeros(bound.unknowns)]), rcond=None)[0]
+        step = bound.damped_step(x, bound.normal(x), damping)
+        np.testing.assert_allclose((step.x - x) / bound.start_std, y, rtol=1e-6, atol=1e-9)
+        assert step.squared_length == pytest.approx(np.sum((stacked @ y) ** 2), rel=1e-6)
+        fall = (residual @ residual - np.sum((residual + stacked @ y) ** 2)) / 2
+        assert step.predicted == pytest.approx(fall, rel=1e-6)
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+def test_a_step_in_c_is_numpys_and_says_when_there_is_none(hsr):
+    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend="c")
+    normal = bound.normal(bound.x0)
+    one, other = bound.damped_step(bound.x0, normal, 0.1), LeastSquares.damped_step(bound, bound.x0, normal, 0.1)
+    np.testing.assert_allclose(one.x / bound.start_std, other.x / bound.start_std, rtol=0, atol=1e-9)
+    for spoilt in (-normal.information, normal.information * np.nan):
+        assert bound.damped_step(bound.x0, type(normal)(0.0, normal.gradient, spoilt), 0.1) is None

@@ -1,0 +1,184 @@
+"""Samples by the million: large text files and arrays give what small ones do, or are refused as they are."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from casacal import bind
+from casacal.errors import SamplesError
+from casacal.labels import Labels, combinations
+from casacal.layout import Layout
+from casacal.samples import Samples
+from casacal.tables import read_table
+
+LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
+ROWS = 3000
+
+
+@pytest.fixture(autouse=True)
+def every_file_is_large(monkeypatch):
+    monkeypatch.setattr("casacal.columns.LARGE_FILE", 0)
+    monkeypatch.setattr("casacal.columns.TOGETHER", 700)  # several parts
+
+
+def columns():
+    rng = np.random.default_rng(0)
+    return {
+        "q1_deg": np.round(rng.uniform(-180, 180, ROWS), 7),
+        "q2_mm": np.round(rng.uniform(0, 900, ROWS), 4),
+        "reading_um": np.round(rng.uniform(0, 9000, ROWS), 1),
+        "plane": np.array(["left", "upper wall", "N/A"])[rng.integers(3, size=ROWS)],
+    }
+
+
+def text(delimiter=",", decimal="."):
+    made = columns()
+    lines = [delimiter.join(made)]
+    for row in zip(*made.values(), strict=True):
+        lines.append(delimiter.join(str(cell).replace(".", decimal) for cell in row))
+    return "\n".join(lines) + "\n"
+
+
+def forbidden(path):
+    raise AssertionError(f"{path} was read cell by cell")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        text(),
+        "# a comment\n\n" + text(),
+        text().rstrip("\n"),
+        text().replace("\n", "\r\n"),
+        "\ufeff" + text(),
+        text(";"),
+        text(";", ","),
+        text("\t"),
+        text().replace(",left", ", left "),
+    ],
+    ids=["plain", "comment", "no last line end", "windows", "mark", "semicolons", "decimal commas", "tabs", "blanks"],
+)
+def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatch):
+    file = tmp_path / "s.csv"
+    file.write_bytes(content.encode())
+    expected = Samples.from_table(read_table(file), LAYOUT)
+    monkeypatch.setattr("casacal.samples.read_table", forbidden)
+    found = Samples.from_csv(file, LAYOUT)
+    np.testing.assert_allclose(found.joints, expected.joints, rtol=1e-15)
+    np.testing.assert_allclose(found.columns["reading"], expected.columns["reading"], rtol=1e-15)
+    assert found.labels["plane"] == expected.labels["plane"]
+    assert tuple(found.lines) == tuple(expected.lines)
+    assert found.sha256 == expected.sha256
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (lambda lines: [*lines[:100], lines[100].replace(".", "."), "", *lines[101:]], None),  # a blank line is fine
+        (lambda lines: [*lines[:100], "# pause", *lines[100:]], None),
+        (lambda lines: [*lines[:100], "nan,1,2,left", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "1,,2,left", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "1,2,left", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "1,2,3,left,5", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "1,2,3,", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "1_0,2,3,left", *lines[101:]], 101),
+        (lambda lines: [*lines[:100], "3700,2,3,left", *lines[101:]], 101),
+    ],
+)
+def test_what_is_odd_in_a_large_file_is_read_or_refused_line_by_line(tmp_path, spoil, line):
+    file = tmp_path / "s.csv"
+    file.write_text("\n".join(spoil(text().splitlines())) + "\n")
+    if line is None:
+        expected = Samples.from_table(read_table(file), LAYOUT)
+        assert tuple(Samples.from_csv(file, LAYOUT).lines) == tuple(expected.lines)
+        return
+    with pytest.raises(SamplesError, match=f"line {line}"):
+        Samples.from_csv(file, LAYOUT)
+
+
+def check_arrays(found):
+    made = columns()
+    np.testing.assert_allclose(found.joints, np.column_stack([np.radians(made["q1_deg"]), made["q2_mm"]]), rtol=1e-15)
+    np.testing.assert_allclose(found.columns["reading"], made["reading_um"] / 1000, rtol=1e-15)
+    assert found.labels["plane"] == tuple(made["plane"])
+    assert found.lines[:2] == range(1, 3)
+
+
+def test_arrays_are_samples_too(tmp_path):
+    made = columns()
+    np.savez(tmp_path / "s.npz", **made)
+    check_arrays(Samples.from_file(tmp_path / "s.npz", LAYOUT))
+    fields = np.zeros(ROWS, dtype=[(name, values.dtype) for name, values in made.items()])
+    for name, values in made.items():
+        fields[name] = values
+    np.save(tmp_path / "s.npy", fields)
+    check_arrays(Samples.from_file(tmp_path / "s.npy", LAYOUT))
+    assert len(Samples.from_file(tmp_path / "s.npy", LAYOUT).sha256) == 64
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"q1_deg": np.zeros(2)}, "q1_deg 2"),
+        ({"q1_deg": np.full(ROWS, np.nan)}, "line 1, column .?q1_deg"),
+        ({"q1_deg": np.full(ROWS, 4000.0)}, "absurd"),
+        ({"q2_mm": np.zeros((ROWS, 2))}, "one number a row"),
+        ({"q2_mm": np.full(ROWS, "12")}, "not numbers"),
+        ({"plane": np.full(ROWS, " ")}, "the label is empty"),
+        ({"q2_mm": None}, "there is no column for q2"),
+        ({"plane": np.array([object()] * ROWS)}, "without Python objects"),
+    ],
+)
+def test_bad_arrays_are_refused(tmp_path, change, words):
+    made = {name: values for name, values in (columns() | change).items() if values is not None}
+    np.savez(tmp_path / "s.npz", **made)
+    with pytest.raises(SamplesError, match=words):
+        Samples.from_file(tmp_path / "s.npz", LAYOUT)
+
+
+def test_arrays_without_names_and_other_files_are_refused(tmp_path):
+    np.save(tmp_path / "s.npy", np.zeros((5, 7)))
+    with pytest.raises(SamplesError, match="no named columns"):
+        Samples.from_file(tmp_path / "s.npy", LAYOUT)
+    (tmp_path / "t.npz").write_text("q1_deg\n1\n")
+    with pytest.raises(SamplesError, match="not an array file"):
+        Samples.from_file(tmp_path / "t.npz", LAYOUT)
+    with pytest.raises(SamplesError, match="no such file"):
+        Samples.from_file(tmp_path / "u.npy", LAYOUT)
+
+
+def test_a_frame_of_numbers_is_a_frame_of_text(tmp_path):
+    frame = pd.DataFrame(columns())
+    numbers, words = Samples.from_frame(frame, LAYOUT), Samples.from_frame(frame.astype(str), LAYOUT)
+    np.testing.assert_allclose(numbers.joints, words.joints, rtol=1e-15)
+    assert numbers.labels["plane"] == words.labels["plane"]
+    assert tuple(numbers.lines) == words.lines
+    changed = frame.assign(q1_deg=frame["q1_deg"] + 1)
+    assert Samples.from_frame(changed, LAYOUT).sha256 != numbers.sha256
+
+
+def test_labels_read_like_a_tuple():
+    labels = Labels.of(("b", "a", "b", "c"))
+    assert labels.names == ("b", "a", "c")
+    assert labels == ("b", "a", "b", "c")
+    assert labels != ("b", "a", "b", "b")
+    assert (labels[1], labels[-1], labels[1:3], len(labels)) == ("a", "c", ("a", "b"), 4)
+    assert labels.take(np.array([3, 3])).names == ("c",)
+    assert np.asarray(labels).tolist() == ["b", "a", "b", "c"]
+    other = Labels.of(("x", "y", "x", "x"))
+    distinct, codes = combinations([labels, other], 4)
+    assert [distinct[code] for code in codes] == [("b", "x"), ("a", "y"), ("b", "x"), ("c", "x")]
+    assert combinations([], 3)[0] == [()]
+
+
+def test_thousands_of_rows_propose_the_plane_that_few_do(hsr):
+    rows = hsr.problem.read(hsr.samples)
+    few, many = bind(hsr.problem, rows), bind(hsr.problem, rows.take(np.tile(np.arange(120), 200)))
+    for one, other in zip(few.slots, many.slots, strict=True):
+        np.testing.assert_allclose(one.nominal, other.nominal, rtol=1e-9, atol=1e-9)
+    assert many.normal(many.x0).cost == pytest.approx(200 * few.normal(few.x0).cost, rel=1e-9)
+    r, triangle = few.jacobian(few.x0), many.compact_jacobian(many.x0)
+    np.testing.assert_allclose(triangle.T @ triangle, 200 * r.T @ r, rtol=1e-8, atol=1e-3)
+    assert math.isfinite(many.cost(many.x0))

@@ -1,0 +1,56 @@
+"""Threads share rows and candidates; what they find does not depend on how many there are."""
+
+import numpy as np
+import pytest
+from test_kernels import BACKENDS
+
+from casacal import bind, lm
+from casacal.errors import ProblemError
+from casacal.losses import huber
+from casacal.threads import shared_out, thread_count
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_one_thread_and_two_find_the_same_numbers(hsr, backend):
+    rows = hsr.problem.read(hsr.samples)
+    many = rows.take(np.random.default_rng(0).integers(len(rows), size=20_000))
+    one, two = (bind(hsr.problem, many, backend=backend, threads=count) for count in (1, 2))
+    x = 0.3 * one.start_std
+    np.testing.assert_array_equal(one.residual(x), two.residual(x))
+    for loss in (None, huber()):
+        first, second = one.normal(x, loss), two.normal(x, loss)
+        assert first.cost == second.cost
+        np.testing.assert_array_equal(first.gradient, second.gradient)
+        np.testing.assert_array_equal(first.information, second.information)
+    np.testing.assert_array_equal(lm(one).x, lm(two).x)
+    states = one.start_std * np.random.default_rng(1).normal(size=(70, one.unknowns))
+    np.testing.assert_array_equal(one.costs(states), two.costs(states))
+    # and as a whole they are the sum of their parts
+    r, j = one.residual(x), one.jacobian(x)
+    assert two.normal(x).cost == pytest.approx(r @ r / 2, rel=1e-12)
+    np.testing.assert_allclose(two.normal(x).information, j.T @ j, rtol=1e-9, atol=1e-9 * np.abs(j).max() ** 2)
+
+
+def test_work_is_shared_in_order_and_errors_come_through():
+    assert shared_out(lambda k: k * k, range(7), 3) == [k * k for k in range(7)]
+    assert shared_out(lambda k: k, [], 3) == []
+
+    def fails(k):
+        raise ZeroDivisionError(k)
+
+    with pytest.raises(ZeroDivisionError):
+        shared_out(fails, range(4), 2)
+
+
+def test_threads_are_counted(monkeypatch):
+    assert thread_count(3) == 3
+    monkeypatch.setenv("CASACAL_THREADS", "2")
+    assert thread_count() == 2
+    monkeypatch.delenv("CASACAL_THREADS")
+    assert thread_count() >= 1
+    for asked in (0, -1):
+        with pytest.raises(ProblemError, match="Give one or more"):
+            thread_count(asked)
+    monkeypatch.setenv("CASACAL_THREADS", "many")
+    with pytest.raises(ProblemError, match="'many' threads"):
+        thread_count()
