@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import dual_annealing
 
 from casacal.estimators.box import BUDGET, WIDTH, Search
 from casacal.least_squares import LeastSquares
@@ -42,6 +41,8 @@ def annealing(
         progress: called with (candidates, best cost) at each new best.
 
     """
+    from scipy.optimize import dual_annealing  # a third of a second that other methods need not spend
+
     search = Search(problem, budget=budget, width=width)
     bounds = [(-1.0, 1.0)] * problem.unknowns
 

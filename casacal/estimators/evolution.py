@@ -7,7 +7,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
 
 from casacal.estimators.box import BUDGET, WIDTH, Search
 from casacal.least_squares import LeastSquares
@@ -38,6 +37,8 @@ def evolution(
         progress: called with (candidates, best cost) after each generation.
 
     """
+    from scipy.optimize import differential_evolution  # a third of a second that other methods need not spend
+
     search = Search(problem, budget=budget, width=width)
     size = max(min(population, search.candidates // 2), 5)
     rng = np.random.default_rng(seed)

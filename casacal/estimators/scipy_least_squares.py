@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from casacal.least_squares import LeastSquares
 from casacal.result import Result, Status
@@ -19,6 +18,8 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
         max_evaluations: of all residuals.
 
     """
+    from scipy.optimize import least_squares  # a third of a second that other methods need not spend
+
     scale, pull = problem.start_std, np.sqrt(problem.prior_information)
     outcome = least_squares(
         lambda y: np.concatenate([problem.residual(problem.x0 + scale * y), pull * scale * y]),
