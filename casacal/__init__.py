@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from casacal.bound_problem import BoundProblem, bind
     from casacal.calibration import Calibration, calibrate
     from casacal.cells import Cell, Face, corner, gauge_block, plate
+    from casacal.compensation import compensate
+    from casacal.convention_doctor import PendantRows, diagnose, read_pendant_rows
     from casacal.conventions import Conventions
     from casacal.doctor import Finding, check
     from casacal.errors import CasacalError
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from casacal.simulated_trials import Simulated
     from casacal.simulation import Simulation, simulate
     from casacal.study import Method, Run, Study
+    from casacal.targets import Targets, read_targets
     from casacal.unknowns import Direction, Frame, Parameter, Plane
 
 __version__ = "0.1.0"
@@ -49,6 +52,8 @@ _HOMES = {
     "casacal.bound_problem": ("BoundProblem", "bind"),
     "casacal.calibration": ("Calibration", "calibrate"),
     "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
+    "casacal.compensation": ("compensate",),
+    "casacal.convention_doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
     "casacal.conventions": ("Conventions",),
     "casacal.doctor": ("Finding", "check"),
     "casacal.errors": ("CasacalError",),
@@ -78,6 +83,7 @@ _HOMES = {
     "casacal.simulated_trials": ("Simulated",),
     "casacal.simulation": ("Simulation", "simulate"),
     "casacal.study": ("Method", "Run", "Study"),
+    "casacal.targets": ("Targets", "read_targets"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from typing import NoReturn, TypeAlias
 
+from casacal.compensation_cli import add_compensate
+from casacal.doctor_cli import add_doctor
 from casacal.errors import CasacalError
 
 METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
@@ -26,7 +28,9 @@ def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentPa
     _add_calibrate(subparsers.add_parser("calibrate", help="fit the arm's parameters to samples"))
     _add_simulate(subparsers.add_parser("simulate", help="samples of a simulated cell, with the truth behind them"))
     _add_check(subparsers.add_parser("check", help="what is wrong with samples, before anyone trusts a fit"))
+    add_doctor(subparsers.add_parser("doctor", help="a controller's conventions, from poses that its pendant shows"))
     _add_predict(subparsers.add_parser("predict", help="poses of a calibrated arm at joint values"))
+    add_compensate(subparsers.add_parser("compensate", help="joint targets at which the calibrated arm hits the poses"))
     _add_study(subparsers.add_parser("study", help="many trials of many methods, recorded and reported"))
     _add_new(subparsers.add_parser("new", help="a problem folder from a DH table or a URDF"))
     _add_export(subparsers.add_parser("export", help="a calibrated arm as DH table, URDF, zero offsets or C"))

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.arguments import build_parser
+from casacal.compensation_cli import compensate_command
+from casacal.doctor_cli import doctor_command
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
 
@@ -216,7 +218,9 @@ COMMANDS = {
     "calibrate": _calibrate,
     "simulate": _simulate,
     "check": _check,
+    "doctor": doctor_command,
     "predict": _predict,
+    "compensate": compensate_command,
     "study": _study,
     "new": _new,
     "export": _export,

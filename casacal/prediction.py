@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -133,7 +133,7 @@ def predict(
 
     problem = result.source.problem
     model, instrument = problem.models[0], problem.instruments[0]
-    z = np.concatenate([_local(key, unknown, result, nominal) for key, unknown in model.unknowns.items()])
+    z = local_coordinates(result, nominal=nominal)
     data = np.zeros((len(joints), model.pose.numel_in(2)))
     data[:, : joints.joints.shape[1]] = joints.joints
     for i, name in enumerate(instrument.columns):
@@ -148,6 +148,15 @@ def predict(
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = _spread(result, z, data, frame)
     return Prediction(positions, np.roll(xyzw, 1, axis=1), spread)
+
+
+def local_coordinates(result: ResultFile, *, nominal: bool = False) -> Array:
+    """Local coordinates (nz,) of the first instrument's row model at the result, or at the nominal values.
+
+    Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
+    """
+    unknowns = result.source.problem.models[0].unknowns
+    return np.concatenate([_local(key, unknown, result, nominal) for key, unknown in unknowns.items()])
 
 
 def _spread(result: ResultFile, z: Array, data: Array, frame: str) -> Array:
@@ -179,6 +188,18 @@ def _covariance(result: ResultFile) -> tuple[Array, list[tuple[int, int]]]:
     places = {name: j for j, name in enumerate(names)}
     local = [n for key, u in result.source.problem.models[0].unknowns.items() for n in u.names(key)]
     return np.array(rows), [(i, places[name]) for i, name in enumerate(local) if name in places]
+
+
+def infinite_variances(result: ResultFile, keys: Iterable[str]) -> list[str]:
+    """Names of those components, of the unknowns with the given keys, that neither samples nor prior hold.
+
+    Raises CasacalError for a result that holds no covariance.
+    """
+    covariance, columns = _covariance(result)
+    unknowns = result.source.problem.models[0].unknowns
+    names = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
+    wanted = set(keys)
+    return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]
 
 
 def _local(key: str, unknown: Any, result: ResultFile, nominal: bool) -> Array:

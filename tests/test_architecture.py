@@ -16,6 +16,8 @@ FLOORS = [
     {
         "cells",
         "inverse_kinematics",
+        "pose_inverse_kinematics",
+        "postures",
         "touching",
         "simulation",
         "metrics",
@@ -26,9 +28,25 @@ FLOORS = [
         "scale",
         "simulated_trials",
     },
-    {"files", "calibration", "guards", "doctor", "documents", "export", "new_problem", "prediction", "report", "plots"},
+    {
+        "files",
+        "calibration",
+        "guards",
+        "doctor",
+        "documents",
+        "export",
+        "new_problem",
+        "prediction",
+        "report",
+        "plots",
+        "targets",
+        "corrected_targets",
+        "compensation",
+        "robot_programs",
+        "convention_doctor",
+    },
     {"harness", "study", "study_report"},
-    {"arguments", "robot_cli", "study_cli", "cli"},
+    {"arguments", "robot_cli", "study_cli", "compensation_cli", "doctor_cli", "cli"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 NUMPY_ONLY = {"least_squares", "linalg", "result", "metrics", "identifiability"}
