@@ -50,7 +50,7 @@ class Targets:
     def of(samples: Samples) -> Targets:
         """Joint targets from samples, or from any joint values that `Samples` can hold."""
         text = tuple(",".join(f"{value:.9g}" for value in row) for row in samples.joints)
-        return Targets(samples.joints, None, samples.lines, text, samples.file, samples.sha256)
+        return Targets(samples.joints, None, tuple(samples.lines), text, samples.file, samples.sha256)
 
 
 def read_targets(path: str | Path, source: ProblemFile) -> Targets:
