@@ -116,7 +116,11 @@ def notes(compensation: Compensation, result: ResultFile) -> list[str]:
     """What the file is, how it was proved, and what accuracy to expect; one sentence a line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
-    held = [str(row["name"]) for row in result.document["parameters"] if row["identifiable"] == "no"]
+    arm = result.source.problem.robot.parameters
+    names = {name for key, unknown in arm.items() for name in unknown.names(key)}
+    held = [
+        row["name"] for row in result.document["parameters"] if row["identifiable"] == "no" and row["name"] in names
+    ]
     lines = [
         f"casacal compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
         f"{result.source.problem.robot.name}",
