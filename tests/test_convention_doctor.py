@@ -331,6 +331,7 @@ def test_a_pose_that_holds_conventions_already_needs_no_others():
     found = diagnose(coupled, rows)
     assert found.certain
     assert found.meanings[0].simplest == Conventions.plain(6)
+    assert "nothing to change" in diagnosis_text(found)
     # and a controller that does not couple, before a pose that does
     free = (truth[0], truth[1], ())
     found = diagnose(coupled, rows_of(table, free, "ZYX", rng.uniform(-2.5, 2.5, (3, 6))))

@@ -41,6 +41,9 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     name, unit = min(best.rotations, key=lambda key: best.rotations[key])
     turned = f", orientations {name}{f' in {unit}' if unit else ''}"
     lines.append(f"# the pendant shows joints in {best.joint_unit}, lengths in {best.length_unit}{turned}")
+    lines.append("# joint values of the problem = signs * (the controller's + coupling) + offsets")
+    if best.simplest == Conventions.plain(len(best.simplest.signs)):
+        lines.append("# nothing to change: the problem's joint values mean what the controller shows")
     return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
 
 
