@@ -42,7 +42,7 @@ def build_parser(commands_by_name: Mapping[str, Command]) -> argparse.ArgumentPa
 def _add_calibrate(parser: argparse.ArgumentParser) -> None:
     parser.description = "Fit the arm's parameters to samples, and cross-check the minimum with IPOPT."
     parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
-    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
+    _add_samples(parser)
     parser.add_argument("--method", choices=METHOD_NAMES, default="sckf-lm", help="default: sckf-lm")
     parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each plane's rows to hold out")
     parser.add_argument("--seed", type=int, default=0, metavar="K", help="of held-out rows and of random methods")
@@ -60,6 +60,19 @@ def _add_calibrate(parser: argparse.ArgumentParser) -> None:
         "--backend", choices=("auto", "c", "blocks"), help="what evaluates rows; default: CASACAL_BACKEND, else auto"
     )
     parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
+
+
+def _add_samples(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "samples",
+        metavar="SAMPLES",
+        nargs="?",
+        help="CSV, .xlsx, .npy, .npz; default: samples.csv beside the problem",
+    )
+    parser.add_argument("--readings", metavar="FILE", help="readings in a file of their own, CSV or .xlsx")
+    parser.add_argument(
+        "--id", default="pose", metavar="COLUMN", help="column by which they find their pose; default: pose"
+    )
 
 
 def _add_simulate(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +101,7 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
     parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
-    parser.add_argument("samples", metavar="SAMPLES", nargs="?", help="CSV; default: samples.csv beside the problem")
+    _add_samples(parser)
 
 
 def _add_predict(parser: argparse.ArgumentParser) -> None:

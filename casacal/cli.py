@@ -51,7 +51,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
-    samples = problem.read(_samples_of(source, options.samples))
+    samples = problem.read(_samples_of(source, options.samples), readings=options.readings, key=options.id)
     box = None if options.box is None else _box(options.box)
     with _Progress(options.method) as progress:
         calibration = calibrate(
@@ -130,7 +130,8 @@ def _check(options: argparse.Namespace) -> int:
     from casacal.files import load_problem
 
     source = load_problem(options.problem)
-    samples = source.problem.read(_samples_of(source, options.samples), absurd=True)
+    place = _samples_of(source, options.samples)
+    samples = source.problem.read(place, readings=options.readings, key=options.id, absurd=True)
     findings = check(source.problem, samples)
     for finding in findings:
         print(finding)

@@ -16,6 +16,7 @@ from casacal.instruments import Instrument
 from casacal.layout import Layout
 from casacal.robot import Robot
 from casacal.samples import Samples
+from casacal.spreadsheets import KEY, joined_tables, read_any_table
 from casacal.unknowns import Unknown
 
 
@@ -61,9 +62,30 @@ class Problem:
             refused=MappingProxyType(dict(chosen.refused_columns)),
         )
 
-    def read(self, path: str | Path, instrument: int = 0, *, absurd: bool = False) -> Samples:
-        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass."""
-        return Samples.from_file(path, self.layout(instrument), absurd=absurd)
+    def read(
+        self,
+        path: str | Path,
+        instrument: int = 0,
+        *,
+        readings: str | Path | None = None,
+        key: str = KEY,
+        absurd: bool = False,
+    ) -> Samples:
+        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass.
+
+        Args:
+            path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
+            instrument: whose samples these are.
+            readings: a second file, with a reading for each pose of the first.
+            key: column of both that says which reading belongs to which pose.
+            absurd: whether values pass that no robot has.
+
+        """
+        layout = self.layout(instrument)
+        if readings is None:
+            return Samples.from_file(path, layout, absurd=absurd)
+        together = joined_tables(read_any_table(path), read_any_table(readings), key=key)
+        return Samples.from_table(together, layout, absurd=absurd)
 
     def prefix(self, instrument: int) -> str:
         """What the names of an instrument's unknowns begin with: nothing when there is only one."""

@@ -18,6 +18,7 @@ from casacal.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_
 from casacal.errors import SamplesError
 from casacal.labels import Labels
 from casacal.layout import LARGEST, Layout, match_columns, numeric_columns
+from casacal.spreadsheets import WORKBOOKS, read_workbook
 from casacal.tables import Table, read_table
 from casacal.unknowns.unknown import Array
 
@@ -68,9 +69,12 @@ class Samples:
 
     @staticmethod
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Read a samples file: .npy with named fields, .npz with one array a column, or else CSV as `from_csv` does."""
-        if Path(path).suffix.lower() in ARRAYS:
+        """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else CSV."""
+        kind = Path(path).suffix.lower()
+        if kind in ARRAYS:
             return Samples.from_columns(read_arrays(Path(path)), layout, absurd=absurd)
+        if kind in WORKBOOKS:
+            return Samples.from_table(read_workbook(path), layout, absurd=absurd)
         return Samples.from_csv(path, layout, absurd=absurd)
 
     @staticmethod

@@ -7,7 +7,7 @@ import hashlib
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from casacal.errors import SamplesError
@@ -31,6 +31,16 @@ class Table:
         """Cells of one column, as text without surrounding blanks."""
         index = self.header.index(name)
         return [row[index] for row in self.rows]
+
+    def with_points(self) -> Table:
+        """The same with decimal points where there were decimal commas."""
+        if not self.decimal_comma:
+            return self
+        rows = tuple(
+            tuple(cell.replace(",", ".") if _NUMBER.fullmatch(cell.replace(",", ".")) else cell for cell in row)
+            for row in self.rows
+        )
+        return replace(self, rows=rows, decimal_comma=False)
 
     def numbers(self, name: str) -> list[float]:
         """Cells of one column as finite numbers.
@@ -63,15 +73,18 @@ def read_table(path: str | Path) -> Table:
     except OSError as error:
         raise SamplesError(file, f"cannot be read ({error.strerror})", "Give a readable text file") from None
     lines = _logical_lines(_decode(data, file))
-    if not lines:
+    delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
+    rows = list(zip((number for number, _ in lines), _cells(lines, delimiter, file), strict=True))
+    return make_table(file, hashlib.sha256(data).hexdigest(), rows, delimiter)
+
+
+def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimiter: str) -> Table:
+    """Table of numbered rows of cells, the header first, which were apart by a delimiter; raises SamplesError."""
+    if not rows:
         raise SamplesError(file, "the file is empty", "Give a header line and one line a sample")
-    header_line, header_text = lines[0]
-    delimiter = max(",;\t", key=header_text.count)
-    cells = _cells(lines, delimiter, file)
-    header = tuple(next(cells))
+    header_line, header = rows[0][0], tuple(rows[0][1])
     _check_header(header, file, header_line)
-    rows, numbers = [], []
-    for (number, _), row in zip(lines[1:], cells, strict=True):
+    for number, row in rows[1:]:
         if len(row) != len(header):
             hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
             raise SamplesError(
@@ -80,13 +93,11 @@ def read_table(path: str | Path) -> Table:
                 f"Give {len(header)} cells separated by {_named(delimiter)}{hint}",
                 line=number,
             )
-        rows.append(tuple(row))
-        numbers.append(number)
-    if not rows:
+    if len(rows) == 1:
         raise SamplesError(file, "there is a header but no line of data", "Give one line a sample", line=header_line)
-    comma = delimiter != "," and _decimal_comma(rows, header, numbers, file)
-    digest = hashlib.sha256(data).hexdigest()
-    return Table(file, digest, header, header_line, tuple(rows), tuple(numbers), comma)
+    numbers, cells = [number for number, _ in rows[1:]], [tuple(row) for _, row in rows[1:]]
+    comma = delimiter != "," and _decimal_comma(cells, header, numbers, file)
+    return Table(file, sha256, header, header_line, tuple(cells), tuple(numbers), comma)
 
 
 def _decode(data: bytes, file: str) -> str:

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = [
     {"errors", "labels", "threads"},
-    {"conventions", "joints", "kinematics", "linalg", "losses", "tables", "columns", "unknowns"},
+    {"conventions", "joints", "kinematics", "linalg", "losses", "tables", "spreadsheets", "columns", "unknowns"},
     {"arms", "robot", "instruments", "layout", "samples", "holdout", "least_squares", "result"},
     {"kernels", "compile", "problem", "raw_graph", "binding", "row_groups", "bound_problem", "estimators"},
     {
@@ -125,7 +125,7 @@ def test_only_declared_packages_are_imported():
     allowed = {"casadi", "numpy", "scipy", "pandas", "matplotlib"}
     standard = __import__("sys").stdlib_module_names
     for path in FILES:
-        extra = {"dask", "distributed"} if name_of(path) == "harness.executors" else set()
+        extra = {"harness.executors": {"dask", "distributed"}, "spreadsheets": {"openpyxl"}}.get(name_of(path), set())
         assert imports(path)[1] <= allowed | standard | extra, name_of(path)
 
 

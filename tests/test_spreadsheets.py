@@ -1,0 +1,113 @@
+"""Workbooks, and readings in a file of their own, give the samples that one CSV file gives."""
+
+import datetime
+
+import numpy as np
+import pytest
+from openpyxl import Workbook
+
+from casacal.cli import main
+from casacal.errors import SamplesError
+from casacal.layout import Layout
+from casacal.samples import Samples
+from casacal.spreadsheets import joined_tables, read_workbook
+from casacal.tables import read_table
+
+LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
+HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]
+ROWS = [[10, 200.5, 1.25, "left", datetime.datetime(2026, 1, 2, 3, 4)], [-20.5, 300.0, "0.5", " right ", None]]
+
+
+def workbook(path, rows):
+    book = Workbook()
+    for row in rows:
+        book.active.append(row)
+    book.save(path)
+    return path
+
+
+def test_a_workbook_is_read_like_the_csv_file_it_would_be_saved_as(tmp_path):
+    file = workbook(tmp_path / "s.xlsx", [["# measured on Friday"], [], HEADER, ROWS[0], [], ROWS[1]])
+    (tmp_path / "s.csv").write_text("q1_deg,q2_mm,reading_mm,plane\n10,200.5,1.25,left\n-20.5,300,0.5,right\n")
+    found, expected = Samples.from_file(file, LAYOUT), Samples.from_file(tmp_path / "s.csv", LAYOUT)
+    np.testing.assert_array_equal(found.joints, expected.joints)
+    np.testing.assert_array_equal(found.columns["reading"], expected.columns["reading"])
+    assert found.labels["plane"] == expected.labels["plane"]
+    assert found.lines == (4, 6)
+    assert len(found.sha256) == 64
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ([], "empty"),
+        ([HEADER], "no line of data"),
+        ([HEADER, [1, 2, "=1+", "left", ""]], "line 2, column 'reading_mm'"),
+        ([HEADER, [1, 2, None, "left", ""]], "the cell is empty"),
+        ([HEADER, [1, 2, 3, "left", "", "", 7]], "line 2: a cell stands where the header has no name"),
+        ([["q1_deg", "q1_deg"], [1, 2]], "twice"),
+    ],
+)
+def test_bad_sheets_are_refused(tmp_path, rows, words):
+    with pytest.raises(SamplesError, match=words):
+        Samples.from_file(workbook(tmp_path / "s.xlsx", rows), LAYOUT)
+
+
+def test_what_is_no_workbook_is_refused(tmp_path):
+    (tmp_path / "s.xlsx").write_text("q1_deg\n")
+    with pytest.raises(SamplesError, match="no readable workbook"):
+        read_workbook(tmp_path / "s.xlsx")
+    with pytest.raises(SamplesError, match="no such file"):
+        read_workbook(tmp_path / "t.xlsx")
+
+
+POSES = "pose;q1_deg;q2_mm;plane\nA;10,5;200,5;left\nB;-20,5;300;right\n"
+READINGS = "reading_mm,pose\n0.5,B\n1.25,A\n"
+
+
+def tables(tmp_path, poses=POSES, readings=READINGS):
+    (tmp_path / "poses.csv").write_text(poses)
+    (tmp_path / "readings.csv").write_text(readings)
+    return read_table(tmp_path / "poses.csv"), read_table(tmp_path / "readings.csv")
+
+
+def test_readings_find_their_poses(tmp_path):
+    samples = Samples.from_table(joined_tables(*tables(tmp_path)), LAYOUT)
+    np.testing.assert_allclose(np.degrees(samples.joints[:, 0]), [10.5, -20.5])
+    np.testing.assert_array_equal(samples.columns["reading"], [1.25, 0.5])
+    assert samples.labels["plane"] == ("left", "right")
+    assert samples.lines == (2, 3)
+    other = joined_tables(*tables(tmp_path, readings=READINGS.replace("0.5", "0.6")))
+    assert Samples.from_table(other, LAYOUT).sha256 != samples.sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"readings": READINGS.replace("pose", "id")}, "no column 'pose'"),
+        ({"readings": READINGS.replace(",B", ",A")}, "'A' appears twice"),
+        ({"poses": POSES.replace("B;", "A;")}, "'A' appears twice"),
+        ({"readings": READINGS.replace("0.5,B\n", "")}, "pose 'B' has no reading"),
+        ({"readings": READINGS + "3,C\n"}, "'C' has no pose"),
+        ({"readings": READINGS.replace("A", "")}, "the id is empty"),
+        ({"readings": "pose,plane\nA,x\nB,y\n"}, "has this column too"),
+    ],
+)
+def test_poses_and_readings_that_do_not_match_are_refused(tmp_path, change, words):
+    with pytest.raises(SamplesError, match=words):
+        joined_tables(*tables(tmp_path, **change))
+
+
+def test_the_command_line_takes_both(hsr, tmp_path, capsys):
+    text = hsr.samples.read_text().splitlines()[1:]
+    cells = [line.split(",") for line in text]
+    poses = [["touch", *row[:6], row[7]] if k == 0 else [str(k), *row[:6], row[7]] for k, row in enumerate(cells)]
+    readings = [["touch", row[6]] if k == 0 else [k, float(row[6])] for k, row in enumerate(cells)]
+    (tmp_path / "poses.csv").write_text("\n".join(",".join(row) for row in poses) + "\n")
+    workbook(tmp_path / "dial.xlsx", [readings[0], *reversed(readings[1:])])
+    given = [str(hsr.path), str(tmp_path / "poses.csv"), "--readings", str(tmp_path / "dial.xlsx"), "--id", "touch"]
+    assert main(["check", *given]) == 0
+    assert main(["calibrate", *given, "--method", "lm", "--no-reference"]) == 0
+    apart = capsys.readouterr().out
+    assert main(["calibrate", str(hsr.path), "--method", "lm", "--no-reference"]) == 0
+    assert capsys.readouterr().out.splitlines()[-5:] == apart.splitlines()[-5:]
