@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from casacal.bound_problem import BoundProblem, bind
-    from casacal.calibration import Calibration, calibrate
+    from casacal.calibrating import calibrate
+    from casacal.calibration import Calibration
     from casacal.cells import Cell, Face, corner, gauge_block, plate
     from casacal.compensation import compensate
     from casacal.convention_doctor import PendantRows, diagnose, read_pendant_rows
@@ -50,7 +51,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "casacal.bound_problem": ("BoundProblem", "bind"),
-    "casacal.calibration": ("Calibration", "calibrate"),
+    "casacal.calibrating": ("calibrate",),
+    "casacal.calibration": ("Calibration",),
     "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
     "casacal.compensation": ("compensate",),
     "casacal.convention_doctor": ("PendantRows", "diagnose", "read_pendant_rows"),

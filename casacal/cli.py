@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from casacal.calibration import calibrate
+    from casacal.calibrating import calibrate
     from casacal.expectation import accuracy_in_box
     from casacal.files import load_problem
     from casacal.losses import huber, tukey

@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.calibration import Calibration
 from casacal.files import place_whole
+from casacal.metrics import tip_stds, without_rigid
 from casacal.samples import ordered_labels
 
 FILTER_POINTS = 60
@@ -69,6 +70,20 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
     axes.set_ylabel("objective above its lowest value")
     axes.legend(fontsize=8, frameon=False)
     axes.set_title(f"Convergence of {calibration.method}", fontsize=10)
+
+
+def plot_tip_std(calibration: Calibration, axes: Any) -> None:
+    """Standard deviation of the tip (mm, all axes, up to the base frame) over radius and height in the workspace."""
+    _, tips, slopes = calibration.workspace
+    spread = np.linalg.norm(tip_stds(calibration.result.covariance, without_rigid(slopes, tips)), axis=1)
+    radius = np.hypot(tips[:, 0], tips[:, 1])
+    order = np.argsort(spread)  # the worst on top
+    shown = axes.scatter(radius[order], tips[order, 2], c=spread[order], s=18, cmap="viridis")
+    axes.figure.colorbar(shown, ax=axes, label="standard deviation of the tip, mm")
+    axes.set_xlabel("distance from the first axis, mm")
+    axes.set_ylabel("height, mm")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("Where the tip is how uncertain, up to the base frame", fontsize=10)
 
 
 def save_plots(calibration: Calibration, folder: Path) -> list[Path]:

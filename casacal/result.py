@@ -89,9 +89,24 @@ class Result:
         return self.status.ok
 
     @property
+    def success(self) -> bool:
+        """The same, by SciPy's name."""
+        return self.converged
+
+    @property
     def message(self) -> str:
         """The status as a sentence."""
         return self.status.value
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of all residuals, or as many rows."""
+        return self.residual_rows // max(self.problem.rows, 1)
+
+    @property
+    def njev(self) -> int:
+        """Evaluations of the whole Jacobian, or as many rows."""
+        return self.jacobian_rows // max(self.problem.rows, 1)
 
     @property
     def std(self) -> Array:

@@ -31,6 +31,8 @@ FLOORS = [
     {
         "files",
         "calibration",
+        "calibrating",
+        "notebook",
         "guards",
         "doctor",
         "documents",

@@ -115,10 +115,10 @@ def test_fixing_and_priors(run, tmp_path):
 
 
 def test_a_method_that_does_not_converge_exits_with_one(run, tmp_path, monkeypatch):
-    import casacal.calibration as calibration
+    import casacal.calibrating as calibrating
     from casacal import lm
 
-    monkeypatch.setitem(calibration.METHODS, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
+    monkeypatch.setitem(calibrating.METHODS, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
     code, out, _ = run("calibrate", HSR, "--method", "lm")
     assert code == 1
     assert "Ran out of steps" in out
@@ -312,18 +312,18 @@ def test_help_imports_nothing_heavy():
 
 
 def test_the_parser_knows_the_methods_of_the_library():
-    from casacal.calibration import METHODS
+    from casacal.calibrating import METHODS
 
     assert sorted(METHOD_NAMES) == sorted(METHODS)
 
 
 def test_an_interruption_is_one_line(run, monkeypatch):
-    import casacal.calibration as calibration
+    import casacal.calibrating as calibrating
 
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(calibration.METHODS, "lm", stop)
+    monkeypatch.setitem(calibrating.METHODS, "lm", stop)
     code, out, err = run("calibrate", HSR, "--method", "lm")
     assert (code, out) == (130, "")
     assert err.count("\n") == 1
