@@ -3,6 +3,7 @@
 import re
 import shlex
 
+import matplotlib.pyplot as plt
 import pytest
 from conftest import ROOT
 
@@ -21,6 +22,9 @@ def blocks(language):
 def workplace(tmp_path, monkeypatch):
     for name in ("problems", "studies"):
         (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "out").mkdir()
+    for name, text in re.findall(r"`(out/[\w./]+)`:\n\n```csv\n(.*?)```", README, re.S):
+        (tmp_path / name).write_text(text)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -31,6 +35,7 @@ def test_the_commands_run_in_order(workplace, capsys):
     for command in commands:
         assert main(shlex.split(command)[1:]) == 0, f"{command}\n{capsys.readouterr().err}"
     assert (workplace / "out" / "first" / "residuals.png").is_file()
+    assert (workplace / "out" / "ur5.script").read_text().count("movej(") == 2
 
 
 def test_the_two_commands_stand_alone():
@@ -42,8 +47,10 @@ def test_the_two_commands_stand_alone():
 
 
 def test_the_python_runs(workplace, capsys):
+    plt.switch_backend("agg")
     for block in blocks("python"):
         exec(compile(block, "README.md", "exec"), {})
+    plt.close("all")
     assert float(capsys.readouterr().out.split()[0]) < 0.02
 
 
