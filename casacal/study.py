@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -36,7 +37,14 @@ class Run:
 
     def of(self, setting: str, method: str) -> list[Record]:
         """Records of a method in a setting, by trial."""
-        return [r for r in self.records if (r["setting"], r["method"]) == (setting, method)]
+        return list(self._sorted.get((setting, method), []))
+
+    @cached_property
+    def _sorted(self) -> dict[tuple[str, str], list[Record]]:
+        found: dict[tuple[str, str], list[Record]] = {}
+        for record in self.records:
+            found.setdefault((record["setting"], record["method"]), []).append(record)
+        return found
 
     def values(self, setting: str, method: str, name: str, *, group: str = "figures") -> Array:
         """One figure (trials,) by trial; not a number where the method failed or has no such figure.

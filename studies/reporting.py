@@ -38,6 +38,7 @@ def save_both(made: Figure, path: Path) -> None:
     """Write NAME.png and NAME.svg."""
     for suffix in (".png", ".svg"):
         save(made, path.with_suffix(suffix))
+        made.set_layout_engine("none")  # laid out once: it takes longer than drawing
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:

@@ -61,7 +61,7 @@ def report(run: Run) -> list[str]:
         lines += [f"## {title}", "", *time_table(found[title]), ""]
     lines += ["## Against what was aimed at", "", *reached(found), ""]
     if not run.quick:
-        lines += [*speed_scale.report(), ""]
+        lines += [*speed_scale.sections(), ""]
     draw({title: found[title] for title in speed_contenders.BY_ROWS}, run.out / "growth.png")
     return [*lines, "![time over the number of rows](growth.png)"]
 

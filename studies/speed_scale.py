@@ -53,7 +53,7 @@ print(*(sorted(each[1:])[2] for each in times))
 """
 
 
-def report() -> list[str]:
+def sections() -> list[str]:
     """Lines of two sections."""
     with tempfile.TemporaryDirectory() as place:
         return [*a_million_rows(Path(place)), "", *start_up(Path(place))]
