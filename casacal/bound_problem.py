@@ -66,7 +66,7 @@ class BoundProblem(LeastSquares):
         self.datum = np.array([slot.datum for slot, _ in pairs], dtype=bool)
         self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
         self._asked, self._threads = backend, thread_count(threads)
-        self._groups = tuple(RowGroups(block, backend, self._threads) for block in self.blocks)
+        self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     @property
@@ -147,8 +147,12 @@ class BoundProblem(LeastSquares):
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
-        prior = ((states - self.x0) ** 2 @ self.prior_information) / 2
-        return np.asarray(sum((groups.costs(states) for groups in self._groups), start=prior))
+        away = states - self.x0
+        away *= away
+        total = away @ (self.prior_information / 2)
+        for groups in self._groups:
+            total += groups.costs(states)
+        return np.asarray(total)
 
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
         """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""

@@ -28,7 +28,7 @@ LARGE_FILE = 1 << 21
 ARRAYS = (".npy", ".npz")
 PART = 1 << 20
 """Bytes read at a time."""
-TOGETHER = 1 << 17
+TOGETHER = 1 << 18
 """Rows parsed at a time."""
 
 

@@ -35,12 +35,21 @@ class Piece:
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
     constants: Array
+    unknowns: int
+    """How many x has."""
     lanes: Any
     square: tuple[NDArray[np.intp], ...]
     """Where the piece's part of an n x n matrix stands."""
 
+    @cached_property
+    def whole(self) -> bool:
+        """Whether x itself is what the kernels call p."""
+        return not self.constants.size and np.array_equal(self.columns, np.arange(self.unknowns))
+
     def parameters(self, x: Array) -> Array:
         """What the kernels call p, at x (n,) or at many (m, n)."""
+        if self.whole:
+            return np.ascontiguousarray(x, dtype=np.float64)
         if x.ndim == 1:
             return np.concatenate([x[self.columns], self.constants])
         constants = np.broadcast_to(self.constants, (len(x), self.constants.size))
@@ -54,9 +63,10 @@ class RowGroups:
     whatever the number of threads.
     """
 
-    def __init__(self, block: Block, backend: str | None, threads: int) -> None:
-        self.block, self._rows = block, block.model.rows(backend)
-        self._threads = threads if self._rows.kernels.shareable and len(block.noise) >= FEW else 1
+    def __init__(self, block: Block, unknowns: int, backend: str | None, threads: int) -> None:
+        self.block, self._unknowns, self._rows = block, unknowns, block.model.rows(backend)
+        self._shareable = threads if self._rows.kernels.shareable else 1
+        self._threads = self._shareable if len(block.noise) >= FEW else 1
 
     @property
     def backend(self) -> str:
@@ -71,7 +81,7 @@ class RowGroups:
             rows, square = np.flatnonzero(block.pattern == i), np.ix_(columns, columns)
             for some in _parts(rows):
                 lanes = self._rows.lanes([block.rows(some)], block.noise[some])
-                found.append(Piece(some, columns, constants, lanes, square))
+                found.append(Piece(some, columns, constants, self._unknowns, lanes, square))
         return tuple(found)
 
     @property
@@ -100,14 +110,15 @@ class RowGroups:
 
     def costs(self, states: Array) -> Array:
         """Half the whitened sum of squares at many x (m, n): (m,)."""
-        many = len(states) * len(self.block.noise) >= MANY_LANES
-        few = [states[k : k + STATES] for k in range(0, len(states), STATES)] if many else [states]
 
         def total(some: Array) -> Array:
-            parts = (self._rows.kernels.costs(piece.parameters(some), piece.lanes) for piece in self.pieces)
-            return np.asarray(sum(parts, start=np.zeros(len(some))))
+            found = [self._rows.kernels.costs(piece.parameters(some), piece.lanes) for piece in self.pieces]
+            return found[0] if len(found) == 1 else np.sum(found, axis=0)
 
-        return np.concatenate(shared_out(total, few, self._threads))
+        if len(states) * len(self.block.noise) < MANY_LANES:
+            return total(states)
+        few = [states[k : k + STATES] for k in range(0, len(states), STATES)]
+        return np.concatenate(shared_out(total, few, self._shareable))
 
     def normal(self, x: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Half the whitened sum of squares, its gradient (n,), and J'J (n, n); with a loss, rows by their weights."""

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.kernels.program import Program
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, replayed
 from casacal.linalg import LEAST_LEFT
@@ -41,65 +40,57 @@ class BlockFilter:
     ) -> tuple[int, Array, Array, Array]:
         """Take in residuals from `first` on, changing mean and root in place; see `NativeFilter`."""
         n, rows = x0.size, weight.size
-        means, innovations, stds = np.empty((rows, n)), np.empty(rows), np.empty(rows)
+        means, trace = np.empty((rows, n)), np.empty((rows, 3))
         # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column
-        z, spread, data, w = np.empty(self.unknowns), np.empty((n, self.unknowns)), np.empty(once.shape[1]), np.empty(1)
-        center, turned = mean.copy(), root.T.copy()
-        new_center, new_turned, figures = np.empty(n), np.empty((n, n)), np.empty(3)
+        points, data, w = np.empty((self.unknowns, 2 * n)), np.empty(once.shape[1]), np.empty(1)
+        up, down = points[:, :n], points[:, n:]
+        center, turned, figures = mean.copy(), root.T.copy(), np.empty(3)
+        new_center, new_turned = np.empty(n), np.empty((n, n))
         kept = [Buffered(self._step(n, component)) for component in range(self.components)]
-        inputs, outputs = (z, spread, data, w, center, turned), (new_center, new_turned, figures)
+        inputs, outputs = (points, data, w, center, turned), (new_center, new_turned, figures)
         steps = [step.bound(inputs, outputs) for step in kept]
-        stop = rows
+        sights = [(seen, x0[seen], scale[seen], math.sqrt(n) * scale[seen, None]) for seen in columns]
+        weights, stop = weight.ravel(), rows
         for r in range(first, rows):
             sample, component = divmod(r, self.components)
-            seen = columns[pattern[sample]]
-            z[:] = x0[seen] + scale[seen] * center[seen]
-            np.multiply(turned[:, seen], scale[seen], out=spread)
-            data[:], w[:] = once[sample], weight[sample, component]
+            seen, base, unit, reach = sights[pattern[sample]]
+            z, spread = (base + unit * center[seen])[:, None], turned.T[seen] * reach
+            np.add(z, spread, out=up)
+            np.subtract(z, spread, out=down)
+            data[:], w[0] = once[sample], weights[r]
             steps[component]()
             if not figures[2] > LEAST_LEFT:
                 stop = r
                 break
-            center[:], turned[:] = new_center, new_turned
+            center[:], turned[:], trace[r] = new_center, new_turned, figures
             means[r] = center
-            innovations[r], stds[r], _ = figures
         mean[:], root[:] = center, turned.T
-        return stop, means, innovations, stds
+        return stop, means, trace[:, 0], trace[:, 1]
 
     def _step(self, n: int, component: int) -> ca.Function:
         """One row, in coordinates (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as mended.
 
-        (z at the mean, scaled root's rows that z sees, constants and data, weight, mean, S) to the mean and S after it,
-        and innovation, its standard deviation, and the part of a variance that is left.
+        (cubature points of z, constants and data, weight, mean, S) to the mean and S after it, and innovation, its
+        standard deviation, and the part of a variance that is left.
         """
         if (n, component) not in self._steps:
-            z, once, w = ca.MX.sym("z", self.unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")
-            spread, mean, root = ca.MX.sym("spread", self.unknowns, n), ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
-            e = w * self._at_points(self._program, component, z, spread, once)
+            points, once, w = ca.MX.sym("z", 2 * n, self.unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")
+            mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
+            read = [self._program.operations[value].element[1] for value in self._program.lanes]
+            columns = ca.horzsplit(points)
+            lanes = ca.horzcat(*(columns[k] for k in read))
+            e = w * replayed(self._program, [self._program.outputs[0][component]], once, lanes)
             average = ca.sum1(e) / (2 * n)
             std = ca.sqrt(1 + ca.sumsqr(e - average) / (2 * n))
             u = (e[:n] - e[n:]) / (2 * math.sqrt(n) * std)
-            left, columns, beyond = ca.MX(1.0), ca.horzsplit(root), ca.MX.zeros(n, 1)
-            ups, downs = [], []
-            for part in ca.vertsplit(u):
-                before, left = left, left - part**2
-                ups.append(ca.sqrt(left / before))
-                downs.append(part / ca.sqrt(left * before))
-            turned = []
-            for column, part, up, down in zip(*map(reversed, (columns, ca.vertsplit(u), ups, downs)), strict=True):
+            left = 1 - ca.mtimes(ca.DM(np.tril(np.ones((n, n)))), u**2)
+            before = ca.vertcat(1, left[:-1])
+            split = (ca.vertsplit(each) for each in (u, ca.sqrt(left / before), u / ca.sqrt(left * before)))
+            turned, beyond = [], ca.MX.zeros(n, 1)
+            for column, part, up, down in zip(*map(reversed, (ca.horzsplit(root), *split)), strict=True):
                 turned.append(column * up - beyond * down)
                 beyond = beyond + column * part
-            outputs = [mean - beyond * (average / std), ca.horzcat(*reversed(turned)), ca.vertcat(-average, std, left)]
-            self._steps[n, component] = ca.Function("step", [z, spread, once, w, mean, root], outputs)
+            figures = ca.vertcat(-average, std, left[-1])
+            outputs = [mean - beyond * (average / std), ca.horzcat(*reversed(turned)), figures]
+            self._steps[n, component] = ca.Function("step", [points, once, w, mean, root], outputs)
         return self._steps[n, component]
-
-    @staticmethod
-    def _at_points(program: Program, component: int, z: ca.MX, spread: ca.MX, once: ca.MX) -> ca.MX:
-        """One residual (2 n,) at the cubature points: n on one side of the mean, n on the other."""
-        reach = math.sqrt(spread.shape[1])
-        lanes = []
-        for value in program.lanes:
-            _, k = program.operations[value].element
-            offset = reach * spread[k, :].T
-            lanes.append(ca.vertcat(z[k] + offset, z[k] - offset))
-        return replayed(program, [program.outputs[0][component]], once, ca.horzcat(*lanes))

@@ -60,12 +60,15 @@ class BlockKernels:
 
     def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
         """Plain residuals (m, n) and slopes (m, z, n)."""
-        function, width = self._function("slopes", lanes), lanes.d.shape[2]
-        e = np.empty((len(lanes.d), self.components, width))
-        j = np.empty((len(lanes.d), self.components * self.unknowns, width))
-        for d, some_e, some_j in zip(lanes.d, e, j, strict=True):
-            function((p, d), (some_e, some_j))
-        return joined(e, lanes.n), joined(j, lanes.n).reshape(self.components, self.unknowns, -1)
+        function, (blocks, _, width) = self._function("slopes", lanes), lanes.d.shape
+        m, z = self.components, self.unknowns
+        some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
+        evaluate = function.bound((p, lanes.d[0]), tuple(some))
+        for k, d in enumerate(lanes.d):
+            function.feed(1, d)
+            evaluate()
+            values[:, k * width : (k + 1) * width] = some
+        return values[:m, : lanes.n], values[m:].reshape(m, z, -1)[:, :, : lanes.n]
 
     def costs(self, states: Array, lanes: Lanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
@@ -107,8 +110,8 @@ class BlockKernels:
             return ca.Function(name, [p, d, w], [ca.sumsqr(w * e) / 2])
         e = replayed(slopes, slopes.outputs[0], p, d)
         j = replayed(slopes, slopes.outputs[1], p, d)
-        if name == "slopes":
-            return ca.Function(name, [p, d], [e, j])
+        if name == "slopes":  # column by column, so that nothing is put together only to be taken apart
+            return ca.Function(name, [p, d], [*ca.horzsplit(e), *ca.horzsplit(j)])
         total = ca.MX.zeros(self.unknowns + 1, self.unknowns + 1)
         for m in range(self.components):
             row = [j[:, m * self.unknowns : (m + 1) * self.unknowns], e[:, m]]

@@ -18,7 +18,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 PAD = 8
 """Lanes are padded to a multiple of this, so that loops over them need no tail."""
-LARGE = 1 << 22
+LARGE = 1 << 20
 """Bytes of a Jacobian beyond which it is written past the caches."""
 
 

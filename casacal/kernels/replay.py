@@ -44,6 +44,11 @@ class Buffered:
         self._arrays = (inputs, outputs)
         return self._evaluate
 
+    def feed(self, i: int, array: Array) -> None:
+        """Read argument i from other memory from now on."""
+        self._buffer.set_arg(i, _flat(array))
+        self._fed = array
+
 
 def _flat(array: Array) -> memoryview:
     """An array's own memory; a copy would be gone before CasADi reads it."""
@@ -54,7 +59,8 @@ def _flat(array: Array) -> memoryview:
 
 def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX) -> ca.MX:
     """Some values, one column each, with the operations of a program on columns of samples."""
-    known: dict[int, ca.MX] = {value: d[:, k] for k, value in enumerate(program.lanes)}
+    known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
+    parameters = ca.vertsplit(p) if p.numel() else []
     for value in program.needed(values):
         operation = program.operations[value]
         if value in known or program.kinds[value] == "lane":
@@ -62,7 +68,7 @@ def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX) -> ca.
         if operation.op == ca.OP_CONST:
             known[value] = ca.MX(operation.constant)
         elif operation.op == ca.OP_INPUT:
-            known[value] = p[program.position(value)]
+            known[value] = parameters[program.position(value)]
         elif len(operation.args) == 1:
             known[value] = ca.MX.unary(operation.op, known[operation.args[0]])
         else:

@@ -93,28 +93,36 @@ void limit_slopes(long count, long ld, const double *restrict p, const double *r
     }
 }
 
-/* The same, the Jacobian written past the caches, which a large one would only empty; j at a multiple of 64 bytes. */
+#if defined(__AVX__) && defined(__GNUC__) && !defined(__clang__)
+typedef double four __attribute__((vector_size(32)));
+#define PAST(to, from) __builtin_ia32_movntpd256(to, *(const four *)(from))
+#define STEP 4
+#elif defined(__clang__)
+#define PAST(to, from) __builtin_nontemporal_store(*(const wide *)(from), (wide *)(to))
+#define STEP WIDE
+#else
+#define PAST(to, from) (*(to) = *(from))
+#define STEP 1
+#endif
+
+/* The same, the Jacobian written past the caches, which a large one would only empty: part by part, so that each row is
+ * written in long runs. j and ld at multiples of 64 bytes. */
 void limit_slopes_past(long count, long ld, const double *restrict p, const double *restrict q, double *restrict e_out,
                        double *restrict j)
 {
+    double part[UNKNOWNS * PART] __attribute__((aligned(64)));
     NAMES
-    for (long i = 0; i < count; i += WIDE) {
-        FORWARD
-        *(loose *)(e_out + i) = e;
-#if defined(__clang__)
-#define PAST(row, value) __builtin_nontemporal_store((wide)(value), (wide *)(j + (row)*ld + i))
-#elif defined(__AVX__)
-        typedef double four __attribute__((vector_size(32)));
-#define PAST(row, value)                                                                                               \
-    {                                                                                                                  \
-        const wide out = (value);                                                                                      \
-        for (int k = 0; k < WIDE; k += 4)                                                                              \
-            __builtin_ia32_movntpd256(j + (row)*ld + i + k, *(const four *)((const double *)&out + k));                \
-    }
-#else
-#define PAST TO_MEMORY
-#endif
-        BACKWARD(PAST)
+    for (long first = 0; first < count; first += PART) {
+        const long lanes = count - first < PART ? (count - first + WIDE - 1) / WIDE * WIDE : PART;
+        for (long at = 0; at < lanes; at += WIDE) {
+            const long i = first + at;
+            FORWARD
+            *(loose *)(e_out + i) = e;
+#define TO_ROW(row, value) *(wide *)(part + (row)*PART + at) = (value)
+            BACKWARD(TO_ROW)
+        }
+        for (long row = 0; row < UNKNOWNS; row++)
+            for (long k = 0; k < lanes; k += STEP) PAST(j + row * ld + first + k, part + row * PART + k);
     }
 }
 
