@@ -59,7 +59,9 @@ def _add_calibrate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--backend", choices=("auto", "c", "blocks"), help="what evaluates rows; default: CASACAL_BACKEND, else auto"
     )
-    parser.add_argument("--out", metavar="DIR", help="write result.json, parameters.csv and pictures there")
+    parser.add_argument(
+        "--out", metavar="DIR", help="write report.html, result.json, parameters.csv and pictures there"
+    )
 
 
 def _add_samples(parser: argparse.ArgumentParser) -> None:

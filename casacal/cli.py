@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -29,7 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 done, 1 not converged or a check failed, 2 bad input."""
     one_thread_each()
     try:
-        options = build_parser(COMMANDS).parse_args(arguments)
+        typed = sys.argv[1:] if arguments is None else list(arguments)
+        options = build_parser(COMMANDS).parse_args(typed)
+        options.typed = shlex.join(["casacal", *typed])
         return int(options.command(options))
     except CasacalError as error:
         print(f"casacal: {' '.join(str(error).split())}", file=sys.stderr)
@@ -72,7 +75,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     if options.out is not None:
         from casacal.documents import write_calibration
 
-        paths = write_calibration(calibration, source, Path(options.out))
+        paths = write_calibration(calibration, source, Path(options.out), command=options.typed, box=box)
         print(f"\nWritten: {', '.join(path.as_posix() for path in paths)}")
     return DONE if calibration.passed else FAILED
 

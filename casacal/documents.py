@@ -14,6 +14,7 @@ import numpy as np
 import casacal
 from casacal.bound_problem import BoundProblem, bind
 from casacal.calibration import Calibration, Reference
+from casacal.expectation import Box
 from casacal.files import ProblemFile, write_json, write_samples, write_text
 from casacal.guards import warnings
 from casacal.identifiability import correlated_pairs, verdict
@@ -175,8 +176,27 @@ def _array(value: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.asarray(value, dtype=np.float64).ravel()
 
 
-def write_calibration(calibration: Calibration, source: ProblemFile, folder: Path) -> list[Path]:
-    """Write result.json, parameters.csv, residuals.png and convergence.png into a folder; returns their paths."""
+def write_calibration(
+    calibration: Calibration,
+    source: ProblemFile,
+    folder: Path,
+    *,
+    command: str | None = None,
+    box: Box | None = None,
+) -> list[Path]:
+    """Write report.html, result.json, parameters.csv, residuals.png and convergence.png into a folder.
+
+    Args:
+        calibration: what was found.
+        source: the problem it answers.
+        folder: made where it does not exist.
+        command: the command line that makes it again, for the report; None when there was none.
+        box: where the arm will work, mm in the base frame, for the report.
+
+    Returns their paths.
+
+    """
+    from casacal.html_report import report_page
     from casacal.plots import save_plots
 
     rows = parameter_rows(calibration.fit, calibration.result)
@@ -186,9 +206,11 @@ def write_calibration(calibration: Calibration, source: ProblemFile, folder: Pat
         f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
         for row in rows
     ]
-    write_json(folder / "result.json", calibration_document(calibration, source))
+    document, page = calibration_document(calibration, source), folder / "report.html"
+    write_json(folder / "result.json", document)
     write_text(table, "\n".join(lines) + "\n")
-    return [folder / "result.json", table, *save_plots(calibration, folder)]
+    write_text(page, report_page(calibration, document, command=command, box=box))
+    return [page, folder / "result.json", table, *save_plots(calibration, folder)]
 
 
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:

@@ -41,6 +41,9 @@ MEANING: dict[Kind, str] = {
 }
 
 
+KNOWN_FROM = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
+"""Verdicts on parameters, as people read them."""
+
 WEAK = "known better from the prior than from these samples"
 
 

@@ -12,12 +12,10 @@ import casacal
 from casacal.calibration import AGREEMENT, NOT_NEEDED, Calibration
 from casacal.documents import parameter_rows
 from casacal.guards import warnings
-from casacal.identifiability import NullDirection, WeakDirection, correlated_pairs
+from casacal.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
-
-VERDICTS = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
 
 
 def summary(calibration: Calibration, name: str) -> str:
@@ -48,7 +46,7 @@ def parameter_table(calibration: Calibration) -> str:
         nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
         lines.append(
             f"{row['name']:<12}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}{std:>10.4f}"
-            f"  {VERDICTS[row['identifiable']]}"
+            f"  {KNOWN_FROM[row['identifiable']]}"
         )
     if held:
         lines.append(f"held at nominal: {', '.join(held)}")

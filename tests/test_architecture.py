@@ -37,6 +37,7 @@ FLOORS = [
         "doctor",
         "documents",
         "export",
+        "html_report",
         "new_problem",
         "prediction",
         "report",

@@ -1,0 +1,1 @@
+"""What the page says, a file a section; numbers are those of result.json."""

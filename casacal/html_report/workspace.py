@@ -1,0 +1,77 @@
+"""The tip's expected error and its correction over the workspace, as means over small squares of two views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.calibration import Calibration
+from casacal.metrics import tip_stds, up_to_base, workspace_joints
+
+Array: TypeAlias = NDArray[np.float64]
+
+POSTURES = 4096
+"""Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""
+SQUARES = 24
+"""Squares along the longer side of a view."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
+
+    Both up to the base frame. The error is the standard deviation, its three axes together; the correction is how far
+    the calibrated tip lies from the nominal one.
+    """
+
+    tips: Array
+    error: Array
+    correction: Array
+
+    @staticmethod
+    def of(calibration: Calibration) -> Workspace:
+        """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
+        fit, x = calibration.fit, calibration.result.x
+        frame_joints, frame_tips, frame_slopes = calibration.workspace
+        joints = workspace_joints(fit.problem.robot, poses=POSTURES, seed=1)
+        tips, slopes = fit.tips(x, joints), fit.tip_jacobian(x, joints)
+        field = up_to_base(slopes, tips, frame_slopes, frame_tips)
+        error = np.linalg.norm(tip_stds(calibration.result.covariance, field), axis=1)
+        moved = (tips - fit.tips(fit.x0, joints)).reshape(-1, 1)
+        frame_moved = (frame_tips - fit.tips(fit.x0, frame_joints)).reshape(-1, 1)
+        correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)
+        return Workspace(tips, error, correction)
+
+
+@dataclass(frozen=True)
+class View:
+    """Squares of a view: lower left corners (k,), their side, and the root mean square of the values in each (k,)."""
+
+    x: Array
+    y: Array
+    side: float
+    values: Array
+
+
+def side_view(points: Array) -> Array:
+    """Distance from the base's z axis, and height (N, 2; mm)."""
+    return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+
+
+def top_view(points: Array) -> Array:
+    """x and y of the base frame (N, 2; mm)."""
+    return np.asarray(points[:, :2])
+
+
+def in_squares(points: Array, values: Array) -> View:
+    """Root mean square of values (N,) over the squares that points (N, 2) fall into."""
+    low = points.min(axis=0)
+    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9) * (1 + 1e-9)
+    place = np.floor((points - low) / side).astype(np.int64)
+    distinct, which = np.unique(place, axis=0, return_inverse=True)
+    which = which.ravel()
+    mean = np.bincount(which, weights=values**2) / np.bincount(which)
+    return View(low[0] + side * distinct[:, 0], low[1] + side * distinct[:, 1], side, np.sqrt(mean))
