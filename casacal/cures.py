@@ -15,8 +15,9 @@ from casacal.cells import Cell, Face
 from casacal.errors import CasacalError
 from casacal.identifiability import NullDirection, WeakDirection
 from casacal.instruments import DialOnBody, DialOnPlane, Step
+from casacal.labels import Labels
 from casacal.problem import Problem
-from casacal.samples import joined
+from casacal.samples import Samples, joined
 from casacal.simulation import simulate
 from casacal.unknowns import Plane
 
@@ -49,7 +50,7 @@ def cures(bound: BoundProblem) -> list[Cure]:
     instrument = bound.problem.instruments[0]
     if not isinstance(instrument, DialOnPlane) or isinstance(instrument, DialOnBody):
         return []
-    found, here = [], bound.samples[0]
+    found, here = [], _labelled(bound.samples[0])
     if len(here) > ENOUGH:
         here = here.take(np.arange(0, len(here), -(-len(here) // ENOUGH)))
     for words, problem, cell in _offers(bound, instrument):
@@ -137,6 +138,13 @@ def _faces(bound: BoundProblem) -> tuple[Face, ...]:
         spans = np.ptp((tips - slot.nominal[9:12]) @ face.axes[1:].T, axis=0)
         faces.append(replace(face, size=(max(float(spans[0]), 50.0), max(float(spans[1]), 50.0))))
     return tuple(faces)
+
+
+def _labelled(samples: Samples) -> Samples:
+    """Rows with a column of labels; those of a problem with one plane have none."""
+    if "plane" in samples.labels:
+        return samples
+    return replace(samples, labels={**samples.labels, "plane": Labels.of(("plane",) * len(samples))})
 
 
 def _triple(values: Array | tuple[float, ...]) -> tuple[float, float, float]:

@@ -18,6 +18,9 @@ FILTER_POINTS = 60
 FLOOR = 1e-9
 """Added so that the lowest value itself can stand on a logarithmic axis; below rounding."""
 
+LONGEST = 24
+"""Characters of a label in a picture."""
+
 BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 
 
@@ -37,7 +40,7 @@ def plot_residuals(calibration: Calibration, axes: Any) -> None:
             places = offset + np.arange(len(rows))
             axes.plot(places, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
             axes.plot(places, after[rows], "o", ms=3, color=colour, zorder=2)
-            ticks.append((offset + len(rows) / 2, f"{label}{suffix}"))
+            ticks.append((offset + len(rows) / 2, f"{_short(label)}{suffix}"))
             offset += len(rows) + 4
             axes.axvline(offset - 2.5, color="0.9", lw=0.8, zorder=0)
     axes.axhline(0, color="0.5", lw=0.8, zorder=0)
@@ -84,6 +87,11 @@ def plot_tip_std(calibration: Calibration, axes: Any) -> None:
     axes.set_ylabel("height, mm")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("Where the tip is how uncertain, up to the base frame", fontsize=10)
+
+
+def _short(label: str) -> str:
+    """Label that leaves room for the picture, and of which Matplotlib makes no formula."""
+    return (label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…").replace("$", r"\$")
 
 
 def save_plots(calibration: Calibration, folder: Path) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -23,55 +24,54 @@ UNBOUNDED = "#5a0f3c"
 
 @dataclass(frozen=True)
 class Scale:
-    """Colours of the steps between edges; what lies beyond the outer ones takes the last colour."""
+    """Colours of the steps between edges, of which there is one fewer; the outer steps are open."""
 
     edges: tuple[float, ...]
     colours: tuple[str, ...]
 
     @staticmethod
     def of_sizes(values: Array) -> Scale:
-        """From zero to what nearly all values (N,) stay below."""
-        top = _top(values)
-        return Scale(tuple(top * k / len(SIZES) for k in range(len(SIZES) + 1)), SIZES)
+        """Steps of a round number from zero to what nearly all values (N,) stay below."""
+        step = nice_ceiling(_top(values) / len(SIZES))
+        return Scale(tuple(step * k for k in range(1, len(SIZES))), SIZES)
 
     @staticmethod
     def of_signs(values: Array) -> Scale:
-        """About zero, to what the size of nearly all values (N,) stays below."""
-        top = _top(np.abs(values))
-        return Scale(tuple(top * (2 * k / len(SIGNS) - 1) for k in range(len(SIGNS) + 1)), SIGNS)
+        """Steps of a round number below and above zero, the outer ones for a few in a hundred values (N,)."""
+        middle = len(SIGNS) // 2
+        step = nice_ceiling(_top(np.abs(values)) / (middle + 0.5))
+        return Scale(tuple(step * k for k in range(-middle, middle + 1) if k), SIGNS)
 
     def parts(self, values: Array) -> Iterator[tuple[str, NDArray[np.intp]]]:
         """Each colour with the positions of the values (N,) that take it; unbounded ones come last."""
         finite = np.isfinite(values)
-        step = np.searchsorted(np.array(self.edges[1:-1]), np.where(finite, values, 0.0), side="right")
+        step = np.searchsorted(np.array(self.edges), np.where(finite, values, 0.0), side="right")
         for k, colour in enumerate(self.colours):
             yield colour, np.flatnonzero(finite & (step == k))
         yield UNBOUNDED, np.flatnonzero(~finite)
 
     def key(self, name: str, words: str, *, unbounded: bool = False) -> Markup:
         """Picture of the steps with the numbers between them."""
-        wide = 300.0 / len(self.colours)
+        wide = 320.0 / len(self.colours)
         parts = []
         for k, colour in enumerate(self.colours):
             box = {"x": number(20 + k * wide), "y": "22", "width": number(wide), "height": "12", "fill": colour}
             parts.append(tag("rect", at=box))
-        for k, words_here in zip(range(len(self.edges)), rounded(self.edges), strict=True):
-            parts.append(tag("text", words_here, at={"x": number(20 + k * wide), "y": "50", "class": "middle small"}))
+        for k, words_here in enumerate(rounded(self.edges), 1):
+            parts.append(tag("text", words_here, at={"x": number(20 + k * wide), "y": "50", "class": "middle minor"}))
         parts.append(tag("text", words, at={"x": "20", "y": "14", "class": "title"}))
         if unbounded:
-            parts.append(tag("rect", at={"x": "338", "y": "22", "width": "30", "height": "12", "fill": UNBOUNDED}))
-            parts.append(tag("text", "unbounded", at={"x": "353", "y": "50", "class": "middle small"}))
-        says = (
-            f"{len(self.colours)} steps from {self.edges[0]:.3g} to {self.edges[-1]:.3g} mm; beyond, the last colour."
-        )
+            parts.append(tag("rect", at={"x": "352", "y": "22", "width": "30", "height": "12", "fill": UNBOUNDED}))
+            parts.append(tag("text", "unbounded", at={"x": "367", "y": "50", "class": "middle minor"}))
+        says = f"{len(self.colours)} steps of colour, divided at {', '.join(rounded(self.edges))} mm."
         return tag("div", picture(name, words, says, 56.0, *parts), at={"class": "key"})
 
 
 def rounded(edges: Sequence[float]) -> list[str]:
-    """Edges with two digits of the largest one's step."""
-    step = abs(edges[-1] - edges[0]) / (len(edges) - 1)
-    digits = max(0, 1 - int(np.floor(np.log10(max(step, 1e-12)))))
-    return ["0" if abs(edge) < step / 1e6 else f"{edge:.{digits}f}".replace("-", "−") for edge in edges]
+    """Edges with as many digits as the round step between them needs."""
+    step = min(abs(edge) for edge in edges)
+    digits = next(d for d in range(20) if math.isclose(round(step, d), step, rel_tol=1e-6))
+    return [f"{edge:.{digits}f}".replace("-", "−") for edge in edges]
 
 
 def _top(sizes: Array) -> float:

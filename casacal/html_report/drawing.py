@@ -1,7 +1,8 @@
 """Pictures as inline SVG: a panel with two linear axes, and what is drawn into it.
 
 A picture is 400 units wide, about as many pixels as a phone's page, so that its 13-unit text stays legible there.
-Points of one look are one path of zero-length strokes, whose round or square ends are the dots: a dozen bytes each.
+Points of one look are one path of strokes of no length to speak of, whose round or square ends are the dots: a dozen
+bytes each. (Of no length at all, square ones are missing in print.)
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ class Panel:
     bottom: float = 44.0
 
     @staticmethod
-    def square(x: tuple[float, float], y: tuple[float, float]) -> Panel:
+    def square(x: tuple[float, float], y: tuple[float, float], tallest: float = 330.0) -> Panel:
         """Panel in which a millimetre is as long across as upwards; a narrow one stands in the middle."""
         frame = Panel(x, y)
-        room, tallest = WIDTH - frame.left - frame.right, 330.0
+        room = WIDTH - frame.left - frame.right
         spans = (x[1] - x[0], y[1] - y[0])
         tall = max(min(room * spans[1] / spans[0], tallest), 90.0)
         unit = max(spans[0] / room, spans[1] / tall)
@@ -75,11 +76,12 @@ def nice_step(span: float, most: int) -> float:
 
 
 def nice_ceiling(value: float) -> float:
-    """The next larger of 1, 1.5, 2, 3, 5, 7 times a power of ten."""
+    """The next larger of 1, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten."""
     if value <= 0 or not math.isfinite(value):
         return 1e-3
     power = 10.0 ** math.floor(math.log10(value))
-    return next(factor * power for factor in (1, 1.5, 2, 3, 5, 7, 10) if factor * power >= value * (1 - 1e-9))
+    factors = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
+    return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
 
 
 def ticks(low: float, high: float, most: int = 5) -> list[tuple[float, str]]:
@@ -90,18 +92,22 @@ def ticks(low: float, high: float, most: int = 5) -> list[tuple[float, str]]:
     return [(k * step, f"{k * step:.{digits}f}".replace("-", "−") if k else "0") for k in range(first, last + 1)]
 
 
-def axes(panel: Panel, x_title: str, y_title: str, *, x_ticks: Ticks | None = None, grid: bool = True) -> Markup:
-    """Frame, ticks and titles; the title of the upright axis stands above it, where it reads without a turned head."""
+def axes(panel: Panel, x_title: str, y_title: str, *, x_ticks: Ticks | None = None, upright: bool = False) -> Markup:
+    """Frame, ticks and titles, level grid lines and, if asked, upright ones.
+
+    The title of the upright axis stands above it, where it reads without a turned head.
+    """
     left, right, low = panel.left, WIDTH - panel.right, panel.height - panel.bottom
     parts = []
-    if grid:
-        for value, words in ticks(*panel.y):
-            y = number(float(panel.down(value)))
-            parts.append(tag("path", at={"d": f"M{number(left)} {y}H{number(right)}", "class": "grid"}))
-            at = {"x": number(left - 6), "y": number(float(panel.down(value)) + 4.5), "class": "end"}
-            parts.append(tag("text", words, at=at))
+    for value, words in ticks(*panel.y):
+        y = number(float(panel.down(value)))
+        parts.append(tag("path", at={"d": f"M{number(left)} {y}H{number(right)}", "class": "grid"}))
+        at = {"x": number(left - 6), "y": number(float(panel.down(value)) + 4.5), "class": "end"}
+        parts.append(tag("text", words, at=at))
     for value, words in ticks(*panel.x) if x_ticks is None else x_ticks:
         x = number(float(panel.across(value)))
+        if x_ticks is None and upright:
+            parts.append(tag("path", at={"d": f"M{x} {number(panel.top)}V{number(low)}", "class": "grid"}))
         if x_ticks is None:
             parts.append(tag("path", at={"d": f"M{x} {number(low)}v5", "class": "axis"}))
         parts.append(tag("text", words, at={"x": x, "y": number(low + 18), "class": "middle"}))
@@ -117,7 +123,7 @@ def dots(panel: Panel, x: Array, y: Array, look: str, *, colour: str | None = No
     if not len(x):
         return None
     places = zip(panel.across(x), panel.down(y), strict=True)
-    path = "".join(f"M{number(a)} {number(b)}h0" for a, b in places)
+    path = "".join(f"M{number(a)} {number(b)}h.1" for a, b in places)
     return tag("path", at={"d": path, "class": look, **({"stroke": colour} if colour else {})})
 
 
@@ -171,6 +177,6 @@ def picture(name: str, title: str, description: str, height: float, *parts: Mark
     return tag("svg", what, says, *parts, at=at)
 
 
-def figure(caption: object, *pictures: Markup | None) -> Markup:
-    """Pictures side by side where there is room, above one another where not, and their caption."""
-    return tag("figure", tag("div", *pictures, at={"class": "pictures"}), tag("figcaption", caption))
+def figure(caption: object, *pictures: Markup | None, key: Markup | None = None) -> Markup:
+    """Key of the colours, pictures side by side where there is room, above one another where not, and their caption."""
+    return tag("figure", key, tag("div", *pictures, at={"class": "pictures"}), tag("figcaption", caption))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal, TypeAlias
 
 from casacal.html_report.markup import Markup, tag
 
 WORDS, NUMBER = "words", "number"
+Look: TypeAlias = Literal["", "stacked", "wide", "small"]
 
 
 def table(
@@ -15,7 +17,7 @@ def table(
     columns: Sequence[tuple[object, str]],
     rows: Sequence[Sequence[object]],
     *,
-    stacked: bool = False,
+    look: Look = "",
 ) -> Markup:
     """Table whose first column names the row.
 
@@ -24,7 +26,8 @@ def table(
         caption: what it shows.
         columns: heading and kind (`WORDS` or `NUMBER`) of each column.
         rows: cells, markup or text.
-        stacked: whether a row becomes a block of lines on a phone, for tables with sentences in them.
+        look: "stacked" rows become blocks of lines on a phone, for tables with sentences; "wide" ones say that they
+            scroll there; "small" ones do not spread over the page.
 
     """
     head = tag("tr", *(tag("th", title, at={"scope": "col", "class": kind}) for title, kind in columns))
@@ -32,14 +35,14 @@ def table(
     for row in rows:
         cells = [tag("th", row[0], at={"scope": "row", "class": columns[0][1]})]
         for (title, kind), cell in zip(columns[1:], row[1:], strict=True):
-            cells.append(tag("td", cell, at={"class": kind, **({"data-label": title} if stacked else {})}))
+            cells.append(tag("td", cell, at={"class": kind, **({"data-label": title} if look == "stacked" else {})}))
         body.append(tag("tr", *cells))
     whole = tag(
         "table",
         tag("caption", caption),
         tag("thead", head),
         tag("tbody", *body),
-        at={"id": name, **({"class": "stacked"} if stacked else {})},
+        at={"id": name, **({"class": look} if look else {})},
     )
     return tag("div", whole, at={"class": "scroll", "tabindex": "0", "role": "region", "aria-label": f"Table {name}"})
 

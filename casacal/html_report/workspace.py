@@ -13,7 +13,7 @@ from casacal.metrics import tip_stds, up_to_base, workspace_joints
 
 Array: TypeAlias = NDArray[np.float64]
 
-POSTURES = 4096
+POSTURES = 8192
 """Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""
 SQUARES = 24
 """Squares along the longer side of a view."""

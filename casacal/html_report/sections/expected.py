@@ -51,9 +51,9 @@ def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | N
     moved, worst = tip_extremes(calibration)
     unseen = f", {count(tip['unseen'], 'direction')} unseen" if tip["unseen"] else ""
     rows = [
-        ["Before: from the priors alone", mm(tip["prior_rms_mm"]), "–"],
+        ["Before: priors alone", mm(tip["prior_rms_mm"]), "–"],
         ["After: samples and priors", mm(tip["expected_rms_mm"]), mm(worst)],
-        [f"From the samples alone, without any prior{unseen}", mm(tip["without_prior_rms_mm"]), "–"],
+        [f"Samples alone, without priors{unseen}", mm(tip["without_prior_rms_mm"]), "–"],
     ]
     if box is not None:
         rms, most = accuracy_in_box(calibration.fit, calibration.result.x, box)
@@ -62,7 +62,7 @@ def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | N
     columns = [("Expected tip error", WORDS), ("RMS", NUMBER), ("Worst posture", NUMBER)]
     return tag(
         "div",
-        table("tip-figures", "Expected tip error over the workspace", columns, rows),
+        table("tip-figures", "Expected tip error over the workspace", columns, rows, look="small"),
         paragraph(f"The largest correction in the workspace is {mm(moved)}.", style="note"),
     )
 
@@ -73,19 +73,21 @@ def _maps(name: str, words: str, tips: Array, values: Array, marks: Array, box: 
     title = "Expected tip error" if name == "error" else "Correction"
     caption = {
         "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
-        "black dots are where it touched. It grows away from them: verify there before you rely on it.",
-        "correction": "How far the calibrated tip lies from the nominal one, up to the base frame.",
+        "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
+        "dark before you rely on it.",
+        "correction": "How far the calibrated tip lies from the nominal one, up to the base frame: what the "
+        "calibration changes.",
     }[name]
     if box is not None:
         caption += " The black frame is the box that was asked for."
     return tag(
         "div",
         tag("h3", title),
-        scale.key(f"{name}-key", words, unbounded=not finite),
         figure(
             caption,
             _view(f"{name}-side", f"{title}, side view", side_view, tips, values, marks, None, scale),
             _view(f"{name}-top", f"{title}, top view", top_view, tips, values, marks, box, scale),
+            key=scale.key(f"{name}-key", words, unbounded=not finite),
         ),
     )
 
@@ -120,7 +122,7 @@ def _view(
         title,
         f"Root mean square by square of {squares.side:.0f} mm; from {values.min():.3g} to {values.max():.3g} mm.",
         panel.height,
-        axes(panel, titles[0], f"{title.partition(', ')[2]}: {titles[1]}", grid=True),
+        axes(panel, titles[0], f"{title.partition(', ')[2]}: {titles[1]}", upright=True),
         *parts,
         dots(panel, seen[:, 0], seen[:, 1], "touch-halo"),
         dots(panel, seen[:, 0], seen[:, 1], "touch"),

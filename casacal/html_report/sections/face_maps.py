@@ -36,15 +36,14 @@ def face_maps(touches: Touches) -> Markup | None:
     return tag(
         "div",
         tag("h3", "Over each face"),
-        scale.key("face-key", "residual after, mm"),
-        figure(caption, *pictures),
+        figure(caption, *pictures, key=scale.key("face-key", "residual after, mm")),
     )
 
 
 def _map(k: int, label: str, places: Places, scale: Scale) -> Markup:
     low, high = places.uv.min(axis=0), places.uv.max(axis=0)
     edge = 0.06 * float((high - low).max())
-    panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge))
+    panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
     points = []
     for colour, rows in scale.parts(places.residuals):
         for held, look in ((False, "spot"), (True, "spot square")):
@@ -60,6 +59,7 @@ def _map(k: int, label: str, places: Places, scale: Scale) -> Markup:
             panel,
             "u, mm (level)" if places.upright else "u, mm (along the base's x)",
             f"{shortened(label, 28)}: v, mm" + (" (up)" if places.upright else ""),
+            upright=True,
         ),
         *points,
     )

@@ -38,7 +38,7 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
         "measured",
         "What was measured",
         paragraph(opening),
-        table("faces", "Faces and rows", columns, rows),
+        table("faces", "Faces and rows", columns, rows, look="wide"),
         paragraph(notes + more, style="note"),
     )
 

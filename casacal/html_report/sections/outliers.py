@@ -30,37 +30,40 @@ def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
         order = np.argsort(-white, kind="stable")[:SHOWN]
         worst += [(-float(white[i]), int(part.lines[i]), _row(part, int(i), float(white[i]))) for i in order]
     worst.sort(key=lambda entry: entry[:2])
-    columns = [("Line", NUMBER), ("Face", WORDS), ("Rows", WORDS), ("Residual, mm", NUMBER), ("Times noise", NUMBER)]
-    columns += [("Weight", NUMBER)]
-    stands = "stands" if beyond == 1 else "stand"
-    opening = f"{count(beyond, 'row')} {stands} more than {LARGE:g} times the stated noise off." if beyond else (
-        f"No row stands more than {LARGE:g} times the stated noise off."
-    )  # fmt: skip
+    columns = [("Line", WORDS), ("Face", WORDS), ("Rows", WORDS), ("Residual, mm", NUMBER), ("Times noise", NUMBER)]
+    if touches.calibration.result.loss is not None:
+        columns.append(("Weight", NUMBER))
+    rows = [row[: len(columns)] for _, _, row in worst[:SHOWN]]
     return section(
         "outliers",
         "Rows that fit worst",
-        paragraph(opening + _hint(touches, beyond)),
+        paragraph(_opening(touches, beyond)),
         _ignored(touches, document["down_weighted_lines"]),
-        table("worst-rows", "The rows with the largest residuals, by line of the file", columns,
-              [row for _, _, row in worst[:SHOWN]]),
-    )  # fmt: skip
+        table("worst-rows", "Largest residuals, by line of the file", columns, rows),
+    )
 
 
-def _hint(touches: Touches, beyond: int) -> str:
-    if not beyond or touches.calibration.result.loss is not None:
-        return ""
-    return " Look at these lines; casacal check names likely causes, and --loss huber keeps gross rows from pulling."
+def _opening(touches: Touches, beyond: int) -> str:
+    if not beyond:
+        return f"No row stands more than {LARGE:g} times the stated noise off."
+    stands = "stands" if beyond == 1 else "stand"
+    words = f"{count(beyond, 'row')} {stands} more than {LARGE:g} times the stated noise off."
+    if touches.calibration.result.loss is None:
+        words += " casacal check names likely causes, and --method lm --loss huber keeps gross rows from pulling."
+    return words
 
 
 def _row(part: Part, i: int, white: float) -> list[object]:
     component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
     labels = part.bound.samples[0].labels.get("plane")
-    place = "–" if labels is None else shortened(labels[i], 40)
-    weight = "–" if part.held else fixed(float(part.weight[i]), 2)
     return [
-        f"{part.lines[i]}", place, "held out" if part.held else "fitted",
-        fixed(float(part.after[i, component]), signed=True), fixed(white, 1), weight,
-    ]  # fmt: skip
+        str(part.lines[i]),
+        "–" if labels is None else shortened(labels[i], 40),
+        "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
+        fixed(float(part.after[i, component]), signed=True),
+        fixed(white, 1),
+        "–" if part.held else fixed(float(part.weight[i]), 2),
+    ]
 
 
 def _ignored(touches: Touches, lines: tuple[int, ...]) -> Markup | None:

@@ -35,7 +35,7 @@ def parameters_section(calibration: Calibration, document: Mapping[str, Any]) ->
             "Standard deviations trust the stated noise and priors. “Of prior” is the standard deviation over that of "
             "the prior: near 100 % the samples said nothing and the nominal value stands."
         ),
-        table("parameter-table", "Parameters, nominal and calibrated", columns, rows) if rows else None,
+        table("parameter-table", "Parameters, nominal and calibrated", columns, rows, look="wide") if rows else None,
         paragraph(f"Held at nominal: {', '.join(held)}.", style="note") if held else None,
         _correlations(calibration),
     )
@@ -69,6 +69,6 @@ def _correlations(calibration: Calibration) -> Markup:
             "These pairs are known together, not apart: their values trade against each other, and neither should be "
             "used without the other."
         ),
-        table("correlations", "Correlations above 0.95", columns, rows),
+        table("correlations", "Correlations above 0.95", columns, rows, look="small"),
         paragraph(f"{count(more, 'more pair')} in result.json.", style="note") if more > 0 else None,
     )

@@ -7,7 +7,6 @@ from typing import Any
 
 from casacal.calibration import Calibration
 from casacal.html_report.markup import Markup, paragraph, section, tag
-from casacal.html_report.numbers import count
 from casacal.html_report.table import facts
 
 
@@ -66,10 +65,3 @@ def timings(seconds: Mapping[str, float]) -> Markup:
     """The one line that differs between two runs."""
     parts = ", ".join(f"{name} {value:.2f} s" for name, value in seconds.items())
     return paragraph(f"Time taken: {parts}.", style="timings")
-
-
-def short_line(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
-    """What the foot of the page says."""
-    version, digest = document["versions"]["casacal"], document["data"]["sha256"][:12]
-    words = f"casacal {version} · {calibration.fit.problem.robot.name} · {document['data']['file']} · data {digest}"
-    return tag("footer", paragraph(words), paragraph(f"{count(document['data']['samples'], 'row')} in all."))

@@ -19,9 +19,9 @@ def reference_section(calibration: Calibration, document: Mapping[str, Any]) -> 
     found = document["reference"]
     agrees = reference.agrees
     words = (
-        f"{reference.solver} solved the same objective in another parametrisation and "
+        f"{reference.solver.upper()} solved the same objective in another parametrisation and "
         + ("found the same minimum" if agrees else "DID NOT find the same minimum")
-        + f": the costs differ by {found['relative_gap']:.1e} of their size, agreement means within {AGREEMENT:.0e}."
+        + f": the costs differ by {abs(found['relative_gap']):.1e} of their size (limit {AGREEMENT:.0e})."
     )
     pairs = [
         (f"Cost, {calibration.method}", f"{document['cost']:.10g}"),

@@ -18,7 +18,8 @@ from casacal.html_report.touches import Touches, thinned
 Array: TypeAlias = NDArray[np.float64]
 When: TypeAlias = Literal["before", "after"]
 
-BINS = 31
+BINS = (15, 41)
+"""Fewest and most bars of a histogram, odd, so that one stands about zero."""
 DRAWN = 1500
 """Points of one picture at most."""
 NAMED = 6
@@ -40,6 +41,7 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
+        _noise(document["noise"]),
         figure(_histogram_caption(touches), *(_histogram(touches, when) for when in TITLES)),
         figure(_row_caption(touches), *(_by_row(touches, when) for when in TITLES)),
         face_maps(touches),
@@ -57,6 +59,13 @@ def _table(document: Mapping[str, Any]) -> Markup:
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
 
 
+def _noise(noise: Mapping[str, float]) -> Markup:
+    ratio, low, high = (fixed(noise[key], 2) for key in ("ratio", "low", "high"))
+    return paragraph(
+        f"Found over stated noise: {ratio} (95 % {low} to {high}); 1 means that the noise was stated well."
+    )
+
+
 def _values(touches: Touches, when: When) -> list[Array]:
     return [part.before if when == "before" else part.after for part in touches.parts]
 
@@ -65,8 +74,9 @@ def _histogram(touches: Touches, when: When) -> Markup:
     """Shares of fitted rows as bars, of held-out rows as an outline; after, what the stated noise predicts."""
     found = [values.ravel() for values in _values(touches, when)]
     everything = np.concatenate(found)
-    half = nice_ceiling(min(float(np.abs(everything).max()), 6 * 1.4826 * float(np.median(np.abs(everything)))))
-    edges = np.linspace(-half, half, BINS + 1)
+    half = nice_ceiling(min(float(np.abs(everything).max()), 4.5 * 1.4826 * float(np.median(np.abs(everything)))))
+    count = 2 * round(min(max(len(everything) ** (1 / 3), BINS[0] / 2), BINS[1] / 2) - 0.5) + 1
+    edges = np.linspace(-half, half, count + 1)
     # rows beyond the axis stand in its outermost bars
     shares = [100 * np.histogram(np.clip(v, -half, half), edges)[0] / len(v) for v in found]
     curve = _expected(touches, edges) if when == "after" else np.zeros(0)
@@ -108,7 +118,8 @@ def _histogram_caption(touches: Touches) -> Markup:
     return tag(
         "span",
         "Histogram of the residuals, before (left or above) and after, each on its own scale; values beyond the axis "
-        f"stand in the outermost bars.{held} The dark line is what the stated noise predicts.",
+        f"stand in the outermost bars.{held} The dark line is what the stated noise predicts; fitted rows lie a little "
+        "inside it.",
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from casacal.calibration import MINIMISERS, Calibration
 from casacal.html_report.markup import Markup, paragraph, section, tag
-from casacal.html_report.numbers import count, fixed, mm
+from casacal.html_report.numbers import count, mm
 
 GAIN = 0.9
 """Expected tip error over the one before, above which little was gained."""
@@ -33,7 +33,8 @@ def verdict_of(calibration: Calibration, document: Mapping[str, Any]) -> Verdict
         f"the tip is expected to be wrong by {mm(tip['expected_rms_mm'])} RMS over the workspace "
         f"(before: {mm(tip['prior_rms_mm'])}), provided that the stated noise and priors are right"
     )
-    residual = f"the residual of {mm(_residual(document), 4)} on the {planes} is how well the rows fit, not accuracy"
+    where = "held-out residual" if document["metrics"]["after"]["heldout"] else "residual"
+    residual = f"the {where} of {mm(_residual(document), 4)} on the {planes} is how well the rows fit, not accuracy"
     if not calibration.result.converged:
         return Verdict("bad", f"Do not use this result: the method did not finish. {document['status']}")
     missed = _missed_minimum(calibration)
@@ -94,7 +95,9 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
     free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
     known = sum(row["identifiable"] == "data" for row in free)
     tip, reference = document["tip"], calibration.reference
-    agreement = "not run" if reference is None else "agrees" if reference.agrees else "differs"
+    agreement = "not run"
+    if reference is not None:
+        agreement = f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
     where = "fitted rows" if part == "fit" else "held-out rows"
     found = document["identifiability"]
     return tag(
@@ -113,8 +116,7 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
         _figure(
             "Second solver",
             agreement,
-            f"rank {found['rank']} of {count(found['unknowns'], 'unknown')}, "
-            f"found over stated noise {fixed(document['noise']['ratio'], 2)}",
+            f"on the minimum; rank {found['rank']} of {count(found['unknowns'], 'unknown')}",
         ),
         at={"class": "figures"},
     )
