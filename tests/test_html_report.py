@@ -22,8 +22,9 @@ from casacal.html_report.colours import Scale
 from casacal.html_report.drawing import Panel, nice_ceiling, ticks
 from casacal.html_report.markup import tag, text
 from casacal.html_report.sections.verdict import verdict_of
+from casacal.html_report.squares import in_squares
 from casacal.html_report.touches import Touches
-from casacal.html_report.workspace import Workspace, in_squares
+from casacal.html_report.workspace import Workspace
 from casacal.losses import huber
 from casacal.samples import Samples
 
@@ -212,10 +213,9 @@ def test_the_map_agrees_with_the_figure_beside_it(calibration):
     workspace = Workspace.of(calibration)
     rms = math.sqrt((workspace.error**2).mean())
     assert rms == pytest.approx(calibration.tip_std[1], rel=0.05)
-    view = in_squares(workspace.tips[:, :2], workspace.error)
-    assert view.values.max() <= workspace.error.max()
-    one = in_squares(np.array([[0.0, 0.0], [0.1, 0.1], [10.0, 10.0]]), np.array([3.0, 4.0, 1.0]))
-    np.testing.assert_allclose(one.values, [math.sqrt(12.5), 1.0])
+    squares = in_squares(np.array([[0.0, 0.0], [0.1, 0.1], [10.0, 5.0]]), np.array([3.0, -4.0, 1.0]), 5)
+    np.testing.assert_allclose(squares.values, [-0.5, 1.0])
+    np.testing.assert_allclose([squares.side, squares.x[1], squares.y[1]], [2.0, 8.0, 4.0], atol=1e-6)
 
 
 @pytest.fixture
@@ -307,6 +307,9 @@ def test_gross_rows_are_named(hsr):
     page = of(calibration, hsr)
     assert {row[0] for row in tables(page)["worst-rows"][1:3]} == lines
     assert float(tables(page)["worst-rows"][1][5]) < 0.1
+    beyond = page.split('<svg id="rows-after"')[1].partition("</svg>")[0].split('h.1" class="dot beyond"')
+    assert len(beyond) == 2
+    assert len(DOTS.findall(beyond[0].rpartition('d="')[2] + "h.1")) == 2
     assert lines <= set(re.findall(r"\d+", Page(page).text_of("outliers").partition("lines ")[2]))
 
 
@@ -342,6 +345,7 @@ def test_many_rows_and_many_faces_do_not_make_a_large_page(hsr, page):
     large = of(calibrate(hsr.problem, many, method="lm", holdout=0.5, reference=False), hsr)
     assert_valid(large)
     assert len(large) < 2 * len(page)
+    assert "each square is their mean" in large
     assert "24,000 rows" in Page(large).text_of("measured")
 
 

@@ -83,6 +83,7 @@ svg .dot { fill: none; stroke-width: 3.6; stroke-linecap: round; }
 svg .dot.before { stroke: #8b949f; }
 svg .dot.after { stroke: var(--blue); }
 svg .dot.held { stroke: var(--orange); stroke-linecap: square; }
+svg .dot.beyond { stroke: #000; stroke-width: 7; }
 svg .spot { fill: none; stroke-width: 7; stroke-linecap: round; }
 svg .spot.square { stroke-width: 6; stroke-linecap: square; }
 svg .cell { stroke-width: 0.3; }
@@ -123,7 +124,8 @@ svg .box { fill: none; stroke: #000; stroke-width: 1.5; }
   .facts { font-size: 9pt; }
   .facts code { font-size: 7.5pt; }
   .scroll { overflow: visible; }
-  table:not(#parameter-table) { break-inside: avoid; }
+  table:not(#parameter-table), #provenance { break-inside: avoid; }
+  section > p:has(+ .scroll) { break-after: avoid; }
   table { font-size: 8.5pt; }
   th, td { padding: 0.8mm 1.5mm; }
   thead { display: table-header-group; }

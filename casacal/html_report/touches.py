@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Rows: TypeAlias = NDArray[np.intp]
 LOOKED_AT = 4096
 """Rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block."""
 COORDINATES = "xyz"
+When: TypeAlias = Literal["before", "after"]
+TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,10 @@ class Part:
     noise: Array
     weight: Array
     """Under a robust loss (N,), the smallest of a row's residuals; one without."""
+
+    def residuals(self, when: When) -> Array:
+        """Of one of the two arms (N, m), mm."""
+        return self.before if when == "before" else self.after
 
     @property
     def lines(self) -> NDArray[np.int64]:
@@ -123,6 +130,11 @@ class Touches:
             held=np.concatenate([np.full(len(rows), p.held) for p, rows in zip(self.parts, chosen, strict=True)]),
             upright=upright,
         )
+
+
+def spread(values: Array) -> float:
+    """Robust standard deviation about zero of values (N,): 1.4826 times the median size."""
+    return 1.4826 * float(np.median(np.abs(values)))
 
 
 def thinned(rows: Rows, most: int) -> Rows:

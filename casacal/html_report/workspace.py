@@ -1,4 +1,4 @@
-"""The tip's expected error and its correction over the workspace, as means over small squares of two views."""
+"""The tip's expected error and its correction over the workspace, and two views of it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 POSTURES = 8192
 """Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""
-SQUARES = 24
-"""Squares along the longer side of a view."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +44,6 @@ class Workspace:
         return Workspace(tips, error, correction)
 
 
-@dataclass(frozen=True)
-class View:
-    """Squares of a view: lower left corners (k,), their side, and the root mean square of the values in each (k,)."""
-
-    x: Array
-    y: Array
-    side: float
-    values: Array
-
-
 def side_view(points: Array) -> Array:
     """Distance from the base's z axis, and height (N, 2; mm)."""
     return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
@@ -64,14 +52,3 @@ def side_view(points: Array) -> Array:
 def top_view(points: Array) -> Array:
     """x and y of the base frame (N, 2; mm)."""
     return np.asarray(points[:, :2])
-
-
-def in_squares(points: Array, values: Array) -> View:
-    """Root mean square of values (N,) over the squares that points (N, 2) fall into."""
-    low = points.min(axis=0)
-    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9) * (1 + 1e-9)
-    place = np.floor((points - low) / side).astype(np.int64)
-    distinct, which = np.unique(place, axis=0, return_inverse=True)
-    which = which.ravel()
-    mean = np.bincount(which, weights=values**2) / np.bincount(which)
-    return View(low[0] + side * distinct[:, 0], low[1] + side * distinct[:, 1], side, np.sqrt(mean))

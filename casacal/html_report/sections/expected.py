@@ -15,12 +15,15 @@ from casacal.html_report.colours import Scale
 from casacal.html_report.drawing import Panel, axes, cells, dots, figure, line, picture
 from casacal.html_report.markup import Markup, paragraph, section, tag
 from casacal.html_report.numbers import count, mm
+from casacal.html_report.squares import in_squares
 from casacal.html_report.table import NUMBER, WORDS, table
 from casacal.html_report.touches import Touches
-from casacal.html_report.workspace import POSTURES, Workspace, in_squares, side_view, top_view
+from casacal.html_report.workspace import POSTURES, Workspace, side_view, top_view
 
 Array: TypeAlias = NDArray[np.float64]
 
+SQUARES = 24
+"""Squares along the longer side of a view."""
 MARKED = 240
 """Touches drawn on the maps, of all faces together."""
 
@@ -103,14 +106,14 @@ def _view(
     scale: Scale,
 ) -> Markup:
     points, seen = view(tips), view(marks)
-    squares = in_squares(points, values)
+    squares = in_squares(points, values**2, SQUARES)
     panel = Panel.square(
         (float(squares.x.min()), float(squares.x.max()) + squares.side),
         (float(squares.y.min()), float(squares.y.max()) + squares.side),
     )
     parts = [
         cells(panel, squares.x[rows], squares.y[rows], squares.side, colour)
-        for colour, rows in scale.parts(squares.values)
+        for colour, rows in scale.parts(np.sqrt(squares.values))
     ]
     frame = None
     if box is not None:

@@ -95,9 +95,9 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
     free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
     known = sum(row["identifiable"] == "data" for row in free)
     tip, reference = document["tip"], calibration.reference
-    agreement = "not run"
+    agreement, checked = "not run", "nothing checked"
     if reference is not None:
-        agreement = f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
+        checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
     where = "fitted rows" if part == "fit" else "held-out rows"
     found = document["identifiability"]
     return tag(
@@ -116,7 +116,7 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
         _figure(
             "Second solver",
             agreement,
-            f"on the minimum; rank {found['rank']} of {count(found['unknowns'], 'unknown')}",
+            f"{checked} the minimum; rank {found['rank']} of {count(found['unknowns'], 'unknown')}",
         ),
         at={"class": "figures"},
     )
