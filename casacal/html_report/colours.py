@@ -52,7 +52,7 @@ class Scale:
 
     def key(self, name: str, words: str, *, unbounded: bool = False) -> Markup:
         """Picture of the steps with the numbers between them."""
-        wide = 320.0 / len(self.colours)
+        wide = (320.0 if unbounded else 364.0) / len(self.colours)
         parts = []
         for k, colour in enumerate(self.colours):
             box = {"x": number(20 + k * wide), "y": "22", "width": number(wide), "height": "12", "fill": colour}
