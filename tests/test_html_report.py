@@ -328,7 +328,7 @@ def test_verdicts(hsr, calibration, monkeypatch):
     assert "far above" in said.sentence
     filtered = calibrate(hsr.problem, samples, method="sckf")
     assert verdict_of(filtered, calibration_document(filtered, hsr)).level == "care"
-    import casacal.calibration as module
+    import casacal.calibrating as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
     stopped = calibrate(hsr.problem, samples, method="lm")
