@@ -54,7 +54,10 @@ def provenance_section(document: Mapping[str, Any], command: str | None) -> Mark
     return section(
         "provenance",
         "How to make this again",
-        paragraph("The same files, command and versions give this page again, byte for byte but for the last line."),
+        paragraph(
+            "On the same machine, the same files, command and versions give this page again, byte for byte but for the "
+            "last line."
+        ),
         made,
         facts("provenance-facts", pairs),
         timings(document["seconds"]),
