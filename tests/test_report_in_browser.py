@@ -124,6 +124,7 @@ def luminance(colour):
 
 
 def test_it_prints(browser, report):
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})  # paper, not the screen of the test before
     browser.get(report.as_uri())
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
     pdf = base64.b64decode(printed["data"])

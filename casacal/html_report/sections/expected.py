@@ -123,7 +123,7 @@ def _view(
     return picture(
         name,
         title,
-        f"Root mean square by square of {squares.side:.0f} mm; from {values.min():.3g} to {values.max():.3g} mm.",
+        f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
         panel.height,
         axes(panel, titles[0], f"{title.partition(', ')[2]}: {titles[1]}", upright=True),
         *parts,
