@@ -6,30 +6,32 @@ in which line.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import hashlib
 import io
 import warnings
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import SamplesError
 from casacal.labels import Labels
+from casacal.threads import thread_count
 
 Array: TypeAlias = NDArray[np.float64]
 
 LARGE_FILE = 1 << 21
 """Bytes from which a CSV file is worth the time it takes to import pandas."""
 ARRAYS = (".npy", ".npz")
-PART = 1 << 20
-"""Bytes read at a time."""
-TOGETHER = 1 << 18
-"""Rows parsed at a time."""
+PART = 1 << 22
+"""Bytes read and parsed at a time."""
 
 
 @dataclass(frozen=True)
@@ -60,97 +62,112 @@ def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str
     try:
         if path.stat().st_size < LARGE_FILE:
             return None
-        header, header_line = _header(path)
-        newlines, complete = _count_lines(path)
+        with path.open("rb") as file:
+            header, before = _header(file)
     except (OSError, UnicodeDecodeError):
         return None
     delimiter = max(",;\t", key=header.count)
     names = tuple(name.strip() for name in header.split(delimiter))
-    wanted, rows = numbers(names), newlines - header_line + (not complete)
+    wanted = numbers(names)
     if len(set(names)) != len(names) or not all(name.isprintable() and name for name in names) or '"' in header:
         return None
-    if not wanted or rows < 1:
-        return None
-    with ThreadPoolExecutor(1) as other:  # the file is hashed while it is parsed
-        digest = other.submit(_digest, path)
-        for decimal in (".",) if delimiter == "," else (".", ","):
-            read = _parsed(path, delimiter, decimal, names, header_line, wanted, rows)
-            if read is not None:
-                values, labels = read
-                lines = range(header_line + 1, header_line + 1 + rows)
-                return Columns(
-                    str(path), digest.result(), names, header_line, lines, values.__getitem__, labels.__getitem__
-                )
+    for decimal in (".",) if delimiter == "," else (".", ","):
+        read = _read_parts(path, before, _Form(delimiter, decimal, names, frozenset(wanted))) if wanted else None
+        if read is not None:
+            digest, values, labels = read
+            first, rows = before.count(b"\n") + 1, len(values[wanted[0]])
+            lines = range(first, first + rows)
+            return Columns(str(path), digest, names, first - 1, lines, values.__getitem__, labels.__getitem__)
     return None
 
 
-def _header(path: Path) -> tuple[str, int]:
-    """The header line and its number; comment lines and blank ones before it are counted."""
-    with path.open("rb") as file:
-        for number, line in enumerate(file, 1):
-            text = line.decode("utf-8-sig").strip()
-            if text and not text.startswith("#"):
-                return text, number
-    return "", 0
+@dataclass(frozen=True)
+class _Form:
+    """How a text file is written."""
+
+    delimiter: str
+    decimal: str
+    names: tuple[str, ...]
+    numbers: frozenset[str]
 
 
-def _count_lines(path: Path) -> tuple[int, bool]:
-    """How many line ends a file has, and whether it ends with one."""
-    newlines, last = 0, b""
-    with path.open("rb") as file:
-        while part := file.read(PART):
-            newlines += part.count(b"\n")
-            last = part[-1:]
-    return newlines, last == b"\n"
+def _header(file: BinaryIO) -> tuple[str, bytes]:
+    """The header line, and all up to its end; comment lines and blank ones may come first."""
+    before = b""
+    for line in file:
+        before += line
+        text = line.decode("utf-8-sig").strip()
+        if text and not text.startswith("#"):
+            return text, before
+    return "", before
+
+
+def _read_parts(path: Path, before: bytes, form: _Form) -> tuple[str, dict[str, Array], dict[str, Labels]] | None:
+    """SHA-256 of the file, its numbers and its labels; parts are parsed by threads. None for what is not ordinary."""
+    digest, rows, workers = hashlib.sha256(before), 0, thread_count()
+    texts = [name for name in form.names if name not in form.numbers]
+    most = path.stat().st_size // (2 * len(form.names)) + 1  # a cell takes two bytes at least; memory not used is free
+    values = {name: np.empty(most) for name in form.numbers}
+    codes = {name: np.empty(most, dtype=np.int32) for name in texts}
+    known: dict[str, dict[str, int]] = {name: {} for name in texts}
+    with path.open("rb") as file, warnings.catch_warnings(), ThreadPoolExecutor(workers) as pool:
+        warnings.simplefilter("error")
+        file.seek(len(before))
+        waiting: deque[Future[Any]] = deque()
+        parts = iter(lambda: file.read(PART) + file.readline(), b"")
+        while True:
+            part = next(parts, None)
+            if part is not None:
+                digest.update(part)
+                waiting.append(pool.submit(_parsed, part, form))
+            if not waiting:
+                break
+            if part is None or len(waiting) > workers:
+                frame = waiting.popleft().result()
+                if frame is None:
+                    return None
+                here, rows = slice(rows, rows + len(frame)), rows + len(frame)
+                for name in form.numbers:
+                    values[name][here] = frame[name].to_numpy()
+                for name in texts:
+                    column, places = frame[name].cat, known[name]
+                    numbered = [places.setdefault(str(label).strip(), len(places)) for label in column.categories]
+                    codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes.to_numpy()]
+    _give_back()
+    labels = {name: Labels(tuple(known[name]), codes[name][:rows]) for name in texts}
+    return (digest.hexdigest(), {name: column[:rows] for name, column in values.items()}, labels) if rows else None
+
+
+def _parsed(part: bytes, form: _Form) -> Any:
+    """The cells of some lines as pandas reads them, numbers as float64, the rest as categories.
+
+    None when it cannot, when a number is not finite, or when there are other than as many rows as lines: blank lines or
+    quoted ones, after which lines are not where they seem.
+    """
+    import pandas as pd
+
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(part), sep=form.delimiter, decimal=form.decimal, names=list(form.names), header=None,
+            index_col=False, dtype={n: "float64" if n in form.numbers else "category" for n in form.names},
+            keep_default_na=False, na_filter=False, encoding="utf-8", encoding_errors="strict",
+        )  # fmt: skip
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
+        return None
+    lines = np.count_nonzero(np.frombuffer(part, dtype=np.uint8) == ord("\n")) + (not part.endswith(b"\n"))
+    whole = len(frame) == lines and all(np.isfinite(frame[name].to_numpy()).all() for name in form.numbers)
+    return frame if whole else None
+
+
+def _give_back() -> None:
+    """Let the system have the memory that parsing leaves behind, where the C library keeps it for later."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _parsed(
-    path: Path,
-    delimiter: str,
-    decimal: str,
-    names: Sequence[str],
-    header_line: int,
-    numbers: Sequence[str],
-    rows: int,
-) -> tuple[dict[str, Array], dict[str, Labels]] | None:
-    """Numbers and labels as pandas reads them, some rows at a time; None when it cannot, or finds other than `rows`."""
-    import pandas as pd
-
-    values = {name: np.empty(rows) for name in numbers}
-    texts = [name for name in names if name not in values]
-    codes = {name: np.empty(rows, dtype=np.int32) for name in texts}
-    known: dict[str, dict[str, int]] = {name: {} for name in texts}
-    done = 0
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            chunks = pd.read_csv(
-                path, sep=delimiter, decimal=decimal, names=list(names), header=None, skiprows=header_line,
-                index_col=False, dtype={name: "float64" if name in values else "category" for name in names},
-                keep_default_na=False, na_filter=False, encoding="utf-8", encoding_errors="strict", chunksize=TOGETHER,
-            )  # fmt: skip
-            for chunk in chunks:
-                here = slice(done, done + len(chunk))
-                done = here.stop
-                if done > rows:
-                    return None
-                for name in numbers:
-                    values[name][here] = chunk[name].to_numpy()
-                for name in texts:
-                    column, places = chunk[name].cat, known[name]
-                    numbered = [places.setdefault(str(label).strip(), len(places)) for label in column.categories]
-                    codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes.to_numpy()]
-    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
-        return None
-    # fewer rows than lines: blank lines or quoted ones shift the count
-    if done != rows or any(not np.isfinite(column).all() for column in values.values()):
-        return None
-    return values, {name: Labels(tuple(known[name]), codes[name]) for name in texts}
 
 
 def read_arrays(path: Path) -> Columns:

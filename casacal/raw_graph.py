@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.kernels.curvature import CurvatureKernel, Lanes
+from casacal.kernels.replay import Buffered
 from casacal.unknowns import Unknown
 
 Array: TypeAlias = NDArray[np.float64]
@@ -49,6 +50,22 @@ class RawGraph:
     """v -> g, zero where v is valid."""
     local: ca.Function
     """v -> x, the local coordinates that other estimators use."""
+
+    @cached_property
+    def prior(self) -> Buffered:
+        """(v, information (n,), x0 (n,)) -> half the prior's weighted square, its gradient and Hessian by v."""
+        v, x0 = ca.SX.sym("v", self.start.size), ca.SX.sym("x0", self.local.numel_out(0))
+        information = ca.SX.sym("information", x0.numel())
+        hessian, gradient = ca.hessian(cost := ca.dot(information, (self.local(v) - x0) ** 2) / 2, v)
+        terms = [ca.densify(term) for term in ca.cse([cost, gradient, hessian])]
+        return Buffered(ca.Function("prior", [v, information, x0], terms))
+
+    @cached_property
+    def bend(self) -> Buffered:
+        """(v, multipliers) -> Hessian by v of the constraints times their multipliers."""
+        v, multipliers = ca.SX.sym("v", self.start.size), ca.SX.sym("lam", self.constraints.numel_out(0))
+        hessian, _ = ca.hessian(ca.dot(multipliers, self.constraints(v)), v)
+        return Buffered(ca.Function("bend", [v, multipliers], [ca.densify(hessian)]))
 
     @staticmethod
     def build(unknowns: Sequence[tuple[Unknown, Array]], blocks: Sequence[RawBlock]) -> RawGraph:

@@ -94,16 +94,16 @@ class Samples:
         found = match_columns(columns, layout)
         count = len(columns.lines)
 
-        def quantity(name: str) -> Array:
+        def fill(name: str, place: Array) -> Array:
             column, factor = found[name]
-            values = columns.number(column) * factor
-            _check_size(columns, column, values, math.inf if absurd else LARGEST[layout.quantities[name]])
-            values.setflags(write=False)
-            return values
+            np.multiply(columns.number(column), factor, out=place)
+            _check_size(columns, column, place, math.inf if absurd else LARGEST[layout.quantities[name]])
+            place.setflags(write=False)
+            return place
 
-        joints = np.empty((count, len(layout.joints)))
+        joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
         for i in range(len(layout.joints)):
-            joints[:, i] = quantity(f"q{i + 1}")
+            fill(f"q{i + 1}", joints[:, i])
         joints.setflags(write=False)
         labels = {
             name: _filled(columns, name, columns.text(name))
@@ -111,7 +111,7 @@ class Samples:
             else Labels((name,), np.zeros(count, dtype=np.int32))
             for name in layout.labels
         }
-        read = {name: quantity(name) for name in layout.columns}
+        read = {name: fill(name, np.empty(count)) for name in layout.columns}
         return Samples(joints, read, labels, columns.lines, {}, columns.file, columns.sha256)
 
     @staticmethod
@@ -161,7 +161,7 @@ def _quantity(table: Table, column: str, factor: float, largest: float) -> Array
 
 
 def _check_size(table: Table | Columns, column: str, values: Array, largest: float) -> None:
-    if math.isinf(largest):
+    if math.isinf(largest) or not len(values) or max(values.max(), -values.min()) <= largest:
         return
     for i in np.flatnonzero(np.abs(values) > largest)[:1]:
         limit = "100 m" if largest == LARGEST["length"] else "10 turns"
@@ -206,7 +206,7 @@ def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
 
 def _frozen(values: Array) -> Array:
     """The values as a read-only array of its own; one that is read-only already is kept."""
-    if values.flags.writeable or not values.flags.c_contiguous:
+    if values.flags.writeable:
         values = np.array(values, order="C")
         values.setflags(write=False)
     return values

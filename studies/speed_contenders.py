@@ -27,14 +27,14 @@ LIMIT, PAST, PRINTED, BLOCKS, MAP = "C by hand", "C by hand, past the caches", "
 TWO, SCIPY, CERES = "c, two threads", "SciPy lm, same kernels", "Ceres (pyceres), same kernels"
 FILTERPY, CROSS_CHECK, MX_HESSIAN = "filterpy, same h", "casacal", "CasADi's MX map and Hessian"
 NOISE = 1 / 0.05
-TURN = 0.002
-"""Seconds."""
+TURN, LEAST = 0.002, 7
+"""Seconds; turns."""
 FEW = 10_000
 """Rows beyond which the slow contenders stay away."""
 
 
 def medians(contenders: Contenders, seconds: float) -> dict[str, float]:
-    """Median time (s) of a call of each, all taking turns until the time is up, three turns at least.
+    """Median time (s) of a call of each, all taking turns until the time is up, `LEAST` turns at least.
 
     A turn is as many calls as fill `TURN`, as in a loop that calls again and again; what comes first is not timed.
     """
@@ -46,7 +46,7 @@ def medians(contenders: Contenders, seconds: float) -> dict[str, float]:
         calls[name] = max(1, round(TURN / (time.perf_counter() - began)))
     times: dict[str, list[float]] = {name: [] for name in contenders}
     ends = time.perf_counter() + seconds
-    while time.perf_counter() < ends or min(map(len, times.values())) < 3:
+    while time.perf_counter() < ends or min(map(len, times.values())) < LEAST:
         for name, call in contenders.items():
             began = time.perf_counter()
             for _ in range(calls[name]):

@@ -26,6 +26,7 @@ from casacal import bind, lm
 from studies.speed_case import arm_at_a_plane
 if sys.argv[2].endswith("csv"):
     import pandas
+    pandas.read_csv(sys.argv[1])
 problem = arm_at_a_plane()
 def peak():
     try:  # of this program; what getrusage says may be left from the process that started it

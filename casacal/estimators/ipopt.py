@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.kernels.replay import Buffered
 from casacal.least_squares import LeastSquares
 from casacal.raw_graph import RawGraph
 from casacal.result import Result, Status
@@ -70,7 +69,7 @@ class Objective:
 
     def __init__(self, graph: RawGraph, problem: LeastSquares) -> None:
         n = graph.start.size
-        self._graph, self._prior = graph, Buffered(_prior(graph, problem))
+        self._graph, self._problem = graph, problem
         self.start, self.scales, self.evaluations = graph.start, np.ones(n), 0
         self._at, self._found = np.full(n, np.nan), (math.nan, np.zeros(n), np.zeros((n, n)))
         diagonal = np.abs(np.diagonal(self(np.zeros(n))[2]))
@@ -92,7 +91,7 @@ class Objective:
     def _evaluate(self, v: Array) -> tuple[float, Array, Array]:
         self.evaluations += 1
         value, gradient, hessian = np.empty(1), np.empty(v.size), np.empty((v.size, v.size))
-        self._prior((v,), (value, gradient, hessian))
+        self._graph.prior((v, self._problem.prior_information, self._problem.x0), (value, gradient, hessian))
         cost = float(value[0])
         for block in self._graph.blocks:
             some, slope, bend = block.kernel(v[block.columns], block.constants, block.lanes)
@@ -107,19 +106,16 @@ def _program(
 ) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
     """The nonlinear program in scaled raw coordinates, the solver's options, and what must outlive the solver."""
     n = graph.start.size
-    y, upper = ca.SX.sym("y", n), ca.Sparsity.upper(n)
-    g = graph.constraints(objective.start + objective.scales * y)
-    multipliers = ca.SX.sym("lam_g", g.numel())
-    bend = Buffered(ca.Function("bend", [y, multipliers], [ca.densify(ca.hessian(ca.dot(multipliers, g), y)[0])]))
+    upper, scales = ca.Sparsity.upper(n), objective.scales
     below = np.tril_indices(n)
 
     def hessian(y: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
         bent = np.empty((n, n))
-        bend((y, lam_g), (bent,))
-        return [(lam_f[0] * objective(y)[2] + bent).T[below]]
+        graph.bend((objective.raw(y), lam_g), (bent,))
+        return [(lam_f[0] * objective(y)[2] + scales[:, None] * bent * scales).T[below]]
 
     point, nothing, one = ca.Sparsity.dense(n), ca.Sparsity.dense(0), ca.Sparsity.dense(1)
-    dual = ca.Sparsity.dense(g.numel())
+    dual = ca.Sparsity.dense(graph.constraints.numel_out(0))
     value = Call("value", [point], [one], lambda y: [objective(y)[0]])
     slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
     curvature = Call("curvature", [point, nothing, one, dual], [upper], hessian)
@@ -144,7 +140,7 @@ def _program(
             "sb": "yes",
         },
     }
-    program = {"x": x, "f": value(x), "g": ca.Function("g", [y], [g])(x)}
+    program = {"x": x, "f": value(x), "g": graph.constraints(objective.start + scales * x)}
     return program, options, [value, slope, curvature]
 
 
@@ -191,14 +187,6 @@ class Call(ca.Callback):
             if place is not None:
                 np.frombuffer(place)[:] = values
         return 0
-
-
-def _prior(graph: RawGraph, problem: LeastSquares) -> ca.Function:
-    """Function v -> cost, gradient, Hessian of the prior."""
-    v = ca.SX.sym("v", graph.start.size)
-    cost = ca.dot(ca.DM(problem.prior_information), (graph.local(v) - problem.x0) ** 2) / 2
-    hessian, gradient = ca.hessian(cost, v)
-    return ca.Function("prior", [v], [ca.densify(term) for term in ca.cse([cost, gradient, hessian])])
 
 
 def _status(returned: str, x: Array) -> Status:
