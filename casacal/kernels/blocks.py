@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.kernels.program import Program
-from casacal.kernels.replay import Buffered, blocked, joined, product, replayed, width_for
+from casacal.kernels.replay import Buffered, blocked, joined, prepared, product, replayed, width_for
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class BlockKernels:
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
-        self._slopes, self._parameters = slopes, parameters
+        self._slopes, self._residual, self._parameters = slopes, slopes.only(0), parameters
         # one set a thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
@@ -52,10 +53,10 @@ class BlockKernels:
 
     def residual(self, p: Array, lanes: Lanes) -> Array:
         """Plain residuals (m, n)."""
-        function = self._function("residual", lanes)
+        function, o = self._function("residual", lanes), self._prepared("residual", p)
         e = np.empty((len(lanes.d), self.components, lanes.d.shape[2]))
         for d, out in zip(lanes.d, e, strict=True):
-            function((p, d), (out,))
+            function((o, d), (out,))
         return joined(e, lanes.n)
 
     def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
@@ -63,7 +64,7 @@ class BlockKernels:
         function, (blocks, _, width) = self._function("slopes", lanes), lanes.d.shape
         m, z = self.components, self.unknowns
         some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
-        evaluate = function.bound((p, lanes.d[0]), tuple(some))
+        evaluate = function.bound((self._prepared("slopes", p), lanes.d[0]), tuple(some))
         for k, d in enumerate(lanes.d):
             function.feed(1, d)
             evaluate()
@@ -74,47 +75,56 @@ class BlockKernels:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
         function, out, cost = self._function("cost", lanes), np.empty(1), np.zeros(len(states))
         states = np.ascontiguousarray(states)
-        for d, w in zip(lanes.d, lanes.w, strict=True):
-            for k, p in enumerate(states):
-                function((p, d, w), (out,))
+        for k, p in enumerate(states):
+            o = self._prepared("residual", p)
+            for d, w in zip(lanes.d, lanes.w, strict=True):
+                function((o, d, w), (out,))
                 cost[k] += out[0]
         return cost
 
     def normal(self, p: Array, lanes: Lanes) -> Array:
         """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
-        function = self._function("normal", lanes)
+        function, o = self._function("normal", lanes), self._prepared("slopes", p)
         out, s = np.empty((2, self.unknowns + 1, self.unknowns + 1))
         s[...] = 0.0
         for d, w in zip(lanes.d, lanes.w, strict=True):
-            function((p, d, w), (out,))
+            function((o, d, w), (out,))
             s += out
         return s
 
+    def _prepared(self, name: str, p: Array) -> Array:
+        """What depends on parameters alone, of the residual or of all, once for all blocks."""
+        program = self._residual if name == "residual" else self._slopes
+        o = np.empty(len(program.once))
+        self._kept(f"prepared {name}", 0, lambda: prepared(program, self._parameters))((p,), (o,))
+        return o
+
     def _function(self, name: str, lanes: Lanes) -> Buffered:
+        width = int(lanes.d.shape[2])
+        return self._kept(name, width, lambda: self._built(name, width))
+
+    def _kept(self, name: str, width: int, build: Callable[[], ca.Function]) -> Buffered:
         if not hasattr(self._local, "functions"):
             self._local.functions = {}
         functions: dict[tuple[str, int], Buffered] = self._local.functions
-        key = (name, lanes.d.shape[2])
-        if key not in functions:
-            functions[key] = Buffered(self._built(*key))
-        return functions[key]
+        if (name, width) not in functions:
+            functions[name, width] = Buffered(build())
+        return functions[name, width]
 
     def _built(self, name: str, width: int) -> ca.Function:
-        slopes, residual = self._slopes, self._slopes.only(0)
-        p = ca.MX.sym("p", self._parameters)
-        d, w = ca.MX.sym("d", width, len(residual.lanes)), ca.MX.sym("w", width, self.components)
-        if name in ("residual", "cost"):
-            e = replayed(residual, residual.outputs[0], p, d)
-            if name == "residual":
-                return ca.Function(name, [p, d], [e])
-            return ca.Function(name, [p, d, w], [ca.sumsqr(w * e) / 2])
-        e = replayed(slopes, slopes.outputs[0], p, d)
-        j = replayed(slopes, slopes.outputs[1], p, d)
+        program = self._residual if name in ("residual", "cost") else self._slopes
+        o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
+        w = ca.MX.sym("w", width, self.components)
+        e, *j = (replayed(program, output, o, d, is_prepared=True) for output in program.outputs)
+        if name == "residual":
+            return ca.Function(name, [o, d], [e])
+        if name == "cost":
+            return ca.Function(name, [o, d, w], [ca.sumsqr(w * e) / 2])
         if name == "slopes":  # column by column, so that nothing is put together only to be taken apart
-            return ca.Function(name, [p, d], [*ca.horzsplit(e), *ca.horzsplit(j)])
+            return ca.Function(name, [o, d], [*ca.horzsplit(e), *ca.horzsplit(j[0])])
         total = ca.MX.zeros(self.unknowns + 1, self.unknowns + 1)
         for m in range(self.components):
-            row = [j[:, m * self.unknowns : (m + 1) * self.unknowns], e[:, m]]
+            row = [j[0][:, m * self.unknowns : (m + 1) * self.unknowns], e[:, m]]
             weighted = ca.horzcat(*row) * w[:, m]
             total += product(weighted.T, weighted)
-        return ca.Function(name, [p, d, w], [total])
+        return ca.Function(name, [o, d, w], [total])

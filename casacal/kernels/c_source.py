@@ -74,8 +74,7 @@ class _Printer:
     def __init__(self, program: Program) -> None:
         self.program, self.needed = program, program.needed(program.results)
         self.place = {value: k for k, value in enumerate(program.lanes)}
-        mixed = {arg for v in self.needed if program.kinds[v] == "mixed" for arg in program.operations[v].args}
-        self.once = [v for v in sorted(mixed | set(program.results)) if program.kinds[v] == "once"]
+        self.once = program.once
         """Values of parameters alone that lanes read."""
 
     def name(self, value: int) -> str:

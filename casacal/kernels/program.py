@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -61,6 +62,12 @@ class Program:
                 found.add(value)
                 waiting += self.operations[value].args
         return sorted(found)
+
+    @cached_property
+    def once(self) -> list[int]:
+        """Values of parameters alone that mixed operations or outputs use: what a kernel prepares before its loop."""
+        mixed = {arg for v in self.needed(self.results) if self.kinds[v] == "mixed" for arg in self.operations[v].args}
+        return [v for v in sorted(mixed | set(self.results)) if self.kinds[v] == "once"]
 
     @property
     def results(self) -> list[int]:

@@ -57,13 +57,26 @@ def _flat(array: Array) -> memoryview:
     return array.reshape(-1).data
 
 
-def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX) -> ca.MX:
-    """Some values, one column each, with the operations of a program on columns of samples."""
+def prepared(program: Program, parameters: int) -> ca.Function:
+    """p -> the program's values of parameters alone, which a call needs once for all blocks."""
+    p = ca.MX.sym("p", parameters)
+    if not program.once:
+        return ca.Function("prepared", [p], [ca.MX(0, 1)])
+    return ca.Function("prepared", [p], [replayed(program, program.once, p, ca.MX(1, len(program.lanes))).T])
+
+
+def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> ca.MX:
+    """Some values, one column each, with the operations of a program on columns of samples.
+
+    p: all parameters, or what `prepared` made of them.
+    """
     known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
     parameters = ca.vertsplit(p) if p.numel() else []
+    if is_prepared:
+        known |= dict(zip(program.once, parameters, strict=True))
     for value in program.needed(values):
         operation = program.operations[value]
-        if value in known or program.kinds[value] == "lane":
+        if value in known or program.kinds[value] == "lane" or (is_prepared and program.kinds[value] == "once"):
             continue
         if operation.op == ca.OP_CONST:
             known[value] = ca.MX(operation.constant)
