@@ -123,3 +123,22 @@ def test_a_step_in_c_is_numpys_and_says_when_there_is_none(hsr):
     np.testing.assert_allclose(one.x / bound.start_std, other.x / bound.start_std, rtol=0, atol=1e-9)
     for spoilt in (-normal.information, normal.information * np.nan):
         assert bound.damped_step(bound.x0, type(normal)(0.0, normal.gradient, spoilt), 0.1) is None
+
+
+def test_outputs_that_are_sums_of_few_values_become_so():
+    p, d = ca.SX.sym("p", 3), ca.SX.sym("d", 2)
+    x, y = ca.sin(p[0] * d[0]), ca.cos(p[1] * d[1])  # what lanes must work out
+    common = p[2] * (x - p[1] * y) + x / p[0]
+    e = ca.vertcat(2 * common - p[0] * y, -(p[1] * common - 3 * x), x * y)
+    function = ca.Function("f", [p, d], [e])
+    program = read_program(function, ("once", "lane"))
+    assert (
+        len(mixed(program)) == 4 + 3 + 3 + 1
+    )  # two angles and their sine and cosine, two sums of two terms, a product
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        given = [rng.normal(size=3), rng.normal(size=2)]
+        expected = np.array(function(*given)).ravel()
+        np.testing.assert_allclose(
+            evaluate(program, program.outputs[0], given).ravel(), expected, rtol=1e-13, atol=1e-13
+        )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import product
 from typing import NamedTuple
 
@@ -16,6 +17,9 @@ import casadi as ca
 from casacal.kernels.program import TRIGONOMETRIC, Kind, Operation, Program, Role
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
+
+FEW = 3
+"""Values that an output may be the sum of, times factors, to be written as that sum."""
 
 
 def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = True) -> Program:
@@ -37,12 +41,33 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
             work[places[0]] = builder.constant(function.instruction_constant(k))
         else:
             work[places[0]] = builder.apply(op, *(work[i] for i in inputs))
+    outputs = _flattened(builder, outputs)
     sizes = [function.numel_in(i) if role == "once" else 0 for i, role in enumerate(roles)]
     starts = tuple(sum(sizes[:i]) for i in range(len(sizes)))
     program = Program(tuple(builder.operations), tuple(builder.kinds), tuple(map(tuple, outputs)), starts, ())
     used = {arg for v in program.needed(program.results) if program.kinds[v] == "mixed"
             for arg in program.operations[v].args} | set(program.results)  # fmt: skip
     return replace(program, lanes=tuple(sorted(value for value in used if program.kinds[value] == "lane")))
+
+
+def _flattened(builder: Builder, outputs: list[list[int]]) -> list[list[int]]:
+    """Outputs that are sums of few values, each times a factor of parameters alone, as such where that saves work."""
+    flat = {value: builder.flat(value) for output in outputs for value in output}
+    chosen = {value: other for value, other in flat.items() if other != value}
+
+    def work() -> int:
+        results = tuple(chosen.get(value, value) for output in outputs for value in output)
+        program = Program(tuple(builder.operations), tuple(builder.kinds), (results,), (), ())
+        return sum(program.kinds[value] == "mixed" for value in program.needed(results))
+
+    least = work()
+    for value, other in list(chosen.items()):
+        del chosen[value]
+        if (now := work()) <= least:
+            least = now
+        else:
+            chosen[value] = other
+    return [[chosen.get(value, value) for value in output] for output in outputs]
 
 
 class Signed(NamedTuple):
@@ -132,6 +157,33 @@ class Builder:
         if op == ca.OP_SIN:
             return self.apply(ca.OP_ADD, self.apply(ca.OP_MUL, sin_a, cos_b), self.apply(ca.OP_MUL, cos_a, sin_b))
         return self.apply(ca.OP_SUB, self.apply(ca.OP_MUL, cos_a, cos_b), self.apply(ca.OP_MUL, sin_a, sin_b))
+
+    def flat(self, value: int) -> int:
+        """A mixed value as a sum of at most `FEW` others times factors of parameters alone; itself where it is none."""
+        parts = self._linear(value)
+        if value in parts:
+            return value
+        products = [self.apply(ca.OP_MUL, factor, other) for other, factor in parts.items()]
+        return reduce(lambda one, other: self.add(Operation(ca.OP_ADD, tuple(sorted((one, other))))), products)
+
+    def _linear(self, value: int) -> dict[int, int]:
+        """Values, and the factors of parameters alone with which they add up to a value."""
+        operation, itself = self.operations[value], {value: self.constant(1.0)}
+        if self.kinds[value] != "mixed":
+            return itself
+        args = operation.args
+        if operation.op in (ca.OP_NEG, ca.OP_TWICE):
+            parts = {k: self.apply(operation.op, f) for k, f in self._linear(args[0]).items()}
+        elif operation.op == ca.OP_MUL and not all(self._depends_on_lane(arg) for arg in args):
+            inner, factor = args if self._depends_on_lane(args[0]) else (args[1], args[0])
+            parts = {k: self.apply(ca.OP_MUL, factor, f) for k, f in self._linear(inner).items()}
+        elif operation.op in (ca.OP_ADD, ca.OP_SUB) and all(self._depends_on_lane(arg) for arg in args):
+            parts = dict(self._linear(args[0]))
+            for k, f in self._linear(args[1]).items():
+                parts[k] = self.apply(operation.op, parts.get(k, self.constant(0.0)), f)
+        else:  # a shift by parameters alone stays: taken apart, it would cost digits
+            return itself
+        return parts if len(parts) <= FEW else itself
 
     def _depends_on_lane(self, value: int) -> bool:
         return self.kinds[value] in ("lane", "mixed")
