@@ -48,7 +48,7 @@ class NativeKernels:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self.rows = rows_of_normal(self.unknowns)
-        self.library = load_library(kernel_source(slopes, parameters))
+        self.compiled = load_library(kernel_source(slopes, parameters))
         long, pointer = ctypes.c_long, ctypes.c_void_p
         self._residual = self._function("residual", long, long, pointer, pointer, pointer)
         self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer, long)
@@ -89,7 +89,7 @@ class NativeKernels:
         return s[: self.unknowns + 1, : self.unknowns + 1]
 
     def _function(self, name: str, *types: Any) -> Callable[..., None]:
-        function = getattr(self.library, name)
+        function = getattr(self.compiled, name)
         function.argtypes, function.restype = types, None
         return function  # type: ignore[no-any-return]
 

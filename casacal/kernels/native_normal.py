@@ -56,7 +56,7 @@ class NativeNormal:
         self._x, self._normal, self._out = np.empty(n), np.empty(n * n + n), np.empty(n + 2)
         self._sums, work = np.empty((len(pieces), n * n + n + 1)), np.empty((len(pieces), max(each, 2 * n * (n + 1))))
         self._kept += [structs, about, work]
-        library, long, pointer = pieces[0].kernels.library, ctypes.c_long, ctypes.c_void_p
+        library, long, pointer = pieces[0].kernels.compiled, ctypes.c_long, ctypes.c_void_p
         accumulate, step = library.accumulate, library.damped_step
         accumulate.argtypes, accumulate.restype = [long, pointer, long, *[pointer] * 3], None
         step.argtypes, step.restype = [long, *[pointer] * 6, ctypes.c_double, *[pointer] * 2], long
@@ -95,6 +95,6 @@ class NativeNormal:
         constants = np.ascontiguousarray(piece.constants)
         self._kept += [columns, constants]
         kernels, lanes = piece.kernels, piece.lanes
-        entry = ctypes.cast(kernels.library.normal, ctypes.c_void_p).value
+        entry = ctypes.cast(kernels.compiled.normal, ctypes.c_void_p).value
         sizes = (lanes.n, lanes.ld, columns.size, kernels.rows, constants.size)
         return _Piece(entry, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
