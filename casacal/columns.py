@@ -161,7 +161,7 @@ def _parsed(part: bytes, form: _Form) -> Any:
 
 def _give_back() -> None:
     """Let the system have the memory that parsing leaves behind, where the C library keeps it for later."""
-    with contextlib.suppress(OSError, AttributeError):
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # a C library without it, or without such a name
         ctypes.CDLL(None).malloc_trim(0)
 
 

@@ -76,7 +76,7 @@ def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatc
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
-        (lambda lines: [*lines[:100], lines[100].replace(".", "."), "", *lines[101:]], None),  # a blank line is fine
+        (lambda lines: [*lines[:100], "", *lines[100:]], None),  # a blank line is fine
         (lambda lines: [*lines[:100], "# pause", *lines[100:]], None),
         (lambda lines: [*lines[:100], "nan,1,2,left", *lines[101:]], 101),
         (lambda lines: [*lines[:100], "1,,2,left", *lines[101:]], 101),

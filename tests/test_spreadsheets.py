@@ -1,6 +1,7 @@
 """Workbooks, and readings in a file of their own, give the samples that one CSV file gives."""
 
 import datetime
+import sys
 
 import numpy as np
 import pytest
@@ -51,6 +52,16 @@ def test_a_workbook_is_read_like_the_csv_file_it_would_be_saved_as(tmp_path):
 def test_bad_sheets_are_refused(tmp_path, rows, words):
     with pytest.raises(SamplesError, match=words):
         Samples.from_file(workbook(tmp_path / "s.xlsx", rows), LAYOUT)
+
+
+def test_without_its_library_a_workbook_is_refused_in_a_sentence(tmp_path, monkeypatch, hsr, capsys):
+    file = workbook(tmp_path / "s.xlsx", [HEADER, ROWS[0]])
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert main(["check", str(hsr.path), str(file)]) == 2
+    said = capsys.readouterr().err
+    assert "needs a library" in said
+    assert "casacal[excel]" in said
+    assert said.count("\n") == 1
 
 
 def test_what_is_no_workbook_is_refused(tmp_path):

@@ -71,7 +71,9 @@ class UrdfFile:
             several = ", ".join(f"'{link}'" for link in links) or "none"
             raise ProblemError(
                 f"{self.file}: there are {len(links)} links that could be the {what}: {several}",
-                f"Name one with {what}=" if links else "The joints form a loop; mend the file",
+                f"Name one with {what}= (--{what} on the command line)"
+                if links
+                else "The joints form a loop; mend the file",
             )
         return links[0]
 
