@@ -79,7 +79,8 @@ class BlockFilter:
             read = [self._program.operations[value].element[1] for value in self._program.lanes]
             columns = ca.horzsplit(points)
             lanes = ca.horzcat(*(columns[k] for k in read))
-            e = w * replayed(self._program, [self._program.outputs[0][component]], once, lanes)
+            (e,) = replayed(self._program, [self._program.outputs[0][component]], once, lanes)
+            e = w * e
             average = ca.sum1(e) / (2 * n)
             std = ca.sqrt(1 + ca.sumsqr(e - average) / (2 * n))
             u = (e[:n] - e[n:]) / (2 * math.sqrt(n) * std)

@@ -115,16 +115,16 @@ class BlockKernels:
         program = self._residual if name in ("residual", "cost") else self._slopes
         o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
         w = ca.MX.sym("w", width, self.components)
-        e, *j = (replayed(program, output, o, d, is_prepared=True) for output in program.outputs)
+        columns = replayed(program, program.results, o, d, is_prepared=True)
+        e, j = columns[: self.components], columns[self.components :]
         if name == "residual":
-            return ca.Function(name, [o, d], [e])
+            return ca.Function(name, [o, d], [ca.horzcat(*e)])
         if name == "cost":
-            return ca.Function(name, [o, d, w], [ca.sumsqr(w * e) / 2])
+            return ca.Function(name, [o, d, w], [ca.sumsqr(w * ca.horzcat(*e)) / 2])
         if name == "slopes":  # column by column, so that nothing is put together only to be taken apart
-            return ca.Function(name, [o, d], [*ca.horzsplit(e), *ca.horzsplit(j[0])])
+            return ca.Function(name, [o, d], columns)
         total = ca.MX.zeros(self.unknowns + 1, self.unknowns + 1)
         for m in range(self.components):
-            row = [j[0][:, m * self.unknowns : (m + 1) * self.unknowns], e[:, m]]
-            weighted = ca.horzcat(*row) * w[:, m]
+            weighted = ca.horzcat(*j[m * self.unknowns : (m + 1) * self.unknowns], e[m]) * w[:, m]
             total += product(weighted.T, weighted)
         return ca.Function(name, [o, d, w], [total])

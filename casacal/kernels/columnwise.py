@@ -34,13 +34,14 @@ class Columnwise:
         program, width = self._program, self._width
         if self._built is None:
             p, d = ca.MX.sym("p", z.size + c.size), ca.MX.sym("d", width, len(program.lanes))
-            self._built = Buffered(ca.Function("columns", [p, d], [replayed(program, program.outputs[0], p, d)]))
-        columns = [program.operations[value].element[1] for value in program.lanes]
+            columns = replayed(program, program.outputs[0], p, d)
+            self._built = Buffered(ca.Function("columns", [p, d], [ca.horzcat(*columns)]))
+        read = [program.operations[value].element[1] for value in program.lanes]
         values = np.empty((len(data), len(program.outputs[0])))
-        once, some, out = np.concatenate([z, c]), np.empty((len(columns), width)), np.empty((values.shape[1], width))
+        once, some, out = np.concatenate([z, c]), np.empty((len(read), width)), np.empty((values.shape[1], width))
         evaluate = self._built.bound((once, some), (out,))
         for first in range(0, len(data), width):
-            rows = data[first : first + width, columns]
+            rows = data[first : first + width, read]
             some[:, : len(rows)], some[:, len(rows) :] = rows.T, rows[-1:].T
             evaluate()
             values[first : first + width] = out[:, : len(rows)].T

@@ -87,7 +87,7 @@ class CurvatureKernel:
         p = ca.MX.sym("p", z + self._constants)
         d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
         values = [value for output in self._program.outputs for value in output]
-        columns = replayed(self._program, values, p, d)
+        columns = ca.horzcat(*replayed(self._program, values, p, d))
         e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
         total, bend = ca.MX.zeros(z + 1, z + 1), ca.MX.zeros(count, 1)
         for m in range(self.components):

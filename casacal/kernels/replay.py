@@ -62,13 +62,14 @@ def prepared(program: Program, parameters: int) -> ca.Function:
     p = ca.MX.sym("p", parameters)
     if not program.once:
         return ca.Function("prepared", [p], [ca.MX(0, 1)])
-    return ca.Function("prepared", [p], [replayed(program, program.once, p, ca.MX(1, len(program.lanes))).T])
+    return ca.Function("prepared", [p], [ca.vertcat(*replayed(program, program.once, p, ca.MX(1, len(program.lanes))))])
 
 
-def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> ca.MX:
-    """Some values, one column each, with the operations of a program on columns of samples.
+def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> list[ca.MX]:
+    """Some values, a column each, with the operations of a program on columns of samples.
 
-    p: all parameters, or what `prepared` made of them.
+    p: all parameters, or what `prepared` made of them. Values that share operations belong in one call: CasADi does not
+    see that two calls do the same.
     """
     known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
     parameters = ca.vertsplit(p) if p.numel() else []
@@ -88,7 +89,7 @@ def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_
             one, other = (known[arg] for arg in operation.args)
             known[value] = ca.MX.binary(operation.op, one, other)
     ones = ca.MX.ones(d.shape[0], 1)
-    return ca.horzcat(*(known[v] if known[v].shape == ones.shape else known[v] * ones for v in values))
+    return [known[v] if known[v].shape == ones.shape else known[v] * ones for v in values]
 
 
 def product(one: ca.MX, other: ca.MX) -> ca.MX:
