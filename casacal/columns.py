@@ -10,9 +10,10 @@ import contextlib
 import ctypes
 import hashlib
 import io
+import os
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ LARGE_FILE = 1 << 21
 ARRAYS = (".npy", ".npz")
 PART = 1 << 22
 """Bytes read and parsed at a time."""
+NEWLINE = ord("\n")
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,11 @@ class _Form:
     names: tuple[str, ...]
     numbers: frozenset[str]
 
+    @property
+    def texts(self) -> list[str]:
+        """What is not a number."""
+        return [name for name in self.names if name not in self.numbers]
+
 
 def _header(file: BinaryIO) -> tuple[str, bytes]:
     """The header line, and all up to its end; comment lines and blank ones may come first."""
@@ -105,58 +112,85 @@ def _header(file: BinaryIO) -> tuple[str, bytes]:
 def _read_parts(path: Path, before: bytes, form: _Form) -> tuple[str, dict[str, Array], dict[str, Labels]] | None:
     """SHA-256 of the file, its numbers and its labels; parts are parsed by threads. None for what is not ordinary."""
     digest, rows, workers = hashlib.sha256(before), 0, thread_count()
-    texts = [name for name in form.names if name not in form.numbers]
     most = path.stat().st_size // (2 * len(form.names)) + 1  # a cell takes two bytes at least; memory not used is free
     values = {name: np.empty(most) for name in form.numbers}
-    codes = {name: np.empty(most, dtype=np.int32) for name in texts}
-    known: dict[str, dict[str, int]] = {name: {} for name in texts}
+    codes = {name: np.empty(most, dtype=np.int32) for name in form.texts}
+    known: dict[str, dict[str, int]] = {name: {} for name in form.texts}
+
+    def finish(parsed: Future[dict[str, Any] | None], here: slice) -> bool:
+        columns = parsed.result()
+        for name, column in (columns or {}).items():
+            numbered = [known[name].setdefault(str(label).strip(), len(known[name])) for label in column.categories]
+            codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes]
+        return columns is not None
+
     with path.open("rb") as file, warnings.catch_warnings(), ThreadPoolExecutor(workers) as pool:
         warnings.simplefilter("error")
         file.seek(len(before))
-        waiting: deque[Future[Any]] = deque()
-        parts = iter(lambda: file.read(PART) + file.readline(), b"")
-        while True:
-            part = next(parts, None)
-            if part is not None:
-                digest.update(part)
-                waiting.append(pool.submit(_parsed, part, form))
-            if not waiting:
-                break
-            if part is None or len(waiting) > workers:
-                frame = waiting.popleft().result()
-                if frame is None:
-                    return None
-                here, rows = slice(rows, rows + len(frame)), rows + len(frame)
-                for name in form.numbers:
-                    values[name][here] = frame[name].to_numpy()
-                for name in texts:
-                    column, places = frame[name].cat, known[name]
-                    numbered = [places.setdefault(str(label).strip(), len(places)) for label in column.categories]
-                    codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes.to_numpy()]
+        waiting: deque[tuple[Future[dict[str, Any] | None], slice]] = deque()
+        while part := _whole_lines(file):
+            lines = int(np.count_nonzero(np.frombuffer(part, dtype=np.uint8) == NEWLINE)) + (part[-1] != NEWLINE)
+            here, rows = slice(rows, rows + lines), rows + lines
+            places = {name: column[here] for name, column in values.items()}
+            waiting.append((pool.submit(_parsed, part, form, places), here))
+            digest.update(part)
+            if len(waiting) > workers and not finish(*waiting.popleft()):
+                return None
+        if not all(finish(*each) for each in waiting):
+            return None
     _give_back()
-    labels = {name: Labels(tuple(known[name]), codes[name][:rows]) for name in texts}
+    labels = {name: Labels(tuple(known[name]), codes[name][:rows]) for name in form.texts}
     return (digest.hexdigest(), {name: column[:rows] for name, column in values.items()}, labels) if rows else None
 
 
-def _parsed(part: bytes, form: _Form) -> Any:
-    """The cells of some lines as pandas reads them, numbers as float64, the rest as categories.
+def _whole_lines(file: BinaryIO) -> memoryview:
+    """The next lines of a file, `PART` of bytes at most or one longer line; empty at its end."""
+    part = bytearray(PART)
+    count = file.readinto(part)  # type: ignore[attr-defined]
+    end = part.rfind(b"\n", 0, count) + 1
+    if not end:
+        return memoryview(part[:count] + file.readline())
+    file.seek(end - count, os.SEEK_CUR)
+    return memoryview(part)[:end]
 
-    None when it cannot, when a number is not finite, or when there are other than as many rows as lines: blank lines or
-    quoted ones, after which lines are not where they seem.
+
+class _Bytes:
+    """A file of some bytes that pandas reads as they are: text it would decode, and encode again to parse it."""
+
+    def __init__(self, part: memoryview) -> None:
+        self._part, self._at = part, 0
+
+    def read(self, count: int) -> bytes:
+        """The next bytes."""
+        self._at += count
+        return bytes(self._part[self._at - count : self._at])
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(())
+
+
+def _parsed(part: memoryview, form: _Form, numbers: Mapping[str, Array]) -> dict[str, Any] | None:
+    """Fill in the numbers of some lines; the rest as categories.
+
+    None when pandas cannot read them, when a number is not finite, or when there are other than as many rows as lines:
+    blank lines or quoted ones, after which lines are not where they seem.
     """
     import pandas as pd
 
+    source: Any = _Bytes(part)
     try:
         frame = pd.read_csv(
-            io.BytesIO(part), sep=form.delimiter, decimal=form.decimal, names=list(form.names), header=None,
+            source, sep=form.delimiter, decimal=form.decimal, names=list(form.names), header=None,
             index_col=False, dtype={n: "float64" if n in form.numbers else "category" for n in form.names},
             keep_default_na=False, na_filter=False, encoding="utf-8", encoding_errors="strict",
         )  # fmt: skip
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
         return None
-    lines = np.count_nonzero(np.frombuffer(part, dtype=np.uint8) == ord("\n")) + (not part.endswith(b"\n"))
-    whole = len(frame) == lines and all(np.isfinite(frame[name].to_numpy()).all() for name in form.numbers)
-    return frame if whole else None
+    for name, place in numbers.items():
+        if len(frame) != len(place) or not np.isfinite(frame[name].to_numpy()).all():
+            return None
+        place[:] = frame[name].to_numpy()
+    return {name: frame[name].array for name in form.texts}
 
 
 def _give_back() -> None:
