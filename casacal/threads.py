@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import os
+from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from casacal.errors import ProblemError
@@ -40,19 +41,31 @@ def thread_count(asked: int | None = None) -> int:
 
 
 def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:
-    """What a task makes of each item, in the order of the items; the calling thread takes its share."""
+    """What a task makes of each item, in the order of the items; the calling thread takes its share.
+
+    Who comes back takes the next item, for processors are seldom equally fast.
+    """
     waiting = list(items)
     count = min(threads, len(waiting))
     if count <= 1:
         return [task(item) for item in waiting]
     made: dict[int, Made] = {}
+    remaining = deque(enumerate(waiting))
 
-    def work(first: int) -> None:
-        for k in range(first, len(waiting), count):
-            made[k] = task(waiting[k])
+    def work() -> None:
+        while True:
+            try:
+                k, item = remaining.popleft()
+            except IndexError:
+                return
+            made[k] = task(item)
 
-    others = [_pool(count - 1).submit(work, first) for first in range(1, count)]
-    work(0)
+    others = [_pool(count - 1).submit(work) for _ in range(1, count)]
+    try:
+        work()
+    finally:  # whatever happened, nobody goes on with what the caller may change
+        remaining.clear()
+        wait(others)
     for other in others:
         other.result()
     return [made[k] for k in range(len(waiting))]

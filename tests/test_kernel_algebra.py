@@ -1,11 +1,14 @@
 """Rules that save work, exact curvature and compiled steps: against CasADi's own evaluation and plain NumPy."""
 
+from collections import Counter
+
 import casadi as ca
 import numpy as np
 import pytest
 from test_kernels import BACKENDS, HAS_COMPILER
 
 from casacal import bind, chain, dh
+from casacal.kernels.blocks import BlockKernels
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate
@@ -142,3 +145,13 @@ def test_outputs_that_are_sums_of_few_values_become_so():
         np.testing.assert_allclose(
             evaluate(program, program.outputs[0], given).ravel(), expected, rtol=1e-13, atol=1e-13
         )
+
+
+def test_blocks_do_each_operation_once():
+    """Residual and slopes share most of their work; CasADi's machine does what it is given, twice if given twice."""
+    program = read_program(arm(6), ("once", "once", "lane"))
+    function = BlockKernels(program, 27)._built("slopes", 128)
+    done = Counter(function.instruction_id(k) for k in range(function.n_instructions()))
+    needed = Counter(program.operations[value].op for value in mixed(program))
+    assert needed.total() > 200
+    assert {op: done[op] for op in needed} == dict(needed)

@@ -1,5 +1,7 @@
 """Threads share rows and candidates; what they find does not depend on how many there are."""
 
+import time
+
 import numpy as np
 import pytest
 from test_kernels import BACKENDS
@@ -40,6 +42,22 @@ def test_work_is_shared_in_order_and_errors_come_through():
 
     with pytest.raises(ZeroDivisionError):
         shared_out(fails, range(4), 2)
+
+
+def test_nobody_works_on_after_an_error():
+    begun, ended = [], []
+
+    def task(k):
+        if k == 0:
+            raise ZeroDivisionError
+        begun.append(k)
+        time.sleep(0.05)
+        ended.append(k)
+
+    with pytest.raises(ZeroDivisionError):
+        shared_out(task, range(100), 2)
+    assert begun == ended
+    assert len(begun) < 99
 
 
 def test_threads_are_counted(monkeypatch):
