@@ -14,9 +14,10 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays, read_large_csv
+from casacal.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays
 from casacal.errors import SamplesError
 from casacal.labels import Labels
+from casacal.large_csv import read_large_csv
 from casacal.layout import LARGEST, Layout, match_columns, numeric_columns
 from casacal.spreadsheets import WORKBOOKS, read_workbook
 from casacal.tables import Table, read_table

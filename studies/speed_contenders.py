@@ -27,7 +27,7 @@ LIMIT, PAST, PRINTED, BLOCKS, MAP = "C by hand", "C by hand, past the caches", "
 TWO, SCIPY, CERES = "c, two threads", "SciPy lm, same kernels", "Ceres (pyceres), same kernels"
 FILTERPY, CROSS_CHECK, MX_HESSIAN = "filterpy, same h", "casacal", "CasADi's MX map and Hessian"
 NOISE = 1 / 0.05
-TURN, LEAST = 0.002, 7
+TURN, LEAST = 0.002, 11
 """Seconds; turns."""
 FEW = 10_000
 """Rows beyond which the slow contenders stay away."""

@@ -19,8 +19,8 @@ ROWS = 3000
 
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
-    monkeypatch.setattr("casacal.columns.LARGE_FILE", 0)
-    monkeypatch.setattr("casacal.columns.PART", 20_000)  # several parts
+    monkeypatch.setattr("casacal.large_csv.LARGE_FILE", 0)
+    monkeypatch.setattr("casacal.large_csv.PART", 20_000)  # several parts
 
 
 def columns():
