@@ -24,6 +24,7 @@ except ImportError:
 Contenders = dict[str, Callable[[], object]]
 
 LIMIT, PAST, PRINTED, BLOCKS, MAP = "C by hand", "C by hand, past the caches", "c", "blocks", "CasADi map"
+LIMIT_TWO = "C by hand, two threads"
 TWO, SCIPY, CERES = "c, two threads", "SciPy lm, same kernels", "Ceres (pyceres), same kernels"
 FILTERPY, CROSS_CHECK, MX_HESSIAN = "filterpy, same h", "casacal", "CasADi's MX map and Hessian"
 NOISE = 1 / 0.05
@@ -79,7 +80,8 @@ def normal(made: Case) -> Contenders:
     for name, bound in both(made):
         kernel, p, lanes = kernels(bound)
         found[name] = lambda kernel=kernel, p=p, lanes=lanes: kernel.normal(p, lanes)
-    return found
+    two, x = made.two, made.two.x0
+    return {**found, LIMIT_TWO: ByHand(made).normal_by_two(), TWO: lambda: two.normal(x)}
 
 
 def fits(made: Case) -> Contenders:
