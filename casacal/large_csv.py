@@ -29,8 +29,10 @@ Array: TypeAlias = NDArray[np.float64]
 
 LARGE_FILE = 1 << 21
 """Bytes from which a CSV file is worth the time it takes to import pandas."""
-PART = 1 << 22
+PART = 1 << 21
 """Bytes read and parsed at a time."""
+MOST_THREADS = 4
+"""One thread makes the file's SHA-256, and has no time for more that parse."""
 NEWLINE = ord("\n")
 
 
@@ -92,7 +94,7 @@ def _header(file: BinaryIO) -> tuple[str, bytes]:
 
 def _read_parts(path: Path, before: bytes, form: _Form) -> tuple[str, dict[str, Array], dict[str, Labels]] | None:
     """SHA-256 of the file, its numbers and its labels; parts are parsed by threads. None for what is not ordinary."""
-    digest, rows, workers = hashlib.sha256(before), 0, thread_count()
+    digest, rows, workers = hashlib.sha256(before), 0, min(thread_count(), MOST_THREADS)
     most = path.stat().st_size // (2 * len(form.names)) + 1  # a cell takes two bytes at least; memory not used is free
     values = {name: np.empty(most) for name in form.numbers}
     codes = {name: np.empty(most, dtype=np.int32) for name in form.texts}
@@ -139,12 +141,13 @@ class _Bytes:
     """A file of some bytes that pandas reads as they are: text it would decode, and encode again to parse it."""
 
     def __init__(self, part: memoryview) -> None:
-        self._part, self._at = part, 0
+        self._left = part
 
     def read(self, count: int) -> bytes:
-        """The next bytes."""
-        self._at += count
-        return bytes(self._part[self._at - count : self._at])
+        """The next bytes; at the end, the part is let go, whoever still holds this file."""
+        some = bytes(self._left[:count])
+        self._left = self._left[count:] if some else memoryview(b"")
+        return some
 
     def __iter__(self) -> Iterator[bytes]:
         return iter(())
@@ -159,10 +162,12 @@ def _parsed(part: memoryview, form: _Form, numbers: Mapping[str, Array]) -> dict
     import pandas as pd
 
     source: Any = _Bytes(part)
+    # one type for all is sooner dealt with than the same for each
+    kinds: Any = {n: "float64" if n in form.numbers else "category" for n in form.names} if form.texts else "float64"
     try:
         frame = pd.read_csv(
             source, sep=form.delimiter, decimal=form.decimal, names=list(form.names), header=None,
-            index_col=False, dtype={n: "float64" if n in form.numbers else "category" for n in form.names},
+            index_col=False, dtype=kinds,
             keep_default_na=False, na_filter=False, encoding="utf-8", encoding_errors="strict",
         )  # fmt: skip
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
