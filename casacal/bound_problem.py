@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -10,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
+from casacal.kernels.native_extended import extended_pass
 from casacal.kernels.native_normal import NativeNormal
-from casacal.least_squares import FilterPass, LeastSquares, Normal, Step
+from casacal.kernels.native_pieces import PackedPieces
+from casacal.least_squares import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
-from casacal.row_groups import FEW, RowGroups
+from casacal.row_groups import FEW, RowGroups, packed, places
 from casacal.samples import Samples
 from casacal.threads import thread_count
 from casacal.unknowns import Parameter
@@ -135,15 +138,16 @@ class BoundProblem(LeastSquares):
         return triangle
 
     @cached_property
+    def _packed(self) -> PackedPieces | None:
+        return packed(self._groups)
+
+    @cached_property
     def _native(self) -> NativeNormal | None:
         """Sums over all rows in C; None where some instrument's rows are not evaluated in C."""
-        pieces = [groups.native_pieces for groups in self._groups]
-        known = [piece for some in pieces if some is not None for piece in some]
-        if None in pieces or not known:
+        if self._packed is None:
             return None
-        return NativeNormal(
-            known, self.x0, self.start_std, self.prior_information, self._threads if self.rows >= FEW else 1
-        )
+        threads = self._threads if self.rows >= FEW else 1
+        return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
@@ -157,18 +161,17 @@ class BoundProblem(LeastSquares):
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
         """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
         i = int(np.searchsorted(self._starts, first, side="right")) - 1
-        block, start = self.blocks[i], int(self._starts[i])
-        run = block.model.filter(self._asked)
-        if run is None:
+        start = int(self._starts[i])
+        done = self._groups[i].filter_pass(first - start, self.x0, self.start_std, mean, root)
+        return None if done is None else replace(done, stop=start + done.stop)
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """Let an extended filter take in all rows, in C where there is a compiler."""
+        if self._packed is None:
             return None
-        once = np.hstack([block.constants[block.pattern], block.data])
-        mean, root = mean.copy(), np.ascontiguousarray(root.copy())
-        stop, *trace = run(
-            first - start, block.pattern, block.columns, self.x0, self.start_std, once, 1 / block.noise, mean, root
-        )
-        done = slice(first - start, stop)
-        means, innovations, stds = (each[done] for each in trace)
-        return FilterPass(start + stop, mean, root, means, innovations, stds)
+        mean, covariance = mean.copy(), np.ascontiguousarray(covariance.copy())
+        trace = extended_pass(self._packed, places(self._groups), self.x0, self.start_std, mean, covariance)
+        return ExtendedPass(mean, covariance, *trace)
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""

@@ -71,6 +71,20 @@ class FilterPass:
     stds: Array
 
 
+@dataclass(frozen=True)
+class ExtendedPass:
+    """What a fused extended filter did: the belief after all rows, and its trace.
+
+    mean: (n,); covariance: (n, n). means: (rows, n); innovations, stds: (rows,).
+    """
+
+    mean: Array
+    covariance: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
 class LeastSquares(ABC):
     """A least-squares problem with a Gaussian prior.
 
@@ -114,6 +128,14 @@ class LeastSquares(ABC):
         What a fused kernel does in place of `row` and the filter's own step, row by row. It may stop early.
         """
         del first, mean, root
+        return None
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """Let an extended filter take in all rows; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row_jacobian` and the filter's own step, row by row.
+        """
+        del mean, covariance
         return None
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:

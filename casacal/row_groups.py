@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from casacal.binding import Block
 from casacal.kernels.native import NativeKernels
-from casacal.kernels.native_normal import NativePiece
+from casacal.kernels.native_pieces import NativePiece, PackedPieces
+from casacal.least_squares import FilterPass
 from casacal.losses import Loss
 from casacal.threads import shared_out
 
@@ -64,7 +65,7 @@ class RowGroups:
     """
 
     def __init__(self, block: Block, unknowns: int, backend: str | None, threads: int) -> None:
-        self.block, self._unknowns, self._rows = block, unknowns, block.model.rows(backend)
+        self.block, self._unknowns, self._asked, self._rows = block, unknowns, backend, block.model.rows(backend)
         self._shareable = threads if self._rows.kernels.shareable else 1
         self._threads = self._shareable if len(block.noise) >= FEW else 1
 
@@ -140,6 +141,36 @@ class RowGroups:
             gradient[piece.columns] += s[:-1, -1]
             information[piece.square] += s[:-1, :-1]
         return cost, gradient, information
+
+    def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass | None:
+        """Let a cubature filter take in the block's residuals from `first` on; None where CasADi maps them."""
+        block, run = self.block, self.block.model.filter(self._asked)
+        if run is None:
+            return None
+        once = np.hstack([block.constants[block.pattern], block.data])
+        mean, root = mean.copy(), np.ascontiguousarray(root.copy())
+        stop, *trace = run(first, block.pattern, block.columns, x0, scale, once, 1 / block.noise, mean, root)
+        return FilterPass(stop, mean, root, *(each[first:stop] for each in trace))
+
+
+def packed(groups: Sequence[RowGroups]) -> PackedPieces | None:
+    """All rows as compiled C takes them; None where some block's rows are not evaluated in C, or there are none."""
+    pieces = [each.native_pieces for each in groups]
+    known = [piece for some in pieces if some is not None for piece in some]
+    return None if None in pieces or not known else PackedPieces(known)
+
+
+def places(groups: Sequence[RowGroups]) -> NDArray[np.intp]:
+    """Piece, lane in it and component of each row (rows, 3), the pieces of all blocks counted through."""
+    found, first = [], 0
+    for each in groups:
+        place = np.empty((*each.block.noise.shape, 3), dtype=np.intp)
+        place[..., 2] = np.arange(place.shape[1])
+        for k, piece in enumerate(each.pieces, first):
+            place[piece.rows, :, 0], place[piece.rows, :, 1] = k, np.arange(len(piece.rows))[:, None]
+        first += len(each.pieces)
+        found.append(place.reshape(-1, 3))
+    return np.concatenate(found)
 
 
 def _parts(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:

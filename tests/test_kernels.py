@@ -8,6 +8,7 @@ import sys
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
 from test_new_robots import scara
@@ -18,6 +19,8 @@ from casacal import (
     Parameter,
     Problem,
     Robot,
+    Samples,
+    TrackedPoint,
     bind,
     calibrate,
     ekf,
@@ -369,3 +372,41 @@ def test_a_measurement_that_tells_all_is_triangularised_in_full():
     root = update.belief.root
     assert (np.diagonal(root) >= 0).all()
     np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ root, 0, atol=1e-8)
+
+
+@pytest.fixture(scope="module", params=["hsr", "scara", "two instruments", "many rows"])
+def filtered(request):
+    """Samples that a filter reads: rows of one pattern and of several, three residuals a row, more than one piece."""
+    made, rng = bounds(), np.random.default_rng(0)
+    if request.param in made:
+        problem, samples, _ = made[request.param]
+        return problem, (samples,)
+    problem, samples, _ = made["hsr"]
+    if request.param == "many rows":
+        return problem, (samples.take(rng.integers(len(samples), size=8_500)),)
+    joints = rng.uniform(-60, 60, size=(12, 6))
+    pair = Problem(problem.robot, *problem.instruments, TrackedPoint(noise_std=0.05))
+    tracked = pd.DataFrame(joints, columns=[f"q{i}_deg" for i in range(1, 7)])
+    bound = bind(problem, samples)
+    shift = np.array([1000.0, 0.0, -300.0])
+    tracked[["x_mm", "y_mm", "z_mm"]] = bound.tips(0.5 * bound.start_std, np.radians(joints)) + shift
+    return pair, (samples, Samples.from_frame(tracked, pair.layout(1)))
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+def test_the_fused_extended_filter_is_the_filter_row_by_row(filtered, monkeypatch):
+    problem, samples = filtered
+    bound = bind(problem, *samples, backend="c")
+    assert bound.extended_pass(np.zeros(bound.unknowns), np.eye(bound.unknowns)) is not None
+    one, seen = ekf(bound), []
+    monkeypatch.setattr(BoundProblem, "extended_pass", LeastSquares.extended_pass)
+    other = ekf(bound, progress=lambda k, _: seen.append(k))
+    assert seen == list(range(1, bound.rows + 1))
+    scale = bound.start_std
+    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
+                               rtol=0, atol=1e-10)  # fmt: skip
+    assert (np.linalg.eigvalsh(one.covariance / np.outer(scale, scale)) > 0).all()
+    for name in ("x", "innovation", "innovation_std"):
+        assert one.trace[name].shape == other.trace[name].shape
+        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-6)

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import LeastSquares
+from casacal.least_squares import ExtendedPass, LeastSquares
 from casacal.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -32,8 +32,8 @@ def linear_update(
     cross = covariance @ gradient
     variance = float(gradient @ cross) + noise_std**2
     gain = cross / variance
-    reduced = np.eye(mean.size) - np.outer(gain, gradient)
-    updated = reduced @ covariance @ reduced.T + noise_std**2 * np.outer(gain, gain)
+    half = covariance - np.outer(gain, cross)  # (I - K g') P; matrix products would cost ten times the digits
+    updated = half - np.outer(half @ gradient - noise_std**2 * gain, gain)
     return mean + gain * innovation, (updated + updated.T) / 2, math.sqrt(variance)
 
 
@@ -42,30 +42,42 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
 
     Args:
         problem: its rows are measurements of zero with unit noise, in whitened units.
-        progress: called with (rows done, size of the innovation) after each row.
+        progress: called with (rows done, size of the innovation) now and then.
 
     """
     scale = problem.start_std
     mean, covariance = np.zeros(problem.unknowns), np.eye(problem.unknowns)
-    trace: list[tuple[float, float]] = []
-    means = [problem.x0]
-    for k in range(problem.rows):
-        predicted, gradient = problem.row_jacobian(k, problem.x0 + scale * mean)
-        mean, covariance, innovation_std = linear_update(mean, covariance, scale * gradient, -predicted, 1.0)
-        trace.append((-predicted, innovation_std))
-        means.append(problem.x0 + scale * mean)
-        if progress is not None:
-            progress(k + 1, abs(predicted))
-    innovation, innovation_stds = np.array(trace).reshape(-1, 2).T
-    finite = bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
+    done = problem.extended_pass(mean, covariance)
+    if done is None:
+        done = _row_by_row(problem, mean, covariance, progress)
+    elif progress is not None and problem.rows:
+        progress(problem.rows, abs(float(done.innovations[-1])))
+    finite = bool(np.isfinite(done.mean).all() and np.isfinite(done.covariance).all())
+    means = np.vstack([problem.x0, problem.x0 + scale * done.means])
     return Result(
         method="ekf",
         problem=problem,
-        x=problem.x0 + scale * mean,
-        belief=scale[:, None] * covariance * scale,
+        x=problem.x0 + scale * done.mean,
+        belief=scale[:, None] * done.covariance * scale,
         status=Status.ONE_PASS if finite else Status.NOT_FINITE,
-        trace={"innovation": innovation, "innovation_std": innovation_stds, "x": np.array(means)},
+        trace={"innovation": done.innovations, "innovation_std": done.stds, "x": means},
         steps=problem.rows,
         residual_rows=problem.rows,
         jacobian_rows=problem.rows,
     )
+
+
+def _row_by_row(
+    problem: LeastSquares, mean: Array, covariance: Array, progress: Callable[[int, float], None] | None
+) -> ExtendedPass:
+    """The pass where no fused kernel does it."""
+    scale, means = problem.start_std, np.empty((problem.rows, mean.size))
+    innovations, stds = np.empty(problem.rows), np.empty(problem.rows)
+    for k in range(problem.rows):
+        predicted, gradient = problem.row_jacobian(k, problem.x0 + scale * mean)
+        innovations[k] = -predicted
+        mean, covariance, stds[k] = linear_update(mean, covariance, scale * gradient, -predicted, 1.0)
+        means[k] = mean
+        if progress is not None:
+            progress(k + 1, abs(predicted))
+    return ExtendedPass(mean, covariance, means, innovations, stds)

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import FilterPass, LeastSquares, Normal, Step
+from casacal.least_squares import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 
 Array: TypeAlias = NDArray[np.float64]
@@ -81,6 +81,13 @@ class Metered(LeastSquares):
         done = self.problem.filter_pass(first, mean, root)
         if done is not None:
             self._count(2 * self.unknowns * (done.stop - first), 0)
+        return done
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """A fused extended filter, which sees each row and its gradient once."""
+        done = self.problem.extended_pass(mean, covariance)
+        if done is not None:
+            self._count(self.rows, self.rows)
         return done
 
     def row(self, k: int, states: Array) -> Array:

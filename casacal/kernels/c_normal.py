@@ -3,10 +3,11 @@
 NORMAL_EQUATIONS = """
 typedef struct {
     void (*normal)(long, long, const double *, const double *, const double *, double *);
-    long n, ld, z, rows, constants;
+    void (*slopes)(long, long, const double *, const double *, double *, double *, long);
+    long n, ld, z, rows, constants, components, lanes;
     const long *column;     /* where the z slopes stand in x */
     const double *constant; /* what follows them in p */
-    const double *d, *w;
+    const double *d, *w;    /* [lanes][ld], [components][ld] */
 } piece;
 
 /* Information[n][n], gradient[n] and cost of each of `count` pieces of the rows, at x, to sums[piece]. */

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import casadi as ca
 
-from casacal.kernels.c_filter import FILTER
+from casacal.kernels.c_filter import EXTENDED, FILTER
 from casacal.kernels.c_normal import NORMAL_EQUATIONS
 from casacal.kernels.c_templates import ERRORS, HEAD, KERNELS, PREPARE
 from casacal.kernels.operations import C
@@ -26,7 +26,7 @@ def rows_of_normal(unknowns: int) -> int:
 
 
 def kernel_source(slopes: Program, parameters: int) -> str:
-    """C source of `residual`, `slopes`, `costs` and `normal`, and of what sums and steps need.
+    """C source of `residual`, `slopes`, `costs` and `normal`, and of the sums, steps and filter that call them.
 
     Args:
         slopes: outputs e (m), and its derivative row by row (m * z).
@@ -50,7 +50,8 @@ def kernel_source(slopes: Program, parameters: int) -> str:
         errors_values=max(len(e.once), 1),
         slopes_values=max(len(s.once), 1),
     )
-    return "".join((HEAD, e.prepare("errors"), s.prepare("slopes"), e.errors(), kernels, NORMAL_EQUATIONS))
+    own = (e.prepare("errors"), s.prepare("slopes"), e.errors(), kernels)
+    return "".join((HEAD, *own, NORMAL_EQUATIONS, EXTENDED))
 
 
 def filter_source(residual: Program, unknowns: int, once: int) -> str:

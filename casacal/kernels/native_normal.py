@@ -4,65 +4,44 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.kernels.native import Lanes, NativeKernels
+from casacal.kernels.native_pieces import PackedPieces
 from casacal.threads import shared_out
 
 Array: TypeAlias = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class NativePiece:
-    """Some rows that see the same unknowns: their kernels, where z stands in x, what follows z in p, their lanes."""
-
-    kernels: NativeKernels
-    columns: NDArray[np.intp]
-    constants: Array
-    lanes: Lanes
-
-
-class _Piece(ctypes.Structure):
-    _fields_ = (
-        ("normal", ctypes.c_void_p),
-        *((name, ctypes.c_long) for name in ("n", "ld", "z", "rows", "constants")),
-        *((name, ctypes.c_void_p) for name in ("column", "constant", "d", "w")),
-    )
 
 
 class NativeNormal:
     """Sums over pieces of rows at one x, and damped steps about x0 in units of `scale` with a prior's information.
 
     Args:
-        pieces: at least one.
+        packed: at least one piece.
         x0, scale, prior: (n,).
         threads: how many may share the pieces; sums do not depend on it.
 
     """
 
-    def __init__(self, pieces: Sequence[NativePiece], x0: Array, scale: Array, prior: Array, threads: int) -> None:
+    def __init__(self, packed: PackedPieces, x0: Array, scale: Array, prior: Array, threads: int) -> None:
+        pieces = packed.pieces
         n, self._threads, self._count = x0.size, threads, len(pieces)
-        self._kept: list[object] = [pieces]
-        structs = (_Piece * len(pieces))(*(self._packed(piece) for piece in pieces))
         about = np.array([x0, scale, prior])
-        each = max(piece.kernels.unknowns + piece.constants.size + piece.kernels.rows**2 for piece in pieces)
+        each = max(piece.parameters + piece.kernels.rows**2 for piece in pieces)
         # numbers go in and come out through memory that stays, for finding an array's address takes as long as a step
         self._lock = threading.Lock()
         self._x, self._normal, self._out = np.empty(n), np.empty(n * n + n), np.empty(n + 2)
         self._sums, work = np.empty((len(pieces), n * n + n + 1)), np.empty((len(pieces), max(each, 2 * n * (n + 1))))
-        self._kept += [structs, about, work]
-        library, long, pointer = pieces[0].kernels.compiled, ctypes.c_long, ctypes.c_void_p
+        self._kept = (packed, about, work)
+        library, long, pointer = packed.compiled, ctypes.c_long, ctypes.c_void_p
         accumulate, step = library.accumulate, library.damped_step
         accumulate.argtypes, accumulate.restype = [long, pointer, long, *[pointer] * 3], None
         step.argtypes, step.restype = [long, *[pointer] * 6, ctypes.c_double, *[pointer] * 2], long
         x, sums, normal = self._x.ctypes.data, self._sums.ctypes.data, self._normal.ctypes.data
         self._pieces = [
-            (1, ctypes.addressof(structs[k]), n, x, sums + k * self._sums.strides[0], work[k].ctypes.data)
+            (1, packed.address(k), n, x, sums + k * self._sums.strides[0], work[k].ctypes.data)
             for k in range(len(pieces))
         ]
         self._accumulate, self._step = accumulate, step
@@ -89,12 +68,3 @@ class NativeNormal:
                 return None
             out = self._out.copy()
         return out[:n], float(out[n]), float(out[n + 1])
-
-    def _packed(self, piece: NativePiece) -> _Piece:
-        columns = np.ascontiguousarray(piece.columns, dtype=ctypes.c_long)
-        constants = np.ascontiguousarray(piece.constants)
-        self._kept += [columns, constants]
-        kernels, lanes = piece.kernels, piece.lanes
-        entry = ctypes.cast(kernels.compiled.normal, ctypes.c_void_p).value
-        sizes = (lanes.n, lanes.ld, columns.size, kernels.rows, constants.size)
-        return _Piece(entry, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
