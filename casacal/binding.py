@@ -129,7 +129,7 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
     block = Block(model, samples, row_slots, pattern, columns, constants, known, noise)
     for k, constant in enumerate(constants):
         for rows in np.array_split(np.flatnonzero(pattern == k), 1 + len(samples) // TOGETHER):
-            noise[rows] = model.noises(np.zeros(nz), constant, block.rows(rows))
+            noise[rows] = model.columns.noise(np.zeros(nz), constant, block.rows(rows))
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])
@@ -193,22 +193,31 @@ def _instances(
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
-    model, instrument = problem.models[i], problem.instruments[i]
+    flat = problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples))
+    poses = flat.reshape(-1, 4, 4).transpose(0, 2, 1)
+    return Sight(poses, nominal_tips(problem, i, samples), _columns(problem, i, samples))
+
+
+def nominal_tips(problem: Problem, i: int, samples: Samples) -> Array:
+    """Tips (N, 3; mm) of all rows of instrument `i` at the nominal; raises ProblemError when one is not finite."""
+    tips: Array = problem.models[i].columns.tip(*_nominal_inputs(problem, i, samples))
+    if not np.isfinite(tips).all():
+        raise ProblemError(
+            f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal",
+            "Check nominal values, and that tip uses no unknown without one",
+        )
+    return tips
+
+
+def _nominal_inputs(problem: Problem, i: int, samples: Samples) -> tuple[Array, Array, Array]:
+    """(z, c, d) of the nominal robot for all rows."""
+    model = problem.models[i]
     z = np.zeros(sum(u.size for u in model.unknowns.values()))
     known = [
         np.full(model.unknowns[k].nominal_size, np.nan) if (n := model.unknowns[k].nominal) is None else n
         for k in model.constants
     ]
-    constants = np.concatenate(known or [np.zeros(0)])
-    data = _data(problem, i, samples)
-    (tips,) = model.batch.tip(z, constants, data)
-    (flat,) = model.batch.pose(z, constants, data)
-    if not np.isfinite(tips).all():
-        raise ProblemError(
-            f"The tip of {type(instrument).__name__} is not finite at the nominal",
-            "Check nominal values, and that tip uses no unknown without one",
-        )
-    return Sight(flat.reshape(-1, 4, 4).transpose(0, 2, 1), tips, _columns(problem, i, samples))
+    return z, np.concatenate(known or [np.zeros(0)]), _data(problem, i, samples)
 
 
 def _check_rows(

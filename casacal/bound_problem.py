@@ -126,16 +126,11 @@ class BoundProblem(LeastSquares):
         return None if found is None else Step(*found)
 
     def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows, piece by piece."""
+        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
         if self.rows <= COMPACT:
             return self.jacobian(x)
-        triangle = np.zeros((0, self.unknowns))
-        for groups, block in zip(self._groups, self.blocks, strict=True):
-            for piece, _, slopes in groups.slopes(x):
-                whole = np.zeros((slopes.shape[0] * slopes.shape[1], self.unknowns))
-                whole[:, piece.columns] = (slopes / block.noise[piece.rows][..., None]).reshape(len(whole), -1)
-                triangle = np.asarray(np.linalg.qr(np.vstack([triangle, whole]), mode="r"))
-        return triangle
+        triangles = [triangle for groups in self._groups for triangle in groups.triangles(x)]
+        return np.asarray(np.linalg.qr(np.vstack(triangles), mode="r"))
 
     @cached_property
     def _packed(self) -> PackedPieces | None:

@@ -96,9 +96,9 @@ class RowModel:
         return {}
 
     @cached_property
-    def noises(self) -> Columnwise:
-        """The noise of many rows at one (z, c)."""
-        return Columnwise(self.noise)
+    def columns(self) -> SimpleNamespace:
+        """Noise, tip and pose of many rows at one (z, c), each as a `Columnwise`."""
+        return SimpleNamespace(**{name: Columnwise(getattr(self, name)) for name in ("noise", "tip", "pose")})
 
     @cached_property
     def curvature(self) -> CurvatureKernel:

@@ -109,6 +109,18 @@ class RowGroups:
             e, j = self._rows.kernels.slopes(piece.parameters(x), piece.lanes)
             yield piece, e.T, j.transpose(2, 0, 1)
 
+    def triangles(self, x: Array) -> list[Array]:
+        """R (k, n) of the whitened Jacobian of each piece."""
+
+        def triangle(piece: Piece) -> Array:
+            _, slopes = self._rows.kernels.slopes(piece.parameters(x), piece.lanes)
+            whitened = slopes / self.block.noise[piece.rows].T[:, None]
+            whole = np.zeros((self._unknowns, len(piece.rows) * len(slopes)))
+            whole[piece.columns] = whitened.transpose(1, 0, 2).reshape(len(piece.columns), -1)
+            return np.asarray(np.linalg.qr(whole.T, mode="r"))
+
+        return shared_out(triangle, self.pieces, self._threads)
+
     def costs(self, states: Array) -> Array:
         """Half the whitened sum of squares at many x (m, n): (m,)."""
 

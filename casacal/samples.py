@@ -201,7 +201,8 @@ def _cell(value: Any) -> str:
 
 def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
     """Lines of some rows: a tuple of few, an array of many."""
-    chosen = np.asarray(lines)[index]
+    known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
+    chosen = known[index]
     return tuple(chosen.tolist()) if len(index) < MANY else cast(Sequence[int], chosen)
 
 

@@ -24,6 +24,9 @@ from casacal.samples import Samples
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""
 
+SPREAD = 20_000
+"""Rows that tell of the set-up and of what the prior explains; more add memory, not insight."""
+
 MOST_STRAYS = 0.3
 """Beyond this part of the rows it is not single rows that are wrong."""
 
@@ -41,10 +44,11 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
         bound = bind(problem, samples)
     except CasacalError as error:
         return (*findings, Finding("error", "cannot be bound", error.what, error.fix))
-    findings += [*rounded(bound), *setup_findings(bound), *sign_before_fit(bound)]
-    bad, stray = _strays(problem, samples, prior_scatter(bound))
-    good = samples.take(np.flatnonzero(~bad))
-    few = good.take(np.unique(np.linspace(0, len(good) - 1, MOST_ROWS).astype(int)))
+    some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
+    bad, stray = _strays(problem, samples, prior_scatter(some))
+    good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
+    few = _spread(good, MOST_ROWS)
     base = misfit(problem, few)
     fault = name_fault(problem, few, base) if base > SUSPICIOUS else None
     if fault is not None:  # it also explains single rows that lie off
@@ -54,6 +58,11 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     else:
         findings += [*stray, *_untold(problem, few, base), *_single_rows(bind(problem, good))]
     return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
+
+
+def _spread(samples: Samples, count: int) -> Samples:
+    """So many rows, evenly over all; all where there are fewer."""
+    return samples.take(np.unique(np.linspace(0, len(samples) - 1, count).astype(int)))
 
 
 def prior_scatter(bound: BoundProblem) -> float:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from casacal.binding import nominal_sight
+from casacal.binding import nominal_tips
 from casacal.bound_problem import BoundProblem
 from casacal.doctor.finding import Finding
-from casacal.linalg import posterior_covariance
 from casacal.problem import Problem
 from casacal.result import Result
 from casacal.samples import Samples, ordered_labels
@@ -22,6 +21,10 @@ Array: TypeAlias = NDArray[np.float64]
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""
+JUDGES = 5_000
+"""Tips, drawn at random, whose median judges them."""
+TOGETHER = 16_384
+"""Rows whose Jacobian is held at a time."""
 GROSS = 8.0
 """Times the robust scatter beyond which a nominal tip is not on its plane at all."""
 CHANCE = 1e-4
@@ -39,7 +42,7 @@ def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDAr
         scatter: distance (mm) that prior errors of the arm explain.
 
     """
-    tips = nominal_sight(problem, 0, samples).tips
+    tips = nominal_tips(problem, 0, samples)
     labels = np.array(samples.labels.get("plane", ("plane",) * len(samples)))
     bad, planes = np.zeros(len(samples), dtype=bool), {}
     for label in ordered_labels(labels.tolist()):
@@ -56,7 +59,7 @@ def exchanged_labels(
     problem: Problem, samples: Samples, bad: NDArray[np.bool_], planes: dict[str, Array], scatter: float
 ) -> list[Finding]:
     """Gross rows that lie on another label's plane, and gross rows that lie on none."""
-    tips = nominal_sight(problem, 0, samples).tips
+    tips = nominal_tips(problem, 0, samples)
     home: dict[tuple[str, str], list[int]] = defaultdict(list)
     lost = []
     for i in np.flatnonzero(bad).tolist():
@@ -89,12 +92,8 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
     Externally studentised: r_k over its own standard deviation with the row's leverage taken out, the noise from the
     other rows (Cook and Weisberg 1982). The robust scale keeps several outliers from hiding each other.
     """
-    x, weights = result.x, result.weights
-    r, jacobian = bound.residual(x), bound.jacobian(x)
-    weighted = jacobian * np.sqrt(weights)[:, None]
-    covariance = posterior_covariance(weighted.T @ weighted, bound.prior_std)
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    leverage = np.clip(np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian) * weights, 0.0, 0.999)
+    r = bound.residual(result.x)
+    leverage = np.clip(_spreads(bound, result) * result.weights, 0.0, 0.999)
     free = max(float(bound.rows - leverage.sum()), 1.0)
     scale = max(1.4826 * float(np.median(np.abs(r))) * math.sqrt(bound.rows / free), 1e-12)
     size = np.abs(r) / (scale * np.sqrt(1 - leverage))
@@ -116,18 +115,30 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
     ]
 
 
+def _spreads(bound: BoundProblem, result: Result) -> Array:
+    """Variance (rows,) of each predicted residual under the result's covariance, some rows at a time."""
+    covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
+    (samples,) = bound.samples
+    found = []
+    for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
+        jacobian = bound.on(samples.take(rows)).jacobian(result.x)
+        found.append(((jacobian @ covariance) * jacobian).sum(axis=1))
+    return np.concatenate(found)
+
+
 def _median_plane(tips: Array) -> tuple[Array, float]:
     """Plane (n, c) with the smallest median distance of the tips, and their robust scatter."""
     rng = np.random.default_rng(0)
     best, plane = math.inf, np.array([0.0, 0.0, 1.0, 0.0])
+    judges = tips if len(tips) <= JUDGES else tips[rng.choice(len(tips), JUDGES, replace=False)]
     for _ in range(SUBSETS):
-        a, b, c = tips[rng.choice(len(tips), 3, replace=False)]
+        a, b, c = judges[rng.choice(len(judges), 3, replace=False)]
         normal = np.cross(b - a, c - a)
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
             continue
         normal = normal / length
-        middle = float(np.median(np.abs((tips - a) @ normal)))
+        middle = float(np.median(np.abs((judges - a) @ normal)))
         if middle < best:
             best, plane = middle, np.array([*normal, normal @ a])
     near = np.abs(tips @ plane[:3] - plane[3]) <= 2.5 * 1.4826 * best + 1e-9

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -26,11 +25,12 @@ ENOUGH_ROWS = 12
 
 def repeated(samples: Samples) -> list[Finding]:
     """Rows that hold the same joints and columns as an earlier one."""
-    seen: dict[bytes, list[int]] = defaultdict(list)
-    columns = [samples.joints, *(values[:, None] for values in samples.columns.values())]
-    for row, line in zip(np.hstack(columns), samples.lines, strict=True):
-        seen[row.tobytes()].append(line)
-    again = sorted(line for lines in seen.values() for line in lines[1:])
+    columns = [*samples.joints.T, *samples.columns.values()]
+    order = np.lexsort(columns)  # stable: of rows alike, the first comes first
+    alike = np.ones(len(order) - 1, dtype=bool)
+    for values in columns:
+        alike &= values[order[1:]] == values[order[:-1]]
+    again = sorted(samples.lines[i] for i in order[1:][alike].tolist())
     if not again:
         return []
     return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TypeAlias
 
 import casadi as ca
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.kernels.batch import Batch
+from casacal.kernels.program import Program
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import WIDTHS, Buffered, replayed
 
@@ -24,7 +26,11 @@ class Columnwise:
     def __init__(self, function: ca.Function) -> None:
         self._batch, self._width = Batch(function), WIDTHS[-1]
         self._built: Buffered | None = None
-        self._program = read_program(function, ("once", "once", "lane"), ahead=False)
+
+    @cached_property
+    def _program(self) -> Program:
+        """Read when many rows come for the first time, which takes longer than few rows do."""
+        return read_program(self._batch.function, ("once", "once", "lane"), ahead=False)
 
     def __call__(self, z: Array, c: Array, data: Array) -> Array:
         """Values (N, outputs) at z and c for data (N, columns)."""
