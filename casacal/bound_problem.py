@@ -225,7 +225,7 @@ class BoundProblem(LeastSquares):
                 columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
                 position = np.array(columns, dtype=np.intp)
                 kernel, constants = block.model.curvature, block.constants[i]
-                blocks.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows]))
+                blocks.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows], self._threads))
         return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:

@@ -32,11 +32,17 @@ class RawBlock:
     """d by row (N, nd)."""
     noise: Array
     """Standard deviation of each residual (N, m)."""
+    threads: int = 1
+    """How many share the rows."""
 
     @cached_property
     def lanes(self) -> Lanes:
         """The rows as the kernel reads them."""
         return self.kernel.lanes(self.data, self.noise)
+
+    def __call__(self, v: Array) -> tuple[float, Array, Array]:
+        """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
+        return self.kernel(v[self.columns], self.constants, self.lanes, threads=self.threads)
 
 
 @dataclass(frozen=True)

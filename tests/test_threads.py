@@ -13,7 +13,7 @@ from casacal.threads import shared_out, thread_count
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_one_thread_and_two_find_the_same_numbers(hsr, backend):
+def test_one_thread_and_two_find_the_same_numbers(hsr, backend, monkeypatch):
     rows = hsr.problem.read(hsr.samples)
     many = rows.take(np.random.default_rng(0).integers(len(rows), size=20_000))
     one, two = (bind(hsr.problem, many, backend=backend, threads=count) for count in (1, 2))
@@ -25,12 +25,22 @@ def test_one_thread_and_two_find_the_same_numbers(hsr, backend):
         np.testing.assert_array_equal(first.gradient, second.gradient)
         np.testing.assert_array_equal(first.information, second.information)
     np.testing.assert_array_equal(lm(one).x, lm(two).x)
+    v = one.graph.start + 1e-3
+    for block, other in zip(one.graph.blocks, two.graph.blocks, strict=True):
+        assert (block.threads, other.threads) == (1, 2)
+        for first, second in zip(block(v), other(v), strict=True):
+            np.testing.assert_array_equal(first, second)
+    monkeypatch.setattr("casacal.bound_problem.COMPACT", 10_000)
+    triangle = one.compact_jacobian(x)
+    assert triangle.shape == (one.unknowns, one.unknowns)
+    np.testing.assert_array_equal(triangle, two.compact_jacobian(x))
     states = one.start_std * np.random.default_rng(1).normal(size=(70, one.unknowns))
     np.testing.assert_array_equal(one.costs(states), two.costs(states))
     # and as a whole they are the sum of their parts
     r, j = one.residual(x), one.jacobian(x)
     assert two.normal(x).cost == pytest.approx(r @ r / 2, rel=1e-12)
     np.testing.assert_allclose(two.normal(x).information, j.T @ j, rtol=1e-9, atol=1e-9 * np.abs(j).max() ** 2)
+    np.testing.assert_allclose(triangle.T @ triangle, j.T @ j, rtol=1e-9, atol=1e-9 * np.abs(j).max() ** 2)
 
 
 def test_work_is_shared_in_order_and_errors_come_through():

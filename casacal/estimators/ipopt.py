@@ -94,7 +94,7 @@ class Objective:
         self._graph.prior((v, self._problem.prior_information, self._problem.x0), (value, gradient, hessian))
         cost = float(value[0])
         for block in self._graph.blocks:
-            some, slope, bend = block.kernel(v[block.columns], block.constants, block.lanes)
+            some, slope, bend = block(v)
             cost += some
             np.add.at(gradient, block.columns, slope)
             np.add.at(hessian, np.ix_(block.columns, block.columns), bend)

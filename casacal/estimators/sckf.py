@@ -93,8 +93,7 @@ def sckf(
     scale = problem.start_std
     process = None if process_std is None else np.diag(process_std / scale)
     belief = Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
-    trace: list[tuple[float, float]] = []
-    means = [problem.x0]
+    trace: tuple[list[Array], ...] = ([problem.x0[None]], [np.zeros(0)], [np.zeros(0)])
 
     def predicted(k: int) -> Callable[[Array], Array]:
         return lambda states: problem.row(k, problem.x0 + scale * states)
@@ -104,17 +103,18 @@ def sckf(
         fused = problem.filter_pass(k, belief.mean, belief.root) if process is None else None
         if fused is not None and fused.stop > k:
             belief, k = Belief(fused.mean, fused.root), fused.stop
-            trace += zip(fused.innovations.tolist(), fused.stds.tolist(), strict=True)
-            means += list(problem.x0 + scale * fused.means)
+            done = (problem.x0 + scale * fused.means, fused.innovations, fused.stds)
         else:
             update = cubature_update(predict(belief, process), predicted(k), 0.0, 1.0)
             belief, k = update.belief, k + 1
-            trace.append((update.innovation, update.innovation_std))
-            means.append(problem.x0 + scale * belief.mean)
+            x = problem.x0 + scale * belief.mean
+            done = (x[None], np.array([update.innovation]), np.array([update.innovation_std]))
+        for kept, some in zip(trace, done, strict=True):
+            kept.append(some)
         if progress is not None:
-            progress(k, abs(trace[-1][0]))
+            progress(k, abs(float(trace[1][-1][-1])))
     root = scale[:, None] * belief.root
-    innovation, innovation_std = np.array(trace).reshape(-1, 2).T
+    states, innovation, innovation_std = (np.concatenate(kept) for kept in trace)
     finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
     return Result(
         method="sckf",
@@ -122,7 +122,7 @@ def sckf(
         x=problem.x0 + scale * belief.mean,
         belief=root @ root.T,
         status=Status.ONE_PASS if finite else Status.NOT_FINITE,
-        trace={"innovation": innovation, "innovation_std": innovation_std, "x": np.array(means)},
+        trace={"innovation": innovation, "innovation_std": innovation_std, "x": states},
         steps=problem.rows,
         residual_rows=2 * problem.unknowns * problem.rows,
         jacobian_rows=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,8 +14,12 @@ from casacal.kernels.batch import Batch
 from casacal.kernels.operations import can_evaluate, evaluate
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, blocked, product, replayed, width_for
+from casacal.threads import shared_out
 
 Array: TypeAlias = NDArray[np.float64]
+
+TOGETHER = 16
+"""Blocks that one thread sums up at a time."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,8 @@ class CurvatureKernel:
         self._function = ca.Function("curved", [v, c, d], outputs)
         program = read_program(self._function, ("once", "once", "lane"))
         self._program = program if can_evaluate(program) else None
-        self._built: dict[int, Buffered] = {}
+        # one set a thread: CasADi's machine works in memory of its function's own
+        self._local = threading.local()
 
     def lanes(self, data: Array, noise: Array) -> Lanes:
         """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
@@ -61,24 +67,38 @@ class CurvatureKernel:
         width = width_for(len(data))
         return Lanes(blocked(d, width, "edge"), blocked(1.0 / noise.T, width, "constant"))
 
-    def __call__(self, v: Array, constants: Array, lanes: Lanes) -> tuple[float, Array, Array]:
-        """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c."""
+    def __call__(self, v: Array, constants: Array, lanes: Lanes, *, threads: int = 1) -> tuple[float, Array, Array]:
+        """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c.
+
+        Threads change no digit: blocks are summed up in groups, and the groups in order.
+        """
         z = self.unknowns
         if self._program is None:
             s, bent = self._mapped(v, constants, lanes)
         else:
-            p, width = np.concatenate([v, constants]), lanes.d.shape[2]
-            if width not in self._built:
-                self._built[width] = Buffered(self._block(width))
-            s, bent = np.zeros((z + 1, z + 1)), np.zeros(self._rows.size)
-            some, others = np.empty_like(s), np.empty_like(bent)
-            for d, w in zip(lanes.d, lanes.w, strict=True):
-                self._built[width]((p, d, w), (some, others))
-                s += some
-                bent += others
+            p = np.concatenate([v, constants])
+            groups = [slice(k, k + TOGETHER) for k in range(0, len(lanes.d), TOGETHER)]
+            parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some]), groups, threads)
+            s, bent = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
         bend = np.zeros((z, z))
         bend[self._rows, self._columns] = bent
         return float(s[-1, -1]) / 2, s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
+
+    def _sums(self, p: Array, d: Array, w: Array) -> tuple[Array, Array]:
+        """Normal matrix of slopes and residual, and entries of the bend, of some blocks."""
+        if not hasattr(self._local, "built"):
+            self._local.built = {}
+        built: dict[int, Buffered] = self._local.built
+        width = d.shape[2]
+        if width not in built:
+            built[width] = Buffered(self._block(width))
+        s, bent = np.zeros((self.unknowns + 1, self.unknowns + 1)), np.zeros(self._rows.size)
+        some, others = np.empty_like(s), np.empty_like(bent)
+        for one, weights in zip(d, w, strict=True):
+            built[width]((p, one, weights), (some, others))
+            s += some
+            bent += others
+        return s, bent
 
     def _block(self, width: int) -> ca.Function:
         """(p, d, w) -> normal matrix of slopes and residual, entries of the bend; of one block."""
