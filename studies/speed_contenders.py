@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
 
-from casacal import BoundProblem, ipopt, lm, sckf
+from casacal import BoundProblem, ekf, ipopt, lm, sckf
 from casacal.kernels.batch import Batch
 from studies.speed_case import CANDIDATES, ByHand, Case, kernels
 
@@ -151,10 +151,11 @@ def by_ceres(bound: BoundProblem) -> Callable[[], np.ndarray]:
 
 
 def filters(made: Case) -> Contenders:
-    """One pass of the cubature filter over the rows."""
+    """One pass of the cubature filter over the rows; casacal's extended filter beside it."""
     found: Contenders = {LIMIT: ByHand(made).filter}
     for name, bound in both(made):
         found[name] = lambda bound=bound: sckf(bound)
+        found[f"extended filter, {name}"] = lambda bound=bound: ekf(bound)
     bound, scale = made.best, made.best.start_std
 
     def predicted(y: np.ndarray, k: int) -> np.ndarray:
@@ -198,7 +199,7 @@ def checks(made: Case) -> Contenders:
 
 BY_ROWS = {"Residual and Jacobian": slopes, "Normal equations": normal, "LM from the drawing": fits}
 AT_120 = {
-    "One pass of the cubature filter": filters,
+    "One pass of the cubature filter, and of the extended one": filters,
     f"{CANDIDATES} candidates": candidates,
     "Cross-check by IPOPT": checks,
 }
