@@ -103,7 +103,7 @@ def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimi
 def _decode(data: bytes, file: str) -> str:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encoding = "utf-16"
-    elif b"\x00" in data[:4096]:
+    elif b"\x00" in data:
         raise SamplesError(file, "this is not a text file (it holds zero bytes)", "Save it as CSV text in UTF-8")
     else:
         encoding = "utf-8-sig"

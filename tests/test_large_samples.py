@@ -20,7 +20,8 @@ ROWS = 3000
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
     monkeypatch.setattr("casacal.large_csv.LARGE_FILE", 0)
-    monkeypatch.setattr("casacal.large_csv.PART", 20_000)  # several parts
+    for name, size in (("SECTION", 20_000), ("PIECE", 3_000), ("ROWS", 100)):  # several of each
+        monkeypatch.setattr(f"casacal.large_csv.{name}", size)
 
 
 def columns():
@@ -95,6 +96,16 @@ def test_what_is_odd_in_a_large_file_is_read_or_refused_line_by_line(tmp_path, s
         assert tuple(Samples.from_csv(file, LAYOUT).lines) == tuple(expected.lines)
         return
     with pytest.raises(SamplesError, match=f"line {line}"):
+        Samples.from_csv(file, LAYOUT)
+
+
+@pytest.mark.parametrize("row", ["1,12\0,3,left", "1,12,3,left\0"])
+def test_zero_bytes_are_no_text(tmp_path, row):
+    file = tmp_path / "s.csv"
+    lines = text().splitlines()
+    lines[2500] = row
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(SamplesError, match="zero bytes"):
         Samples.from_csv(file, LAYOUT)
 
 
