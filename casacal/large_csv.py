@@ -40,12 +40,15 @@ MOST_THREADS = 4
 NEWLINE = ord("\n")
 
 
-def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str]]) -> Columns | None:
+def read_large_csv(
+    path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str]], labels: Sequence[str]
+) -> Columns | None:
     """Columns of a plain large CSV file; None where the file is small, or anything in it is out of the ordinary.
 
     Args:
         path: of the file.
-        numbers: which columns of a header must be numbers; the others are labels.
+        numbers: which columns of a header must be numbers.
+        labels: columns of text that are kept, where the file has them; others, such as times, are not.
 
     """
     try:
@@ -61,12 +64,13 @@ def read_large_csv(path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str
     if len(set(names)) != len(names) or not all(name.isprintable() and name for name in names) or '"' in header:
         return None
     for decimal in (".",) if delimiter == "," else (".", ","):
-        read = _read_sections(path, before, _Form(delimiter, decimal, names, frozenset(wanted))) if wanted else None
+        form = _Form(delimiter, decimal, names, frozenset(wanted), tuple(name for name in labels if name in names))
+        read = _read_sections(path, before, form) if wanted else None
         if read is not None:
-            digest, values, labels = read
+            digest, values, texts = read
             first, rows = before.count(b"\n") + 1, len(values[wanted[0]])
             lines = range(first, first + rows)
-            return Columns(str(path), digest, names, first - 1, lines, values.__getitem__, labels.__getitem__)
+            return Columns(str(path), digest, names, first - 1, lines, values.__getitem__, texts.__getitem__)
     return None
 
 
@@ -78,11 +82,7 @@ class _Form:
     decimal: str
     names: tuple[str, ...]
     numbers: frozenset[str]
-
-    @property
-    def texts(self) -> list[str]:
-        """What is not a number."""
-        return [name for name in self.names if name not in self.numbers]
+    texts: tuple[str, ...]
 
 
 def _header(file: BinaryIO) -> tuple[str, bytes]:
@@ -177,8 +177,10 @@ def _parsed(path: Path, start: int, end: int, form: _Form, numbers: dict[str, Ar
     """
     import pandas as pd
 
-    # one type for all is sooner dealt with than the same for each
-    kinds: Any = {n: "float64" if n in form.numbers else "category" for n in form.names} if form.texts else "float64"
+    # one type for all is sooner dealt with than the same for each; to leave a column out would hide cells too many
+    kinds: Any = dict.fromkeys(form.names, "object") | dict.fromkeys(form.numbers, "float64")
+    kinds |= dict.fromkeys(form.texts, "category")
+    kinds = "float64" if set(kinds.values()) == {"float64"} else kinds
     texts, first, lines = [], 0, min(map(len, numbers.values()))
     try:
         with path.open("rb") as file:

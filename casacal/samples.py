@@ -84,7 +84,7 @@ class Samples:
 
         Raises SamplesError that names file, line, column, what is wrong and the fix.
         """
-        columns = read_large_csv(Path(path), lambda header: numeric_columns(header, layout))
+        columns = read_large_csv(Path(path), lambda header: numeric_columns(header, layout), layout.labels)
         if columns is not None:
             return Samples.from_columns(columns, layout, absurd=absurd)
         return Samples.from_table(read_table(path), layout, absurd=absurd)

@@ -58,8 +58,20 @@ def forbidden(path):
         text(";", ","),
         text("\t"),
         text().replace(",left", ", left "),
+        "\n".join(f"{'time' if i == 0 else f'12:{i}'},{line}" for i, line in enumerate(text().splitlines())),
     ],
-    ids=["plain", "comment", "no last line end", "windows", "mark", "semicolons", "decimal commas", "tabs", "blanks"],
+    ids=[
+        "plain",
+        "comment",
+        "no last line end",
+        "windows",
+        "mark",
+        "semicolons",
+        "decimal commas",
+        "tabs",
+        "blanks",
+        "times",
+    ],
 )
 def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatch):
     file = tmp_path / "s.csv"
