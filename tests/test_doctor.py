@@ -3,12 +3,14 @@
 import dataclasses
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, check, simulate
+from casacal import DialOnPlane, Problem, bind, check, lm, simulate
 from casacal.cli import main
+from casacal.doctor.outliers import _spreads
 from casacal.files import write_samples
 
 REPLACE = dataclasses.replace
@@ -100,6 +102,33 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
     if lines:
         found = {int(n) for line in named for n in re.findall(r"\d+", re.search(r"\(lines? ([^)]*)\)", line)[1])}
         assert found == {line + 2 for line in lines}  # a comment and the header stand above
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["wrong dial sign", "joint 2 flipped", "two gross outliers", "tilts below 2 degrees", "labels exchanged", "clean"],
+)
+def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypatch):
+    """Large sets are looked at in parts and by drawn rows: here with limits that a small set exceeds."""
+    plant = PLANTED[name][0] if name in PLANTED else lambda _, samples: samples
+    samples = plant(hsr, corner_simulation.samples)
+    expected = check(hsr.problem, samples)
+    monkeypatch.setattr(sys.modules["casacal.doctor.check"], "SPREAD", 90)
+    for limit, size in (("TOGETHER", 25), ("JUDGES", 30)):
+        monkeypatch.setattr(f"casacal.doctor.outliers.{limit}", size)
+    found = check(hsr.problem, samples)
+    assert [(each.severity, each.about, each.lines) for each in found] == [
+        (each.severity, each.about, each.lines) for each in expected
+    ]
+
+
+def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monkeypatch):
+    monkeypatch.setattr("casacal.doctor.outliers.TOGETHER", 25)
+    bound = bind(hsr.problem, corner_simulation.samples)
+    result = lm(bound)
+    jacobian = bound.jacobian(result.x)
+    expected = np.diagonal(jacobian @ result.covariance @ jacobian.T)
+    np.testing.assert_allclose(_spreads(bound, result), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -32,7 +32,7 @@ def linear_update(
     cross = covariance @ gradient
     variance = float(gradient @ cross) + noise_std**2
     gain = cross / variance
-    half = covariance - np.outer(gain, cross)  # (I - K g') P; matrix products would cost ten times the digits
+    half = covariance - np.outer(gain, cross)  # (I - K g') P, which as a matrix product loses a digit more
     updated = half - np.outer(half @ gradient - noise_std**2 * gain, gain)
     return mean + gain * innovation, (updated + updated.T) / 2, math.sqrt(variance)
 
