@@ -18,10 +18,10 @@ from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
 
 if TYPE_CHECKING:
-    from casacal.cells import Cell
-    from casacal.expectation import Box
     from casacal.files import ProblemFile
-    from casacal.problem import Problem
+    from casacal.problem.cell import Cell
+    from casacal.problem.problem import Problem
+    from casacal.uncertainty.expectation import Box
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -46,11 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from casacal.calibrating import calibrate
-    from casacal.expectation import accuracy_in_box
+    from casacal.calibration.calibrate import calibrate
+    from casacal.calibration.summary import summary
     from casacal.files import load_problem
-    from casacal.losses import huber, tukey
-    from casacal.report import summary
+    from casacal.least_squares.losses import huber, tukey
+    from casacal.uncertainty.expectation import accuracy_in_box
 
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
@@ -73,7 +73,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         rms, worst = accuracy_in_box(calibration.fit, calibration.result.x, box)
         print(f"\nExpected tip error inside {options.box} mm: {rms:.3f} mm RMS, {worst:.3f} mm at worst.")
     if options.out is not None:
-        from casacal.documents import write_calibration
+        from casacal.calibration.result_json import write_calibration
 
         paths = write_calibration(calibration, source, Path(options.out), command=options.typed, box=box)
         print(f"\nWritten: {', '.join(path.as_posix() for path in paths)}")
@@ -90,11 +90,11 @@ def _box(text: str) -> Box:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from casacal.bound_problem import bind
-    from casacal.documents import write_simulation
-    from casacal.expectation import planned_accuracy
+    from casacal.binding.bound_problem import bind
+    from casacal.calibration.result_json import write_simulation
     from casacal.files import load_problem
-    from casacal.simulation import simulate
+    from casacal.simulation.simulate import simulate
+    from casacal.uncertainty.expectation import planned_accuracy
 
     source = load_problem(options.problem)
     cell = _cell(source, options)
@@ -116,8 +116,8 @@ def _simulate(options: argparse.Namespace) -> int:
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
     from dataclasses import replace
 
-    from casacal.cells import AMOUNTS
-    from casacal.simulation import default_cell
+    from casacal.problem.cell import AMOUNTS
+    from casacal.simulation.simulate import default_cell
 
     cell = source.cell if source.cell is not None else default_cell(source.problem)
     given = {
@@ -129,7 +129,7 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from casacal.doctor import check
+    from casacal.checks import check
     from casacal.files import load_problem
 
     source = load_problem(options.problem)
@@ -151,7 +151,7 @@ def _samples_of(source: ProblemFile, given: str | None) -> str:
 
 
 def _predict(options: argparse.Namespace) -> int:
-    from casacal.prediction import predict, read_joints, read_result, write_prediction
+    from casacal.compensation.predict import predict, read_joints, read_result, write_prediction
 
     result = read_result(options.result)
     joints = read_joints(options.joints, result.source)
@@ -163,7 +163,7 @@ def _predict(options: argparse.Namespace) -> int:
 
 def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], accuracy: float | None) -> Problem:
     if accuracy is not None:
-        from casacal.priors import scaled_to_accuracy
+        from casacal.uncertainty.priors import scaled_to_accuracy
 
         problem = scaled_to_accuracy(problem, accuracy)
     stds = {}

@@ -31,13 +31,13 @@ def add_compensate(parser: argparse.ArgumentParser) -> None:
 
 def compensate_command(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
-    from casacal.compensation import compensate
-    from casacal.corrected_targets import Outcome
+    from casacal.compensation.compensate import compensate
+    from casacal.compensation.outcome import Outcome
+    from casacal.compensation.predict import read_result
+    from casacal.compensation.programs import notes, rounding_of, text_of
+    from casacal.compensation.targets import read_targets
     from casacal.errors import CasacalError
     from casacal.files import write_text
-    from casacal.prediction import read_result
-    from casacal.robot_programs import notes, rounding_of, text_of
-    from casacal.targets import read_targets
 
     if not 0 < options.largest < math.inf:
         raise CasacalError(f"--largest {options.largest:g} is no joint motion", "Give degrees above zero, such as 10")

@@ -32,8 +32,8 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
 
 def doctor_command(options: argparse.Namespace) -> int:
     """Diagnose as the options say; returns 0, or 1 when the conventions are not certain."""
-    from casacal.convention_doctor import diagnose, read_pendant_rows
-    from casacal.convention_doctor.words import diagnosis_text
+    from casacal.doctor import diagnose, read_pendant_rows
+    from casacal.doctor.words import diagnosis_text
     from casacal.files import load_problem
 
     robot = load_problem(options.problem).problem.robot

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from casacal.cells import Cell
 from casacal.errors import CasacalError, ProblemError
-from casacal.problem import Problem
-from casacal.samples import Samples
+from casacal.problem.cell import Cell
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.prediction import ResultFile
+    from casacal.compensation.predict import ResultFile
 
 
 def new_command(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
-    from casacal.new_problem import new_from_dh, new_from_urdf
+    from casacal.problem.new import new_from_dh, new_from_urdf
 
     if options.dh is not None:
         if options.tip or options.base:
@@ -34,9 +34,9 @@ def new_command(options: argparse.Namespace) -> int:
 
 def export_command(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
+    from casacal.compensation.predict import read_result
     from casacal.export import remark
     from casacal.files import write_text
-    from casacal.prediction import read_result
 
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
@@ -50,8 +50,8 @@ def export_command(options: argparse.Namespace) -> int:
 
 def _exported(result: ResultFile, options: argparse.Namespace) -> str:
     """The text that is asked for."""
-    from casacal.arms.dh_file import is_toml
     from casacal.export import c_text, dh_text, ur_kinematics_text, urdf_text, zeros_text
+    from casacal.robots.files.dh_file import is_toml
 
     if options.to == "dh":
         if options.source is not None and is_toml(options.source) != is_toml(options.out):

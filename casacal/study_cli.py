@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.harness.study_file import StudyFile
     from casacal.study import Run, Study
+    from casacal.study.study_file import StudyFile
 
 INTERRUPTED = 130
 SAID_EVERY = {True: 0.5, False: 20.0}
@@ -30,9 +30,9 @@ def study_command(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from casacal.harness.study_file import load_study
+    from casacal.study.report import machine, note_machines, write_report
     from casacal.study import Run
-    from casacal.study_report import machine, note_machines, write_report
+    from casacal.study.study_file import load_study
 
     source = load_study(options.study)
     if source.skipped:
@@ -57,8 +57,8 @@ def _study(options: argparse.Namespace) -> int:
 
 def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
     """Records that exist, that others made, or that are made now."""
+    from casacal.study.report import machine, note_machines, read_machines
     from casacal.study import merge, missing, open_run, run
-    from casacal.study_report import machine, note_machines, read_machines
 
     if options.report:
         return open_run(study, out, quick=options.quick)

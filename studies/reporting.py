@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from casacal.cli import main
-from casacal.harness.statistics import Interval
+from casacal.study.statistics import Interval
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 

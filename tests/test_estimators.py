@@ -32,8 +32,8 @@ from casacal import (
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update, predict
-from casacal.metrics import tip_rms, without_rigid, workspace_joints
-from casacal.result import Status
+from casacal.least_squares.result import Status
+from casacal.uncertainty.metrics import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
 

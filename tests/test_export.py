@@ -19,8 +19,8 @@ from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 import casacal
 from casacal import export, load_problem
 from casacal.cli import main
-from casacal.new_problem import new_from_dh, new_from_urdf
-from casacal.prediction import ResultFile, arm_values, read_result
+from casacal.compensation.predict import ResultFile, arm_values, read_result
+from casacal.problem.new import new_from_dh, new_from_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
 IIWA_CSV = "# convention: modified\n" + PLAIN

@@ -9,10 +9,10 @@ from conftest import ROOT
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem, plate, simulate
 from casacal.cli import main
-from casacal.cures import cure_for, cures
 from casacal.files import write_samples
-from casacal.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict
-from casacal.metrics import workspace_joints
+from casacal.uncertainty.cures import cure_for, cures
+from casacal.uncertainty.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict
+from casacal.uncertainty.metrics import workspace_joints
 
 CENTRE = (1350.0, 0.0, 700.0)
 FLAT = plate((1350.0, 0.0, 500.0))

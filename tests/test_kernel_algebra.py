@@ -14,7 +14,7 @@ from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate
 from casacal.kernels.reading import read_program
 from casacal.kinematics import transform_point
-from casacal.least_squares import LeastSquares
+from casacal.least_squares.objective import LeastSquares
 
 
 def arm(joints):

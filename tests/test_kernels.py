@@ -36,8 +36,8 @@ from casacal.kernels import compiler
 from casacal.kernels.backend import RowKernels
 from casacal.kernels.operations import NUMPY, C, evaluate
 from casacal.kernels.reading import read_program
-from casacal.least_squares import LeastSquares
-from casacal.losses import huber
+from casacal.least_squares.losses import huber
+from casacal.least_squares.objective import LeastSquares
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
 BACKENDS = ["blocks", pytest.param("c", marks=pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler"))]

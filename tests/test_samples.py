@@ -9,7 +9,7 @@ import pytest
 
 from casacal.errors import SamplesError
 from casacal.files import write_samples
-from casacal.samples import Layout, Samples
+from casacal.samples.samples import Layout, Samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment

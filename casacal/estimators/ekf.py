@@ -9,8 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import ExtendedPass, LeastSquares
-from casacal.result import Result, Status
+from casacal.least_squares.objective import ExtendedPass, LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import LeastSquares, Normal
-from casacal.losses import Loss
-from casacal.result import Result, Status
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import LeastSquares, Normal
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import LeastSquares
-from casacal.linalg import downdated, tria
-from casacal.result import Result, Status
+from casacal.least_squares.linalg import downdated, tria
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

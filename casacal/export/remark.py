@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import casacal
-from casacal.prediction import ResultFile
+from casacal.compensation.predict import ResultFile
 
 MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""

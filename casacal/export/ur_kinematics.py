@@ -10,14 +10,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.arms.dh_table import NEARLY, DHTable
-from casacal.arms.urdf_chain import UrdfChain
-from casacal.conventions import Conventions
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import MARK, remark
 from casacal.export.rotations import roll_pitch_yaw
 from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.conventions import Conventions
+from casacal.robots.dh_table import NEARLY, DHTable
+from casacal.robots.urdf_chain import UrdfChain
 
 Array: TypeAlias = NDArray[np.float64]
 JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.arms.decimals import plain
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.export.remark import MARK, remark
-from casacal.metrics import workspace_joints
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.files.decimals import plain
+from casacal.uncertainty.metrics import workspace_joints
 
 Array: TypeAlias = NDArray[np.float64]
 LEVER = 100.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, replayed
-from casacal.linalg import LEAST_LEFT
+from casacal.least_squares.linalg import LEAST_LEFT
 
 Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]

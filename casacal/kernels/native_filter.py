@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casacal.kernels.c_source import can_print, filter_source
 from casacal.kernels.compiler import CompilerError, load_library
 from casacal.kernels.reading import read_program
-from casacal.linalg import LEAST_LEFT
+from casacal.least_squares.linalg import LEAST_LEFT
 
 Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
