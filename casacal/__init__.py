@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from casacal.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from casacal.binding.bound_problem import BoundProblem, bind
     from casacal.calibration.calibrate import calibrate
@@ -32,12 +34,12 @@ if TYPE_CHECKING:
         sckf_lm,
         swarm,
     )
-    from casacal.files import ProblemFile, load_problem
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
     from casacal.kinematics import chain, deg, dh, modified_dh
     from casacal.least_squares.result import Result, Status
     from casacal.problem.cell import Cell, Face, corner, gauge_block, plate
     from casacal.problem.problem import Problem
+    from casacal.problem.problem_file import ProblemFile, load_problem
     from casacal.robots.conventions import Conventions
     from casacal.robots.joints import Joint
     from casacal.robots.robot import Robot
@@ -45,8 +47,6 @@ if TYPE_CHECKING:
     from casacal.simulation.simulate import Simulation, simulate
     from casacal.study import Method, Run, Simulated, Study
     from casacal.unknowns import Direction, Frame, Parameter, Plane
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "casacal.binding.bound_problem": ("BoundProblem", "bind"),
@@ -72,7 +72,7 @@ _HOMES = {
         "scipy_least_squares",
         "swarm",
     ),
-    "casacal.files": ("ProblemFile", "load_problem"),
+    "casacal.problem.problem_file": ("ProblemFile", "load_problem"),
     "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
     "casacal.compensation.predict": ("read_result",),

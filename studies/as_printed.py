@@ -15,7 +15,7 @@ import numpy as np
 
 from casacal import BoundProblem, DialOnPlane, Problem, Run, bind, load_problem, plate, simulate
 from casacal.least_squares.linalg import tria
-from casacal.uncertainty.metrics import residual_figures
+from casacal.uncertainty.figures import residual_figures
 from studies import reporting
 from studies.reporting import script
 

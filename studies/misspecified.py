@@ -18,7 +18,7 @@ from casacal.least_squares.losses import huber
 from casacal.problem.cell import flatness_din_876
 from casacal.study.simulated import SimulatedTrial
 from casacal.study.statistics import mean_interval, paired, quantiles, success_rate
-from casacal.uncertainty.metrics import noise_interval
+from casacal.uncertainty.figures import noise_interval
 from studies import rivals
 from studies.paper_pictures import COLOURS
 from studies.reporting import PROBLEMS, figure, number, percent, save, script, table

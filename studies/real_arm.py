@@ -20,7 +20,7 @@ from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedP
 from casacal.least_squares.objective import Restricted
 from casacal.samples.holdout import split
 from casacal.study.statistics import mean_interval, paired
-from casacal.uncertainty.metrics import residual_figures
+from casacal.uncertainty.figures import residual_figures
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
 from studies.reporting import PROBLEMS, figure, save, script, table

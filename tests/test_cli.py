@@ -14,8 +14,8 @@ from conftest import ROOT
 from oracles import dh_chain
 
 import casacal
-from casacal.arguments import METHOD_NAMES
 from casacal.cli import main
+from casacal.cli.calibrate import METHOD_NAMES
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 

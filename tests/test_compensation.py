@@ -23,8 +23,9 @@ from casacal.compensation.predict import ResultFile, predict, read_result, write
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
 from casacal.compensation.targets import Targets, read_targets
 from casacal.errors import CasacalError
-from casacal.files import ProblemFile, write_json
+from casacal.files import write_json
 from casacal.kinematics import chain, rotate_z, translate_x
+from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 
 SEEDS = range(6)

@@ -11,7 +11,7 @@ import pytest
 from casacal import DialOnPlane, Problem, bind, check, lm, simulate
 from casacal.checks.outliers import _spreads
 from casacal.cli import main
-from casacal.files import write_samples
+from casacal.samples.write import write_samples
 
 REPLACE = dataclasses.replace
 
@@ -90,9 +90,9 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
     plant, about, wrong, lines = PLANTED[name]
     samples = plant(hsr, corner_simulation.samples)
     file = tmp_path / "planted.csv"
-    write_samples(file, hsr.problem, samples, ["planted"])
+    write_samples(file, hsr.problem.robot, samples, ["planted"])
     if name == "degrees as radians":
-        write_samples(file, hsr.problem, corner_simulation.samples, ["planted"])
+        write_samples(file, hsr.problem.robot, corner_simulation.samples, ["planted"])
         file.write_text(file.read_text().replace("_deg", "_rad"))
     code = main(["check", str(hsr.path), str(file)])
     out = capsys.readouterr().out

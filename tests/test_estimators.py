@@ -33,7 +33,7 @@ from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update, predict
 from casacal.least_squares.result import Status
-from casacal.uncertainty.metrics import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
 

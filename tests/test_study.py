@@ -117,7 +117,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
     slow = tmp_path / "tiny_study.py"
     slow.write_text(TINY.read_text().replace("PAUSE = 0.0", "PAUSE = 0.02"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    command = [sys.executable, "-m", "casacal.cli", "study", str(slow), "--out", str(tmp_path / "out"), "--resume"]
+    command = [sys.executable, "-m", "casacal", "study", str(slow), "--out", str(tmp_path / "out"), "--resume"]
     rng, seen = random.Random(5), []
     for _ in range(5):
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)

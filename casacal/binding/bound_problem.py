@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.raw_graph import RawBlock, RawGraph
 from casacal.binding.row_groups import FEW, RowGroups, packed, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
@@ -22,8 +21,6 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.unknowns import Parameter
-
-Array: TypeAlias = NDArray[np.float64]
 
 COMPACT = 50_000
 """Rows beyond which no whole Jacobian is held."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.curvature import CurvatureKernel, Lanes
 from casacal.kernels.replay import Buffered
 from casacal.unknowns import Unknown
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.slots import Block
 from casacal.kernels.native import NativeKernels
 from casacal.kernels.native_pieces import NativePiece, PackedPieces
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
 from casacal.threads import shared_out
-
-Array: TypeAlias = NDArray[np.float64]
 
 FEW = 8_192
 """Rows below which all stay together: threads would spend more on one another than they save."""

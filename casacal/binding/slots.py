@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument, Sight
 from casacal.problem.compile import RowModel
@@ -17,8 +18,6 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels, combinations
 from casacal.unknowns import Unknown
-
-Array: TypeAlias = NDArray[np.float64]
 
 ENOUGH = 20_000
 """Rows of a face that propose where it is."""

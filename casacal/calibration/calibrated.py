@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import html
 import math
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import parameter_rows
@@ -16,8 +14,6 @@ from casacal.calibration.summary import summary
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class Calibrated(Calibration):

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.instruments import DialOnPlane
 from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
+from casacal.uncertainty.figures import noise_interval, residual_figures
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -23,9 +23,7 @@ from casacal.uncertainty.identifiability import (
     identifiability,
     natural_scale,
 )
-from casacal.uncertainty.metrics import noise_interval, residual_figures, workspace_joints
-
-Array: TypeAlias = NDArray[np.float64]
+from casacal.uncertainty.workspace import workspace_joints
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")
 """Methods that promise the minimum; filters and controls may honestly miss it."""

@@ -10,7 +10,7 @@ import numpy as np
 from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
 from casacal.samples.samples import ordered_labels
-from casacal.uncertainty.metrics import tip_stds, without_rigid
+from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 FILTER_POINTS = 60
 """Rows at which a filter's objective is drawn."""

@@ -11,16 +11,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-import casacal
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibration import Calibration, Reference
 from casacal.calibration.warnings import warnings
-from casacal.files import ProblemFile, write_json, write_samples, write_text
+from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs, verdict
 from casacal.unknowns import Direction, Frame, Plane
+from casacal.version import __version__
 
 NOTES = {
     "data": "determined by the samples",
@@ -164,7 +166,7 @@ def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
         "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
         "seconds": dict(seconds),
         "versions": {
-            "casacal": casacal.__version__,
+            "casacal": __version__,
             "casadi": metadata.version("casadi"),
             "numpy": np.__version__,
             "python": platform.python_version(),
@@ -216,10 +218,8 @@ def write_calibration(
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
     """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
     samples = simulation.samples
-    comments = [
-        f"simulated by casacal {casacal.__version__} for {source.name}, seed {simulation.seed}: not a measurement"
-    ]
-    write_samples(path, source.problem, samples, comments)
+    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
+    write_samples(path, source.problem.robot, samples, comments)
     written = source.problem.read(path)
     bound = bind(source.problem, written)
     truth = Result(

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-import casacal
 from casacal.calibration.calibration import AGREEMENT, NOT_NEEDED, Calibration
 from casacal.calibration.result_json import parameter_rows
 from casacal.calibration.warnings import warnings
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
+from casacal.version import __version__
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
@@ -58,7 +58,7 @@ def _opening(calibration: Calibration, name: str) -> str:
     planes = sum(slot.key == "plane" for slot in fit.slots)
     rows = f"{len(fit.samples[0])} fitted, {'none' if held is None else len(held.samples[0])} held out"
     return (
-        f"casacal {casacal.__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
+        f"casacal {__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
         + (f"{planes} plane{'s' if planes != 1 else ''}, " if planes else "")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from casacal.calibration.calibration import Calibration
-from casacal.uncertainty.metrics import tip_stds, without_rigid
+from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 FAR = 3.0
 """Prior standard deviations beyond which a parameter has moved too far for its prior."""

@@ -19,7 +19,7 @@ from casacal.instruments import DialOnPlane
 from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.metrics import noise_interval
+from casacal.uncertainty.figures import noise_interval
 
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""

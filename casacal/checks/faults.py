@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from types import MappingProxyType
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.slots import nominal_sight
 from casacal.checks.finding import Finding
@@ -22,8 +21,6 @@ from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.unknowns.unknown import unit_vector
-
-Array: TypeAlias = NDArray[np.float64]
 
 SUSPICIOUS = 2.0
 """Misfit, in stated standard deviations, above which something systematic is looked for."""

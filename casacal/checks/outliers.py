@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, ordered_labels
-
-Array: TypeAlias = NDArray[np.float64]
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""

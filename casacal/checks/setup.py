@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.instruments import DialOnPlane
 from casacal.unknowns import Plane
 from casacal.unknowns.unknown import unit_vector
-
-Array: TypeAlias = NDArray[np.float64]
 
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm, turning
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
@@ -22,9 +22,6 @@ from casacal.compensation.predict import ResultFile, infinite_variances, local_c
 from casacal.compensation.targets import Targets
 from casacal.errors import CasacalError
 from casacal.samples.samples import Samples
-
-Array: TypeAlias = NDArray[np.float64]
-Rows: TypeAlias = NDArray[np.bool_]
 
 TOLERANCE = 5e-3, 5e-6
 """Position (mm) and orientation (rad) within which the written joints must bring the calibrated robot to a pose."""

@@ -7,19 +7,16 @@ orientation both count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array, Rows
 from casacal.kernels.batch import BLOCK, Batch
 from casacal.problem.problem import Problem
+from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import AXIS_WEIGHT
-
-Array: TypeAlias = NDArray[np.float64]
-Rows: TypeAlias = NDArray[np.bool_]
 
 FEW_JOINTS_WEIGHT = 1.0
 """Millimetres that weigh as much as one radian where an arm has fewer than six joints: position first, and the

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm
 from casacal.compensation.targets import Targets
-
-Array: TypeAlias = NDArray[np.float64]
-Rows: TypeAlias = NDArray[np.bool_]
 
 
 class Outcome(Enum):

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm, joint_units
+from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import AXIS_WEIGHT, random_joints
-
-Array: TypeAlias = NDArray[np.float64]
-Rows: TypeAlias = NDArray[np.bool_]
 
 BANK = 4096
 """Random postures among which starts are looked for."""

@@ -8,21 +8,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.files import ProblemFile, load_problem, write_text
+from casacal.files import write_text
+from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.text import read_table
-from casacal.uncertainty.metrics import tip_stds, up_to_base, workspace_joints
+from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.unknowns import Parameter
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,15 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
 from casacal.compensation.predict import ResultFile
 from casacal.errors import CasacalError
 from casacal.robots.robot import Robot
-
-Array: TypeAlias = NDArray[np.float64]
 
 LONGEST = 300
 """Letters that a comment keeps."""

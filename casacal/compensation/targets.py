@@ -6,19 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SamplesError
-from casacal.files import ProblemFile
 from casacal.instruments.instrument import Dimension
+from casacal.problem.problem_file import ProblemFile
 from casacal.samples.layout import Layout, match_columns
 from casacal.samples.samples import Samples
 from casacal.tables.text import Table, read_table
-
-Array: TypeAlias = NDArray[np.float64]
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 POSE: Mapping[str, Dimension] = MappingProxyType(

@@ -6,18 +6,15 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kernels.batch import Batch
+from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import random_joints
-
-Array: TypeAlias = NDArray[np.float64]
 
 EXACT = 1e-7
 """Miss (mm; rad) below which the axes reproduce the robot's pose."""

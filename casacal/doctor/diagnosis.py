@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.axes import Axes, axes_of
 from casacal.doctor.family import Family
 from casacal.doctor.further_pose import FurtherPose, further_pose
@@ -17,10 +16,8 @@ from casacal.doctor.rotations import angle_between, rotations_of
 from casacal.doctor.same_arm import MOST_MEANINGS, Meaning, changes, conventions_of, distinct
 from casacal.doctor.search import Halves, poses_of
 from casacal.errors import CasacalError
+from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import AXIS_WEIGHT, random_joints
-
-Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 3.0
 """Miss (mm, and mrad) within which a row counts as explained: rounding of joints at arm's length, and no more."""

@@ -14,9 +14,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.axes import Axes
 
-Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.int8]
 Index: TypeAlias = NDArray[np.intp]
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.axes import Axes
 from casacal.doctor.family import Family, one_change_away
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS
 from casacal.doctor.rotations import angle_between
 from casacal.doctor.same_arm import Meaning
 from casacal.doctor.search import poses_of
+from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
-from casacal.simulation.reach import random_joints
-
-Array: TypeAlias = NDArray[np.float64]
 
 TRIED = 300
 """Random postures among which the most telling one is chosen."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.tables.text import Table, read_table
-
-Array: TypeAlias = NDArray[np.float64]
 
 ANGLES = {"deg": np.pi / 180, "rad": 1.0}
 LENGTHS = {"mm": 1.0, "m": 1000.0}

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.pendant_rows import ANGLES
-
-Array: TypeAlias = NDArray[np.float64]
 
 SEQUENCES = {"fixed-xyz": "xyz", "zyx": "ZYX", "zyz": "ZYZ", "xyz": "XYZ"}
 """Three angles in the order of their columns: turns about fixed axes (small letters), or each about the axis that

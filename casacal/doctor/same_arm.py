@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.axes import Axes
 from casacal.doctor.family import Family, Integers
 from casacal.doctor.search import poses_of
 from casacal.robots.conventions import Conventions
-
-Array: TypeAlias = NDArray[np.float64]
 
 SAME = 1e-6
 """Difference (mm; rad) at random joint values below which two conventions are one."""

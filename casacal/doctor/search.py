@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.doctor.axes import Axes, about
 from casacal.doctor.family import Family, Index, Products, compatible, joined, motions, readings
-
-Array: TypeAlias = NDArray[np.float64]
 
 MATCHED_ROWS = 3
 """Rows, the most different ones, that are compared in the tree; the others are checked afterwards."""

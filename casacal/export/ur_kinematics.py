@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import math
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import MARK, remark
@@ -19,7 +19,6 @@ from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import NEARLY, DHTable
 from casacal.robots.urdf_chain import UrdfChain
 
-Array: TypeAlias = NDArray[np.float64]
 JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 FIX = "Export it as dh, urdf, zeros or c"
 

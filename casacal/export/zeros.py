@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.compensation.predict import ResultFile, arm_values
 from casacal.export.remark import MARK, remark
 from casacal.robots.files.decimals import plain
-from casacal.uncertainty.metrics import workspace_joints
+from casacal.uncertainty.workspace import workspace_joints
 
-Array: TypeAlias = NDArray[np.float64]
 LEVER = 100.0
 """Distance (mm) from the flange's origin of the points that stand for its orientation."""
 STEPS = 5

@@ -9,12 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.dial_on_plane import DialOnPlane
 from casacal.instruments.instrument import Sight
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.unknown import Array, unit_vector
+from casacal.unknowns.unknown import unit_vector
 
 
 @dataclass(frozen=True, kw_only=True)

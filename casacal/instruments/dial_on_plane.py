@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.instrument import Dimension, Instrument, Sight
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
-from casacal.unknowns.unknown import Array, unit_vector
+from casacal.unknowns.unknown import unit_vector
 
 
 def tool_point(

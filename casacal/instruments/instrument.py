@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
-from casacal.unknowns.unknown import Array
 
 Dimension = Literal["length", "angle", "number"]
 

@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.dial_on_plane import tool_point
 from casacal.instruments.instrument import Dimension, Instrument, Sight
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.unknown import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
-Array: TypeAlias = NDArray[np.float64]
+from casacal.array_types import Array
 
 LEAST_LEFT = 1e-10
 """Part of a variance that must remain for a downdate to keep six digits; below it a QR is used."""

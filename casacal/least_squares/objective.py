@@ -14,15 +14,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.linalg import damped_solution
 from casacal.least_squares.losses import Loss
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class Status(Enum):

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.unknowns.unknown import tangent_basis, unit_vector
-
-Array: TypeAlias = NDArray[np.float64]
 
 DIN_876 = {"0": (4.0, 250.0), "I": (10.0, 100.0), "II": (20.0, 50.0)}
 """Flatness of surface plates by grade: (a, b) of a + L / b in micrometres, L in mm."""

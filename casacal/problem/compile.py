@@ -16,11 +16,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
@@ -34,8 +32,6 @@ from casacal.kernels.native_filter import NativeFilter
 from casacal.kinematics import Product, position
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
-from casacal.files import load_problem
+from casacal.problem.problem_file import load_problem
 from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.decimals import degrees, plain

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, rotate, rotate_x, rotate_y, rotate_z, slide
 from casacal.robots.conventions import Conventions
@@ -18,7 +18,6 @@ from casacal.robots.files.urdf import UrdfJoint, check_joint, read_urdf
 from casacal.robots.joints import Joint
 from casacal.unknowns import Parameter, Unknown
 
-Array: TypeAlias = NDArray[np.float64]
 MM = 1000.0
 """Millimetres in a URDF's metre."""
 

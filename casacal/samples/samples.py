@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.samples.layout import LARGEST, Layout, match_columns, numeric_columns
 from casacal.tables.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays
@@ -21,7 +22,6 @@ from casacal.tables.labels import Labels
 from casacal.tables.large_csv import read_large_csv
 from casacal.tables.text import Table, read_table
 from casacal.tables.workbooks import WORKBOOKS, read_workbook
-from casacal.unknowns.unknown import Array
 
 MANY = 100_000
 """Rows from which lines are numbers in an array rather than Python objects."""

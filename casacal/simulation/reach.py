@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.instruments import DialOnPlane
 from casacal.kernels.batch import Batch
 from casacal.kinematics import rotation
+from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
-
-Array: TypeAlias = NDArray[np.float64]
-
-AXIS_WEIGHT = 300.0
-"""Millimetres at the tip that weigh as much as one radian of plunger direction."""
 
 ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
+
+
 RIDGE = 1e-7
 """Part of the largest curvature added to all: a joint that turns the tool about its plunger then stays where it is."""
 
@@ -121,10 +120,3 @@ class Touch:
         tip, axis, tip_slope, axis_slope = self(joints, readings)
         error = np.concatenate([tip - targets, AXIS_WEIGHT * (axis - axes)], axis=1)
         return error, np.concatenate([tip_slope, AXIS_WEIGHT * axis_slope], axis=1)
-
-
-def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
-    """Joint values (count, n; rad, mm), uniform between the limits."""
-    lower = np.array([joint.lower for joint in robot.axes])
-    upper = np.array([joint.upper for joint in robot.axes])
-    return rng.uniform(lower, upper, size=(count, len(robot.axes)))

@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import SimulationError
 from casacal.estimators import lm
@@ -19,13 +18,12 @@ from casacal.instruments import DialOnPlane
 from casacal.least_squares.objective import Restricted
 from casacal.problem.cell import Cell, Face, corner
 from casacal.problem.problem import Problem
+from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.reach import Touch, random_joints
+from casacal.simulation.reach import Touch
 from casacal.simulation.touches import find_touches, try_touches
 from casacal.tables.labels import Labels
 from casacal.unknowns import Plane
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

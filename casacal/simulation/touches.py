@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments import DialOnPlane
 from casacal.problem.cell import Cell, form_error
-from casacal.simulation.reach import Touch, random_joints
-
-Array: TypeAlias = NDArray[np.float64]
+from casacal.robots.joint_space import random_joints
+from casacal.simulation.reach import Touch
 
 EDGE = 0.05
 """Readings stay this part of the travel away from its ends."""

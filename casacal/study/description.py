@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import StudyError
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 from casacal.study.fingerprint import code_fingerprint, fingerprint
 
-Array: TypeAlias = NDArray[np.float64]
 Estimator: TypeAlias = Callable[..., Result | Array]
 """A function of a `LeastSquares` that returns a `Result`, or the estimate x (n,) alone."""
 

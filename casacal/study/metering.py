@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class Metered(LeastSquares):

@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import StudyError
 from casacal.study import executors, records
 from casacal.study.description import Study
 from casacal.study.records import Key, Record
 from casacal.study.tasks import Errand, Task, perform, perform_errand, tasks_of
 
-Array: TypeAlias = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 RECORDS = "records.jsonl"

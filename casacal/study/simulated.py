@@ -4,29 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import StudyError
 from casacal.least_squares.result import Result
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.simulation.simulate import simulate
-from casacal.uncertainty.metrics import (
-    bayesian_bound,
-    nees,
-    residual_figures,
-    tip_rms,
-    tip_stds,
-    up_to_base,
-    without_rigid,
-    workspace_joints,
-)
-
-Array: TypeAlias = NDArray[np.float64]
+from casacal.uncertainty.bounds import bayesian_bound
+from casacal.uncertainty.figures import nees, residual_figures
+from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
 Z95 = 1.959963984540054
 """Half width of a 95 % interval in standard deviations."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest, wilcoxon
 
-Array: TypeAlias = NDArray[np.float64]
+from casacal.array_types import Array
 
 RESAMPLES, AT_ONCE = 4000, 500
 NO_DIFFERENCE = 1e-6

@@ -5,19 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import StudyError
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 from casacal.study.description import Study, Trial
 from casacal.study.metering import Metered
 from casacal.study.records import TIMINGS, Record
-
-Array: TypeAlias = NDArray[np.float64]
 
 POINTS = 24
 """Points that a record keeps of the way to the estimate."""

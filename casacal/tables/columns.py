@@ -7,15 +7,14 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.tables.labels import Labels
-
-Array: TypeAlias = NDArray[np.float64]
 
 ARRAYS = (".npy", ".npz")
 

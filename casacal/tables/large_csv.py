@@ -16,16 +16,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.tables.columns import Columns
 from casacal.tables.labels import Labels
 from casacal.threads import thread_count
-
-Array: TypeAlias = NDArray[np.float64]
 
 LARGE_FILE = 1 << 21
 """Bytes from which a CSV file is worth the time it takes to import pandas."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.slots import ENOUGH, nominal_sight
 from casacal.errors import CasacalError
@@ -20,8 +19,6 @@ from casacal.simulation.simulate import simulate
 from casacal.tables.labels import Labels
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection
 from casacal.unknowns import Plane
-
-Array: TypeAlias = NDArray[np.float64]
 
 EXTRA_ROWS = 24
 """Touches that a cure adds."""

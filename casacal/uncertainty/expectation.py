@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.simulation.reach import random_joints
+from casacal.robots.joint_space import random_joints
+from casacal.uncertainty.bounds import bayesian_bound, classical_bound
 from casacal.uncertainty.identifiability import natural_scale
-from casacal.uncertainty.metrics import (
-    WORKSPACE_POSES,
-    bayesian_bound,
-    classical_bound,
-    tip_stds,
-    up_to_base,
-    workspace_joints,
-)
+from casacal.uncertainty.workspace import WORKSPACE_POSES, tip_stds, up_to_base, workspace_joints
 
-Array: TypeAlias = NDArray[np.float64]
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """Ranges of x, y and z in the base frame, mm."""
 

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.linalg import correlation
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.metrics import FIELD_TOLERANCE, RANK_TOLERANCE, tip_rms, without_rigid
+from casacal.uncertainty.bounds import FIELD_TOLERANCE, RANK_TOLERANCE
+from casacal.uncertainty.workspace import tip_rms, without_rigid
 
-Array: TypeAlias = NDArray[np.float64]
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 
 PERTURBATIONS = 2

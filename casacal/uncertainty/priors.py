@@ -8,16 +8,12 @@ accuracy that the maker states scales all of them so that they predict just that
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
 from casacal.problem.problem import Problem
-from casacal.uncertainty.metrics import without_rigid, workspace_joints
-
-Array: TypeAlias = NDArray[np.float64]
+from casacal.uncertainty.workspace import without_rigid, workspace_joints
 
 
 def prior_tip_rms(problem: Problem) -> float:

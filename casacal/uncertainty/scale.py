@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.unknowns import Plane
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def scale_direction(bound: BoundProblem) -> Array:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.unknowns.unknown import (
-    Array,
     Expression,
     Unknown,
     all_or_nothing,

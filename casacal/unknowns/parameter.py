@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import PRIOR_STD, Array, Expression, Unknown, check_stds, spread, start_stds
+from casacal.unknowns.unknown import PRIOR_STD, Expression, Unknown, check_stds, spread, start_stds
 
 
 @dataclass(frozen=True)

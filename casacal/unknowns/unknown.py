@@ -9,11 +9,10 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 
-Array: TypeAlias = NDArray[np.float64]
 Expression: TypeAlias = Any
 
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}

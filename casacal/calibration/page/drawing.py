@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.calibration.page.markup import Markup, tag, together
 
-Array: TypeAlias = NDArray[np.float64]
 Ticks: TypeAlias = Sequence[tuple[float, str]]
 
 WIDTH = 400.0

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
-from casacal.uncertainty.metrics import tip_stds, up_to_base, workspace_joints
-
-Array: TypeAlias = NDArray[np.float64]
+from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 
 POSTURES = 8192
 """Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""

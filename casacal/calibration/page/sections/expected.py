@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.page.colours import Scale
 from casacal.calibration.page.drawing import Panel, axes, cells, dots, figure, line, picture
@@ -19,8 +19,6 @@ from casacal.calibration.page.touches import Touches
 from casacal.calibration.page.workspace import POSTURES, Workspace, side_view, top_view
 from casacal.calibration.warnings import tip_extremes
 from casacal.uncertainty.expectation import Box, accuracy_in_box
-
-Array: TypeAlias = NDArray[np.float64]
 
 SQUARES = 24
 """Squares along the longer side of a view."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.calibration.page.colours import Scale
 from casacal.calibration.page.drawing import Panel, axes, cells, dots, figure, picture
@@ -13,8 +10,6 @@ from casacal.calibration.page.markup import Markup, tag
 from casacal.calibration.page.numbers import shortened
 from casacal.calibration.page.squares import Squares, in_squares
 from casacal.calibration.page.touches import Places, Touches
-
-Array: TypeAlias = NDArray[np.float64]
 
 POINTS = 150
 """Touches of a face beyond which means over small squares are drawn in place of points."""

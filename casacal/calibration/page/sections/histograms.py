@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.calibration.page.drawing import Panel, axes, bars, figure, line, nice_ceiling, picture, steps
 from casacal.calibration.page.markup import Markup
 from casacal.calibration.page.touches import TITLES, Touches, When, spread, thinned
-
-Array: TypeAlias = NDArray[np.float64]
 
 BINS = (15, 41)
 """Fewest and most bars, odd, so that one stands about zero."""

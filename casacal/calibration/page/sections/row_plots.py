@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.calibration.page.drawing import Panel, Ticks, axes, dots, figure, line, nice_ceiling, picture
 from casacal.calibration.page.markup import Markup
 from casacal.calibration.page.numbers import shortened
 from casacal.calibration.page.touches import TITLES, Part, Touches, When, spread, thinned
-
-Array: TypeAlias = NDArray[np.float64]
 
 DRAWN = 1500
 """Points of one picture at most, but for the largest of each series."""

@@ -1,10 +1,11 @@
-"""The command `casacal doctor`: a controller's conventions from rows of its pendant."""
+"""`casacal doctor`: a controller's conventions, from poses that its pendant shows."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
+from casacal.cli.common import DONE, FAILED, add_problem
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -12,13 +13,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def add_doctor(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `casacal doctor`."""
+HELP = "a controller's conventions, from poses that its pendant shows"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal doctor` takes."""
     parser.description = (
         "Find joint signs, quarter-turn offsets, joints measured against others, units and the convention of "
         "orientation from pendant rows, and print them as [conventions]. Exit 1 when they are not certain or none fits."
     )
-    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    add_problem(parser)
     parser.add_argument(
         "poses", metavar="POSES", help="CSV, three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c"
     )
@@ -30,18 +34,18 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. It looks at poses; casacal check looks at samples."
 
 
-def doctor_command(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Diagnose as the options say; returns 0, or 1 when the conventions are not certain."""
     from casacal.doctor import diagnose, read_pendant_rows
     from casacal.doctor.words import diagnosis_text
-    from casacal.files import load_problem
+    from casacal.problem.problem_file import load_problem
 
     robot = load_problem(options.problem).problem.robot
     rows = read_pendant_rows(options.poses, [joint.kind == "revolute" for joint in robot.axes])
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
     print(diagnosis_text(found, robot.axes), end="")
-    return 0 if found.certain else 1
+    return DONE if found.certain else FAILED
 
 
 def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:

@@ -1,38 +1,36 @@
-"""The commands `casacal new` and `casacal export`: a robot model in, a calibrated one out."""
+"""`casacal export`: a calibrated arm as DH table, URDF, zero offsets or C."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
+from casacal.cli.common import DONE, add_result
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.compensation.predict import ResultFile
 
 
-def new_command(options: argparse.Namespace) -> int:
-    """Write a problem folder for a DH table or a URDF; returns 0."""
-    from casacal.problem.new import new_from_dh, new_from_urdf
-
-    if options.dh is not None:
-        if options.tip or options.base:
-            raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
-        folder, table = new_from_dh(options.name, options.dh, options.out)
-        print(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
-        if table.parallel:
-            axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
-            print(f"Parallel axes: {axes}; there Hayati's turn beta is calibrated in place of d")
-    else:
-        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=options.tip, base=options.base)
-        print(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
-    place = folder.as_posix()
-    print(f"Written: {place}")
-    print(f"Next: write your tool into {place}/problem.py, then casacal simulate {place} --out out/{options.name}.csv")
-    return 0
+HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
 
 
-def export_command(options: argparse.Namespace) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal export` takes."""
+    parser.description = "Write a calibrated arm in a form that others read."
+    add_result(parser)
+    parser.add_argument(
+        "--to",
+        required=True,
+        choices=("dh", "urdf", "zeros", "ur", "c"),
+        help="DH table (CSV, or TOML by --out), URDF, zero corrections (CSV), ur_description kinematics (YAML), C99",
+    )
+    parser.add_argument("--out", required=True, metavar="FILE")
+    parser.add_argument("--source", metavar="FILE", help="dh, urdf: file written back with only its numbers changed")
+    parser.add_argument("--prefix", metavar="WORD", help="c: what functions' names begin with; default: the problem's")
+
+
+def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
     from casacal.compensation.predict import read_result
     from casacal.export import remark
@@ -45,7 +43,7 @@ def export_command(options: argparse.Namespace) -> int:
     print(f"Written: {options.out}")
     for line in remark(result):
         print(line)
-    return 0
+    return DONE
 
 
 def _exported(result: ResultFile, options: argparse.Namespace) -> str:

@@ -1,23 +1,26 @@
-"""The command `casacal compensate`: corrected targets, with their proof."""
+"""`casacal compensate`: joint targets at which the calibrated arm hits the poses, with their proof."""
 
 from __future__ import annotations
 
 import argparse
 import math
 
+from casacal.cli.common import DONE, FAILED, add_result
+
+HELP = "joint targets at which the calibrated arm hits the poses"
 SHOWN = 5
 """Targets not reached that are named one by one."""
 
 
-def add_compensate(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `casacal compensate`."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal compensate` takes."""
     parser.description = (
         "Write joint targets for which the calibrated robot takes the poses that the nominal one was meant to take. "
         "Joint targets keep their branch. Pose targets (a column qw) take the branch of joint columns beside them; "
         "without, each takes the posture nearest to that of the row before, the first the one nearest to mid-range. "
         "Exit 1 when a target is not reached; all rows are written."
     )
-    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
+    add_result(parser)
     parser.add_argument(
         "targets", metavar="TARGETS", help="CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz"
     )
@@ -29,7 +32,7 @@ def add_compensate(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def compensate_command(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
     from casacal.compensation.compensate import compensate
     from casacal.compensation.outcome import Outcome
@@ -60,4 +63,4 @@ def compensate_command(options: argparse.Namespace) -> int:
     if len(missed) > SHOWN:
         print(f"... and {len(missed) - SHOWN} more; the file's column status names them all")
     print(f"Written: {options.out}")
-    return 1 if missed else 0
+    return FAILED if missed else DONE

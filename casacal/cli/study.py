@@ -1,4 +1,4 @@
-"""The command `casacal study`: run, resume, share out, merge, report."""
+"""`casacal study`: many trials of many methods: run, resume, share out, merge, report."""
 
 from __future__ import annotations
 
@@ -9,18 +9,34 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from casacal.cli.common import DONE, INTERRUPTED
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.study import Run, Study
     from casacal.study.study_file import StudyFile
 
-INTERRUPTED = 130
+HELP = "many trials of many methods, recorded and reported"
 SAID_EVERY = {True: 0.5, False: 20.0}
 """Seconds between progress lines, where someone looks (they overwrite one another) and in a log."""
 
 
-def study_command(options: argparse.Namespace) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal study` takes."""
+    parser.description = "Run a study file and write its report; trials are recorded one by one and can be resumed."
+    parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
+    parser.add_argument("--quick", action="store_true", help="the study's small form, under a minute")
+    parser.add_argument("--trials", type=int, metavar="N", help="trials a setting; default: what the study says")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
+    parser.add_argument("--shard", metavar="I/N", help="only the I-th of N parts of the trials, to merge later")
+    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing: put the records of shards together")
+    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and make the missing ones")
+    parser.add_argument("--report", action="store_true", help="run nothing: write the report from the records in DIR")
+    parser.add_argument("--out", metavar="DIR", help="records and report; default: out/NAME")
+
+
+def run(options: argparse.Namespace) -> int:
     """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
     try:
         return _study(options)
@@ -30,14 +46,14 @@ def study_command(options: argparse.Namespace) -> int:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from casacal.study.report import machine, note_machines, write_report
     from casacal.study import Run
+    from casacal.study.report import machine, note_machines, write_report
     from casacal.study.study_file import load_study
 
     source = load_study(options.study)
     if source.skipped:
         print(f"Skipped: {source.skipped}")
-        return 0
+        return DONE
     study = source.form(quick=options.quick, trials=options.trials)
     out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
     if study is None:
@@ -50,28 +66,28 @@ def _study(options: argparse.Namespace) -> int:
             print(
                 f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
             )
-            return 0
+            return DONE
     print(f"Written: {write_report(source, run, _options(options)).as_posix()}")
-    return 0
+    return DONE
 
 
 def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
     """Records that exist, that others made, or that are made now."""
+    from casacal.study import runs
     from casacal.study.report import machine, note_machines, read_machines
-    from casacal.study import merge, missing, open_run, run
 
     if options.report:
-        return open_run(study, out, quick=options.quick)
+        return runs.open_run(study, out, quick=options.quick)
     if options.merge:
         parts = [Path(part) for part in options.merge]
-        found = merge(study, parts, out, quick=options.quick)
+        found = runs.merge(study, parts, out, quick=options.quick)
         note_machines(out, [made for part in parts for made in read_machines(part)])
-        if missing(study, found):
-            print(f"{missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
+        if runs.missing(study, found):
+            print(f"{runs.missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
         return found
     made_here = machine(options.workers, cluster=options.scheduler is not None)
     with _Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
-        return run(
+        return runs.run(
             study,
             out,
             file=source.path,
