@@ -14,8 +14,8 @@ from conftest import ROOT
 from oracles import dh_chain
 
 import casacal
-from casacal.cli import main
 from casacal.cli.calibrate import METHOD_NAMES
+from casacal.cli.main import main
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 
@@ -300,7 +300,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from casacal.cli import main\n"
+        "import sys; from casacal.cli.main import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
         "heavy = {'casadi', 'numpy', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)\n"

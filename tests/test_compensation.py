@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, deg, lm, load_problem, simulate
 from casacal.calibration.result_json import calibration_document, write_simulation
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.compensation.compensate import compensate
 from casacal.compensation.outcome import Outcome, Rounding
 from casacal.compensation.predict import ResultFile, predict, read_result, write_prediction

@@ -11,7 +11,7 @@ from oracles import dh_chain
 from scipy.spatial.transform import Rotation
 
 from casacal import Conventions, Joint, Parameter, Robot, chain, deg
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.doctor import PendantRows, diagnose, read_pendant_rows
 from casacal.doctor.axes import axes_of
 from casacal.doctor.words import diagnosis_text

@@ -10,7 +10,7 @@ import pytest
 
 from casacal import DialOnPlane, Problem, bind, check, lm, simulate
 from casacal.checks.outliers import _spreads
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.samples.write import write_samples
 
 REPLACE = dataclasses.replace

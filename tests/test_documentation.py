@@ -7,8 +7,8 @@ import matplotlib.pyplot as plt
 import pytest
 from conftest import ROOT
 
-from casacal.cli import main
 from casacal.cli.calibrate import METHOD_NAMES
+from casacal.cli.main import main
 
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from conftest import ROOT
 from casacal import Parameter, bind, calibrate, lm, load_problem, simulate
 from casacal.calibration.summary import summary
 from casacal.calibration.warnings import tip_extremes, warnings
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
 from casacal.least_squares.losses import huber, tukey
 from casacal.uncertainty.bounds import classical_bound

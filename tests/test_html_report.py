@@ -24,7 +24,7 @@ from casacal.calibration.page.squares import in_squares
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.page.workspace import Workspace
 from casacal.calibration.result_json import calibration_document
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.samples.samples import Samples
 

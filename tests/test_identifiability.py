@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem, plate, simulate
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples

@@ -9,7 +9,7 @@ import sys
 import pytest
 from conftest import ROOT
 
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.study.runs import RECORDS
 from casacal.study.study_file import load_study
 

@@ -17,7 +17,7 @@ import tiny_study
 from conftest import ROOT
 
 from casacal import Method, Simulated, Study, lm, sckf, swarm
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.errors import StudyError
 from casacal.study.records import appending, merged, read_records, records_digest, to_line
 from casacal.study.runs import RECORDS, merge, open_run, run

@@ -62,7 +62,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return FAILED
-
-
-if __name__ == "__main__":
-    sys.exit(main())
