@@ -10,7 +10,7 @@ from oracles import dh_chain
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
 from casacal.errors import SimulationError
 from casacal.problem.cell import flatness_din_876, form_error
-from casacal.simulation.simulate import default_cell
+from casacal.simulation.places import default_cell
 
 
 def true_tips(simulation, joints, readings, sign=1):

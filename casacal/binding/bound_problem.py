@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.unknowns import Parameter
+from casacal.values import alike, read_only, short
 
 COMPACT = 50_000
 """Rows beyond which no whole Jacobian is held."""
@@ -60,14 +62,38 @@ class BoundProblem(LeastSquares):
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
         self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
         self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
-        self.x0 = np.zeros(len(pairs))
-        self.prior_std = np.array([slot.unknown.prior_stds[j] for slot, j in pairs])
-        self.start_std = np.array([slot.unknown.start_stds[j] for slot, j in pairs])
-        self.datum = np.array([slot.datum for slot, _ in pairs], dtype=bool)
+        self.x0 = read_only(np.zeros(len(pairs)))
+        self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
+        self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
+        self.datum = read_only(np.array([slot.datum for slot, _ in pairs], dtype=bool))
         self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
         self._asked, self._threads = backend, thread_count(threads)
         self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it was made of; kernels and sums are made again."""
+        return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads)
+
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, BoundProblem):
+            return self is other
+        return alike((self.problem, self.slots, self.samples), (other.problem, other.slots, other.samples))
+
+    def __hash__(self) -> int:
+        return hash((self.problem, self.names, self.rows))
+
+    def __deepcopy__(self, memo: object) -> BoundProblem:
+        return self
+
+    def __repr__(self) -> str:
+        return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
+
+    @property
+    def block(self) -> Block:
+        """The rows of the only instrument; raises ProblemError where there are several."""
+        _ = self.problem.instrument
+        return self.blocks[0]
 
     @property
     def rows(self) -> int:
@@ -196,9 +222,9 @@ class BoundProblem(LeastSquares):
         jacobian[:, columns] = slopes.reshape(3 * len(joints), columns.size)
         return jacobian
 
-    def poses(self, x: Array, joints: Array) -> Array:
+    def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
-        (flat,) = self._tip_inputs(self.blocks[0], x, joints, "pose")
+        (flat,) = self._tip_inputs(self.blocks[instrument], x, joints, "pose")
         return np.asarray(flat.reshape(-1, 4, 4).transpose(0, 2, 1))
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:

@@ -18,6 +18,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels, combinations
 from casacal.unknowns import Unknown
+from casacal.values import Value, read_only
 
 ENOUGH = 20_000
 """Rows of a face that propose where it is."""
@@ -25,8 +26,8 @@ TOGETHER = 16_384
 """Rows looked at together, so that a million are never copied at once."""
 
 
-@dataclass(frozen=True)
-class Slot:
+@dataclass(frozen=True, eq=False)
+class Slot(Value):
     """One instance of an unknown, and where its local coordinates stand in x."""
 
     key: str
@@ -93,7 +94,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
 
     def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool) -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
-        slots.append(Slot(key, unknown, label, nominal, first, datum))
+        slots.append(Slot(key, unknown, label, read_only(nominal), first, datum))
 
     for key, unknown in problem.robot.parameters.items():
         if unknown.nominal is None:
@@ -194,7 +195,9 @@ def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     flat = problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples))
     poses = flat.reshape(-1, 4, 4).transpose(0, 2, 1)
-    return Sight(poses, nominal_tips(problem, i, samples), _columns(problem, i, samples))
+    model = problem.models[i]
+    plungers = None if model.plunger is None else model.columns.plunger(*_nominal_inputs(problem, i, samples))
+    return Sight(poses, nominal_tips(problem, i, samples), _columns(problem, i, samples), plungers)
 
 
 def nominal_tips(problem: Problem, i: int, samples: Samples) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.instruments import DialOnPlane
 from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import cure_for, cures
@@ -78,11 +77,6 @@ class Calibration:
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
 
-    @property
-    def touches_planes(self) -> bool:
-        """Whether residuals are distances from planes, rather than of points from where they were seen."""
-        return any(isinstance(instrument, DialOnPlane) for instrument in self.fit.problem.instruments)
-
     @cached_property
     def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
@@ -134,7 +128,7 @@ class Calibration:
         """Lines of the rows that a robust loss gave less than half of their weight."""
         if self.result.loss is None:
             return ()
-        (samples,) = self.fit.samples
+        samples = self.fit.block.samples
         per_row = self.fit.rows // len(samples)
         low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
         return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))

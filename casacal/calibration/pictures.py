@@ -9,7 +9,6 @@ import numpy as np
 
 from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
-from casacal.samples.samples import ordered_labels
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 FILTER_POINTS = 60
@@ -32,11 +31,11 @@ def plot_residuals(calibration: Calibration, axes: Any) -> None:
     if calibration.heldout is not None:
         parts.append((" (held out)", calibration.heldout, HELD))
     for suffix, bound, colour in parts:
-        labels = np.array(bound.samples[0].labels.get("plane", ("plane",) * len(bound.samples[0])))
-        per_row = bound.rows // len(labels)
+        faces = bound.block.samples.faces(bound.problem.instrument.groups)
+        per_row = bound.rows // len(faces)
         before, after = bound.plain_residual(calibration.before.x), bound.plain_residual(calibration.result.x)
-        for label in ordered_labels(labels.tolist()):
-            rows = np.flatnonzero(np.repeat(labels == label, per_row))
+        for k, label in enumerate(faces.names):
+            rows = np.flatnonzero(np.repeat(faces.codes == k, per_row))
             places = offset + np.arange(len(rows))
             axes.plot(places, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
             axes.plot(places, after[rows], "o", ms=3, color=colour, zorder=2)
@@ -45,13 +44,14 @@ def plot_residuals(calibration: Calibration, axes: Any) -> None:
             axes.axvline(offset - 2.5, color="0.9", lw=0.8, zorder=0)
     axes.axhline(0, color="0.5", lw=0.8, zorder=0)
     axes.set_xticks([place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8)
-    axes.set_ylabel("distance from the plane, mm")
-    axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label="before: planes fitted alone")
+    said = calibration.fit.problem.instrument.words
+    axes.set_ylabel(f"{said.residual}, {said.unit}")
+    axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label=f"before: {said.before}")
     axes.plot([], [], "o", ms=4, color=AFTER, label="after, fitted rows")
     if calibration.heldout is not None:
         axes.plot([], [], "o", ms=4, color=HELD, label="after, held-out rows")
     axes.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
-    axes.set_title("Distance from the touched planes: a residual, not accuracy", fontsize=10, loc="right")
+    axes.set_title("Residuals, which are not accuracy", fontsize=10, loc="right")
 
 
 def plot_convergence(calibration: Calibration, axes: Any) -> None:

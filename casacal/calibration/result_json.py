@@ -8,7 +8,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
@@ -21,7 +20,6 @@ from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs, verdict
-from casacal.unknowns import Direction, Frame, Plane
 from casacal.version import __version__
 
 NOTES = {
@@ -43,7 +41,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
-            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.samples[0]),
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
         },
         "cost": result.cost,
         "parameters": parameter_rows(fit, result),
@@ -70,7 +68,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
 
 def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed: int) -> dict[str, Any]:
     """The truth behind simulated samples, in the shape of result.json."""
-    (samples,) = bound.samples
+    samples = bound.block.samples
     rows = [{**row, "std": 0.0, "note": "true value of the simulated arm"} for row in parameter_rows(bound, truth)]
     return {
         **_head(source, truth, seed, bound.backend),
@@ -143,22 +141,14 @@ def _head(source: ProblemFile, result: Result, seed: int, backend: str) -> dict[
 
 def _geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
     """Planes, directions and frames at the estimate, and x itself."""
-    planes, directions, frames = {}, {}, {}
+    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
     for slot in bound.slots:
-        value = slot.value(result.x)
-        if isinstance(slot.unknown, Plane):
-            label = slot.label if slot.label is not None else slot.key
-            normal = _array(value.normal)
-            # the point is the foot of the samples' centroid on the plane
-            centroid = _array(slot.nominal[9:12])
-            foot = centroid - normal * float(value.distance(ca.DM(centroid)))
-            planes[label] = {"normal": normal, "point_mm": foot}
-        elif isinstance(slot.unknown, Direction):
-            directions[slot.name] = _array(value)
-        elif isinstance(slot.unknown, Frame):
-            frames[slot.name] = np.asarray(value)
+        kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
+        if kind in found:
+            name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
+            found[kind][name] = shown
     unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
-    return {"planes": planes, "directions": directions, "frames": frames, "unknowns": unknowns}
+    return {**found, "unknowns": unknowns}
 
 
 def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
@@ -172,10 +162,6 @@ def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
             "python": platform.python_version(),
         },
     }
-
-
-def _array(value: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.asarray(value, dtype=np.float64).ravel()
 
 
 def write_calibration(

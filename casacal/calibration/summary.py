@@ -55,22 +55,23 @@ def parameter_table(calibration: Calibration) -> str:
 
 def _opening(calibration: Calibration, name: str) -> str:
     fit, held = calibration.fit, calibration.heldout
-    planes = sum(slot.key == "plane" for slot in fit.slots)
-    rows = f"{len(fit.samples[0])} fitted, {'none' if held is None else len(held.samples[0])} held out"
+    column = fit.problem.instrument.groups or ""
+    groups = len(calibration.samples.labels[column].names) if column in calibration.samples.labels else 0
+    counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
+    rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
     return (
         f"casacal {__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
-        + (f"{planes} plane{'s' if planes != 1 else ''}, " if planes else "")
-        + f"{fit.unknowns} unknowns"
+        f"{counted}{fit.unknowns} unknowns"
     )
 
 
 def _residuals(calibration: Calibration) -> str:
-    planes = calibration.touches_planes
-    title = "distance from the planes, mm" if planes else "residual of each coordinate, mm"
+    said = calibration.fit.problem.instrument.words
+    title = f"{said.residual}, {said.unit}"
     lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
-    words = {"before": f"before ({'planes' if planes else 'station'} fitted alone)", "after": "after"}
+    words = {"before": f"before ({said.before})", "after": "after"}
     for when, parts in calibration.metrics.items():
         for part, figures in parts.items():
             if figures is not None:

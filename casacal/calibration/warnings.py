@@ -64,7 +64,7 @@ def _tip_beyond_what_was_seen(calibration: Calibration) -> str:
     limit = seen["rmse_mm"]
     if moved <= limit and std <= limit:
         return ""
-    things = "planes" if calibration.touches_planes else "points"
+    things = calibration.fit.problem.instrument.words.things
     where = things if before["heldout"] is None else f"held-out {things}"
     spread = f"{std:.2f} mm" if math.isfinite(std) else "without bound"
     return (

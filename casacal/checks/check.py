@@ -15,7 +15,6 @@ from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
 from casacal.errors import CasacalError
 from casacal.estimators import lm
-from casacal.instruments import DialOnPlane
 from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -78,7 +77,7 @@ def prior_scatter(bound: BoundProblem) -> float:
 def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
     """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off."""
     none = np.zeros(len(samples), dtype=bool)
-    if not isinstance(problem.instruments[0], DialOnPlane):
+    if problem.instrument.probe is None:
         return none, []
     bad, planes = gross_rows(problem, samples, scatter)
     if not bad.any() or bad.mean() > MOST_STRAYS:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from types import MappingProxyType
 
 import numpy as np
 
@@ -16,11 +15,9 @@ from casacal.binding.slots import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.errors import CasacalError
 from casacal.estimators import lm
-from casacal.instruments import DialOnPlane
 from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.unknowns.unknown import unit_vector
 
 SUSPICIOUS = 2.0
 """Misfit, in stated standard deviations, above which something systematic is looked for."""
@@ -41,28 +38,14 @@ class Fault:
     undo: Callable[[Samples], Samples]
 
 
-READING_UNITS = {
-    25.4: "inches, written as mm",
-    1 / 25.4: "mm, written as inches",
-    1000.0: "metres, written as mm, or mm, written as micrometres",
-    0.001: "micrometres, written as mm",
-}
 ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 
 
-def suspected(problem: Problem, samples: Samples) -> Iterator[Fault]:
+def suspected(problem: Problem) -> Iterator[Fault]:
     """Faults that people make with such samples."""
-    turns = np.array([joint.kind == "revolute" for joint in problem.robot.axes])
-    if "reading" in samples.columns:
-        yield Fault(
-            "wrong dial sign",
-            "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
-            "Turn the sign of the dial in the problem",
-            _scale_reading(-1.0),
-        )
-        for factor, words in READING_UNITS.items():
-            cause, fix = f"the readings seem to be {words}", "Correct the unit in the column's name"
-            yield Fault("unit of the readings", cause, fix, _scale_reading(factor))
+    turns = problem.robot.revolute
+    for suspect in problem.instrument.suspects:
+        yield Fault(suspect.about, suspect.cause, suspect.fix, _scale_columns(suspect.columns, suspect.factor))
     for factor, words in ANGLE_UNITS.items():
         cause, fix = f"the joint angles seem to be {words}", "Correct the unit in the columns' names"
         yield Fault("unit of the joints", cause, fix, _map_joints(np.diag(np.where(turns, factor, 1.0))))
@@ -104,7 +87,7 @@ def misfit(problem: Problem, samples: Samples) -> float:
 
 def name_fault(problem: Problem, samples: Samples, base: float) -> Finding | None:
     """The suspected fault whose undoing explains the misfit best, if one does."""
-    sizes = [(misfit(problem, fault.undo(samples)), i, fault) for i, fault in enumerate(suspected(problem, samples))]
+    sizes = [(misfit(problem, fault.undo(samples)), i, fault) for i, fault in enumerate(suspected(problem))]
     best, _, fault = min(sizes, key=lambda entry: entry[:2])
     if best > BETTER * base:
         return None
@@ -120,11 +103,11 @@ def name_fault(problem: Problem, samples: Samples, base: float) -> Finding | Non
 
 def sign_before_fit(bound: BoundProblem) -> list[Finding]:
     """Regression of the nominal residuals on the reading: a slope of 2 means a wrong sign, no spread tells nothing."""
-    instrument = bound.problem.instruments[0]
-    reading = bound.samples[0].columns.get("reading")
-    if not isinstance(instrument, DialOnPlane) or reading is None:
+    probe, samples = bound.problem.instrument.probe, bound.block.samples
+    if probe is None or probe.column is None:
         return []
-    if float(reading.std()) < 5 * instrument.noise_std:
+    reading = samples.columns[probe.column]
+    if float(reading.std()) < 5 * probe.noise_std:
         return [
             Finding(
                 "remark",
@@ -133,19 +116,19 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
                 "Vary the reading over the travel in a few touches",
             )
         ]
-    sight = nominal_sight(bound.problem, 0, bound.samples[0])
-    labels = np.array(bound.samples[0].labels.get("plane", ("plane",) * len(reading)))
+    sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
     residual = bound.plain_residual(bound.x0)
-    axis = sight.poses[:, :3, :3] @ unit_vector(instrument.plunger.vector, "The plunger")
+    assert sight.plungers is not None
+    axis = sight.plungers
     slopes, errors = [], []
-    for label in dict.fromkeys(labels.tolist()):
-        rows = labels == label
+    for k in range(len(faces.names)):
+        rows = faces.codes == k
         centred = sight.tips[rows] - sight.tips[rows].mean(axis=0)
         *across, normal = np.linalg.svd(centred, full_matrices=False)[2]
         normal = normal if float((axis[rows] @ normal).mean()) < 0 else -normal
         # the plane absorbs what is linear over the face; take that out of both sides
         design = np.column_stack([np.ones(int(rows.sum())), centred @ np.array(across).T])
-        lever = instrument.sign * reading[rows] * (axis[rows] @ normal)
+        lever = probe.sign * reading[rows] * (axis[rows] @ normal)
         lever = lever - design @ np.linalg.lstsq(design, lever, rcond=None)[0]
         left = residual[rows] - design @ np.linalg.lstsq(design, residual[rows], rcond=None)[0]
         size = float(lever @ lever)
@@ -169,10 +152,10 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
     ]
 
 
-def _scale_reading(factor: float) -> Callable[[Samples], Samples]:
+def _scale_columns(names: tuple[str, ...], factor: float) -> Callable[[Samples], Samples]:
     def undo(samples: Samples) -> Samples:
-        columns = {**samples.columns, "reading": samples.columns["reading"] * factor}
-        return replace(samples, columns=MappingProxyType(columns))
+        scaled = {name: samples.columns[name] * factor for name in names}
+        return replace(samples, columns={**samples.columns, **scaled})
 
     return undo
 

@@ -15,7 +15,7 @@ from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples, ordered_labels
+from casacal.samples.samples import Samples
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""
@@ -40,11 +40,10 @@ def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDAr
         scatter: distance (mm) that prior errors of the arm explain.
 
     """
-    tips = nominal_tips(problem, 0, samples)
-    labels = np.array(samples.labels.get("plane", ("plane",) * len(samples)))
+    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     bad, planes = np.zeros(len(samples), dtype=bool), {}
-    for label in ordered_labels(labels.tolist()):
-        rows = np.flatnonzero(labels == label)
+    for k, label in enumerate(faces.names):
+        rows = np.flatnonzero(faces.codes == k)
         if len(rows) < 8:
             continue
         plane, size = _median_plane(tips[rows])
@@ -57,11 +56,11 @@ def exchanged_labels(
     problem: Problem, samples: Samples, bad: NDArray[np.bool_], planes: dict[str, Array], scatter: float
 ) -> list[Finding]:
     """Gross rows that lie on another label's plane, and gross rows that lie on none."""
-    tips = nominal_tips(problem, 0, samples)
+    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     home: dict[tuple[str, str], list[int]] = defaultdict(list)
     lost = []
     for i in np.flatnonzero(bad).tolist():
-        label = samples.labels["plane"][i] if "plane" in samples.labels else "plane"
+        label = faces[i]
         fits = [name for name, plane in planes.items() if abs(tips[i] @ plane[:3] - plane[3]) < GROSS * scatter]
         if fits and label not in fits:
             home[label, fits[0]].append(samples.lines[i])
@@ -99,7 +98,7 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
     bad = np.flatnonzero(size > limit)
     if not bad.size:
         return []
-    (samples,) = bound.samples
+    samples = bound.block.samples
     per_row = bound.rows // len(samples)
     lines = tuple(dict.fromkeys(samples.lines[k // per_row] for k in bad[np.argsort(-size[bad])]))
     return [
@@ -116,7 +115,7 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
 def _spreads(bound: BoundProblem, result: Result) -> Array:
     """Variance (rows,) of each predicted residual under the result's covariance, some rows at a time."""
     covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
-    (samples,) = bound.samples
+    samples = bound.block.samples
     found = []
     for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
         jacobian = bound.on(samples.take(rows)).jacobian(result.x)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.checks.finding import Finding
-from casacal.instruments import DialOnPlane
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
@@ -45,23 +44,23 @@ def repeated(samples: Samples) -> list[Finding]:
 def outside(problem: Problem, samples: Samples) -> list[Finding]:
     """Readings outside the dial's travel, joints outside their limits, angles that no joint turns to."""
     findings = []
-    instrument = problem.instruments[0]
-    reading = samples.columns.get("reading")
-    if isinstance(instrument, DialOnPlane) and reading is not None:
-        bad = (reading < 0) | (reading > instrument.travel)
+    probe = problem.instrument.probe
+    if probe is not None and probe.column is not None:
+        reading = samples.columns[probe.column]
+        bad = (reading < 0) | (reading > probe.travel)
         if bad.any():
             findings.append(
                 Finding(
                     "error",
                     "readings outside travel",
-                    f"{int(bad.sum())} readings lie outside 0 to {instrument.travel:g} mm "
+                    f"{int(bad.sum())} readings lie outside 0 to {probe.travel:g} mm "
                     f"(from {reading.min():g} to {reading.max():g} mm)",
                     "Check the unit of the column and the dial's zero, or declare its travel",
                     _lines(samples, bad),
                 )
             )
-    for i, joint in enumerate(problem.robot.axes):
-        bad = (samples.joints[:, i] < joint.lower - 0.02) | (samples.joints[:, i] > joint.upper + 0.02)
+    for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
+        bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         if bad.any():
             findings.append(
                 Finding(
@@ -77,9 +76,8 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
 
 def rounded(bound: BoundProblem) -> list[Finding]:
     """Joint values or readings written so coarsely that rounding outweighs the stated noise."""
-    (samples,) = bound.samples
-    findings = []
-    noise = float(np.median(bound.blocks[0].noise))
+    samples, findings = bound.block.samples, []
+    noise = float(np.median(bound.block.noise))
     for kind, grids in (("revolute", np.radians(GRIDS_DEG)), ("prismatic", np.array(GRIDS_MM))):
         joints = [i for i, joint in enumerate(bound.problem.robot.axes) if joint.kind == kind]
         steps = {i: _grid(samples.joints[:, i], grids) for i in joints}
@@ -97,8 +95,8 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                     "Log the joints with more digits, or declare the joints' repeatability",
                 )
             )
-    reading = samples.columns.get("reading")
-    step = _grid(reading, np.array(GRIDS_MM)) if reading is not None else 0.0
+    lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
+    step = max((_grid(samples.columns[name], np.array(GRIDS_MM)) for name in lengths), default=0.0)
     if step / math.sqrt(12) > noise:
         findings.append(
             Finding(
@@ -120,9 +118,9 @@ def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
     ]
     exact = [replace(joint, repeatability_std=0.0) for joint in problem.robot.axes]
     noise = [
-        BoundProblem(Problem(replace(problem.robot, joints=kind), *problem.instruments), bound.slots, bound.samples)
-        .blocks[0]
-        .noise
+        BoundProblem(
+            Problem(replace(problem.robot, joints=kind), *problem.instruments), bound.slots, bound.samples
+        ).block.noise
         for kind in (joints, exact)
     ]
     return math.sqrt(max(float((noise[0] ** 2 - noise[1] ** 2).mean()), 0.0))

@@ -10,9 +10,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_sight
 from casacal.checks.finding import Finding
-from casacal.instruments import DialOnPlane
-from casacal.unknowns import Plane
-from casacal.unknowns.unknown import unit_vector
+from casacal.instruments.instrument import Probe
 
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
@@ -25,21 +23,20 @@ ROWS_PER_UNKNOWN = 2.0
 
 def setup_findings(bound: BoundProblem) -> list[Finding]:
     """Set-ups that leave the arm blind or weak, however good the readings."""
-    instrument = bound.problem.instruments[0]
+    probe, samples = bound.problem.instrument.probe, bound.block.samples
     findings = _enough_rows(bound)
-    if not isinstance(instrument, DialOnPlane):
+    if probe is None:
         return findings
-    sight = nominal_sight(bound.problem, 0, bound.samples[0])
-    plunger = sight.poses[:, :3, :3] @ unit_vector(instrument.plunger.vector, "The plunger")
-    labels = np.array(bound.samples[0].labels.get("plane", ("plane",) * len(sight.tips)))
+    sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
+    assert sight.plungers is not None
     reach = float(np.median(np.linalg.norm(sight.tips, axis=1)))
     tilts, normals, small = [], [], []
-    for label in dict.fromkeys(labels.tolist()):
-        rows = labels == label
+    for k, label in enumerate(faces.names):
+        rows = faces.codes == k
         tips = sight.tips[rows] - sight.tips[rows].mean(axis=0)
         axes = np.linalg.svd(tips, full_matrices=False)[2]
         normals.append(axes[2])
-        tilts.append(np.degrees(np.arccos(np.clip(np.abs(plunger[rows] @ axes[2]), 0, 1))))
+        tilts.append(np.degrees(np.arccos(np.clip(np.abs(sight.plungers[rows] @ axes[2]), 0, 1))))
         span = float(np.ptp(tips @ axes[1]))
         if span < SMALLEST_FACE * reach:
             small.append(f"'{label}' {span:.0f} mm")
@@ -63,7 +60,7 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
                 "Use larger faces, or spread the touches over them",
             )
         )
-    return findings + _directions(bound, np.array(normals))
+    return findings + _directions(probe, np.array(normals))
 
 
 def _enough_rows(bound: BoundProblem) -> list[Finding]:
@@ -80,10 +77,10 @@ def _enough_rows(bound: BoundProblem) -> list[Finding]:
     ]
 
 
-def _directions(bound: BoundProblem, normals: Array) -> list[Finding]:
+def _directions(probe: Probe, normals: Array) -> list[Finding]:
     findings = []
     angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
-    if float(angles.max()) < SMALLEST_ANGLE and any(isinstance(slot.unknown, Plane) for slot in bound.slots):
+    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
         findings.append(
             Finding(
                 "warning",
@@ -92,14 +89,13 @@ def _directions(bound: BoundProblem, normals: Array) -> list[Finding]:
                 "Add a face at an angle, best three at right angles",
             )
         )
-    instrument = bound.problem.instruments[0]
-    if isinstance(instrument, DialOnPlane) and not instrument.steps:
+    if not probe.knows_length:
         findings.append(
             Finding(
                 "remark",
                 "no length was measured",
                 "faces fix angles; the size of the arm comes from the prior"
-                + (" and a few millimetres of dial travel" if instrument.reading else ""),
+                + (" and a few millimetres of dial travel" if probe.column is not None else ""),
                 "Measure one known length: a gauge block's step, declared with steps=...",
             )
         )

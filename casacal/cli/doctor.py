@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
 
     robot = load_problem(options.problem).problem.robot
-    rows = read_pendant_rows(options.poses, [joint.kind == "revolute" for joint in robot.axes])
+    rows = read_pendant_rows(options.poses, robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
     print(diagnosis_text(found, robot.axes), end="")

@@ -69,7 +69,7 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
     from dataclasses import replace
 
     from casacal.problem.cell import AMOUNTS
-    from casacal.simulation.simulate import default_cell
+    from casacal.simulation.places import default_cell
 
     cell = source.cell if source.cell is not None else default_cell(source.problem)
     given = {

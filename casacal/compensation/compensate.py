@@ -66,7 +66,7 @@ def compensate(
     arm = replace(nominal, local=local_coordinates(result))
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
-    began = np.where(found[:, None], start, np.mean(nominal.limits, axis=0))
+    began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
     joints[found], elsewhere[found] = _solved(arm, positions[found], rotations[found], start[found], largest)
     moved = np.abs((joints - began) / arm.joint_units).max(axis=1)
@@ -93,7 +93,7 @@ def _trusted(result: ResultFile, frame: str) -> None:
         raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
     keys = list(result.source.problem.robot.parameters)
     if frame == "tip":
-        keys += list(result.source.problem.instruments[0].unknowns)
+        keys += list(result.source.problem.instrument.unknowns)
     lost = infinite_variances(result, keys)
     if lost:
         raise CasacalError(
@@ -172,7 +172,7 @@ def _outside(arm: PosedArm, targets: Targets) -> Rows:
     """Rows whose own joint values lie outside the limits."""
     if targets.joints is None:
         return np.zeros(len(targets), dtype=bool)
-    lower, upper = arm.limits
+    lower, upper = arm.robot.limits
     return np.asarray(((targets.joints < lower - ROUNDED) | (targets.joints > upper + ROUNDED)).any(axis=1))
 
 

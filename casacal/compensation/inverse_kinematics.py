@@ -42,7 +42,7 @@ class PosedArm:
     @staticmethod
     def of(problem: Problem, local: Array, frame: Literal["flange", "tip"] = "flange") -> PosedArm:
         """Compile for the first instrument's unknowns at `local` (nz,); the tip stands at reading zero."""
-        model = problem.models[0]
+        model = problem.model
         n, constants = len(problem.robot.axes), ca.DM.zeros(model.pose.size_in(1))
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)
         row = ca.vertcat(q, ca.DM.zeros(model.pose.numel_in(2) - n))
@@ -62,12 +62,6 @@ class PosedArm:
         padded = np.concatenate([joints, np.zeros((width - count, n))])
         place, turn, slope = (output[:count] for output in self.evaluate(self.local, padded))
         return place, turn.reshape(-1, 3, 3), slope.reshape(-1, 6, n)
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper joint limits, each (n,); rad, mm."""
-        axes = self.robot.axes
-        return np.array([joint.lower for joint in axes]), np.array([joint.upper for joint in axes])
 
     @property
     def joint_units(self) -> Array:
@@ -99,7 +93,7 @@ class PosedArm:
             steps: at most.
 
         """
-        lower, upper = self.limits
+        lower, upper = self.robot.limits
         joints = np.clip(start, lower, upper)
         error, slope = self._weighted(joints, positions, rotations)
         size, damping = (error**2).sum(axis=1), np.full(len(joints), 1e-4)
@@ -137,7 +131,7 @@ class PosedArm:
         return np.asarray(-scaled * self.joint_units)
 
     def _resting(self, joints: Array, gradient: Array) -> Rows:
-        lower, upper = self.limits
+        lower, upper = self.robot.limits
         return np.asarray(((joints <= lower) & (gradient > 0)) | ((joints >= upper) & (gradient < 0)))
 
     def _weighted(self, joints: Array, positions: Array, rotations: Array) -> tuple[Array, Array]:
@@ -148,7 +142,7 @@ class PosedArm:
 
 def joint_units(robot: Robot) -> Array:
     """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
-    return np.array([1.0 if joint.kind == "revolute" else AXIS_WEIGHT for joint in robot.axes])
+    return np.where(robot.revolute, 1.0, AXIS_WEIGHT)
 
 
 def turning(rotations: Array) -> Array:

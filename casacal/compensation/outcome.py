@@ -49,13 +49,12 @@ class Rounding:
 
     def factors(self, arm: PosedArm) -> Array:
         """From rad and mm to what is written (n,)."""
-        turns = [joint.kind == "revolute" for joint in arm.robot.axes]
-        return np.where(turns, 180 / math.pi if self.degrees else 1.0, 1.0)
+        return np.where(arm.robot.revolute, 180 / math.pi if self.degrees else 1.0, 1.0)
 
     def __call__(self, arm: PosedArm, joints: Array) -> Array:
         """Joint values as a reader of the file gets them; inside the limits where they were."""
         factors, unit = self.factors(arm), 10.0**-self.decimals
-        lower, upper = (limit * factors for limit in arm.limits)
+        lower, upper = (limit * factors for limit in arm.robot.limits)
         written = np.round(joints * factors, self.decimals)
         written = np.where((written > upper + 1e-9 * unit) & (joints * factors <= upper), written - unit, written)
         written = np.where((written < lower - 1e-9 * unit) & (joints * factors >= lower), written + unit, written)

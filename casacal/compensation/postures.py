@@ -86,9 +86,9 @@ def _taken(arm: PosedArm, joints: Array, positions: Array, rotations: Array, tol
 
 def _one_branch(arm: PosedArm, found: list[Array]) -> Array:
     """Of each row's postures the one nearest to the row before; whole turns are taken where the limits allow."""
-    lower, upper = arm.limits
+    lower, upper = arm.robot.limits
     last = (lower + upper) / 2
-    turns = np.array([2 * np.pi if joint.kind == "revolute" else np.inf for joint in arm.robot.axes])
+    turns = np.where(arm.robot.revolute, 2 * np.pi, np.inf)
     chosen = np.full((len(found), len(last)), np.nan)
     for i, choices in enumerate(found):
         if len(choices):

@@ -131,7 +131,7 @@ def predict(
     from scipy.spatial.transform import Rotation
 
     problem = result.source.problem
-    model, instrument = problem.models[0], problem.instruments[0]
+    model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal)
     data = np.zeros((len(joints), model.pose.numel_in(2)))
     data[:, : joints.joints.shape[1]] = joints.joints
@@ -154,14 +154,14 @@ def local_coordinates(result: ResultFile, *, nominal: bool = False) -> Array:
 
     Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
     """
-    unknowns = result.source.problem.models[0].unknowns
+    unknowns = result.source.problem.model.unknowns
     return np.concatenate([_local(key, unknown, result, nominal) for key, unknown in unknowns.items()])
 
 
 def _spread(result: ResultFile, z: Array, data: Array, frame: str) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, up to the base frame that the workspace fits."""
     problem = result.source.problem
-    model = problem.models[0]
+    model = problem.model
     evaluate = model.batch.tip_jacobian if frame == "tip" else model.batch.flange_jacobian
     constants, workspace = np.zeros(model.pose.numel_in(1)), workspace_joints(problem.robot)
     frame_data = np.zeros((len(workspace), data.shape[1]))
@@ -185,7 +185,7 @@ def _covariance(result: ResultFile) -> tuple[Array, list[tuple[int, int]]]:
     except (KeyError, TypeError):
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     places = {name: j for j, name in enumerate(names)}
-    local = [n for key, u in result.source.problem.models[0].unknowns.items() for n in u.names(key)]
+    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
     return np.array(rows), [(i, places[name]) for i, name in enumerate(local) if name in places]
 
 
@@ -195,7 +195,7 @@ def infinite_variances(result: ResultFile, keys: Iterable[str]) -> list[str]:
     Raises CasacalError for a result that holds no covariance.
     """
     covariance, columns = _covariance(result)
-    unknowns = result.source.problem.models[0].unknowns
+    unknowns = result.source.problem.model.unknowns
     names = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
     wanted = set(keys)
     return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]

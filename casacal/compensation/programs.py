@@ -151,7 +151,7 @@ def _figures(values: Array, unit: str) -> str:
 
 def _table(compensation: Compensation, result: ResultFile) -> Iterator[str]:
     """Header and rows of the CSV."""
-    turns = [joint.kind == "revolute" for joint in result.source.problem.robot.axes]
+    turns = result.source.problem.robot.revolute
     names = [f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1)]
     yield ",".join(
         ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]

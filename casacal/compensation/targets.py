@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -16,11 +15,10 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.samples.layout import Layout, match_columns
 from casacal.samples.samples import Samples
 from casacal.tables.text import Table, read_table
+from casacal.values import FrozenMapping
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
-POSE: Mapping[str, Dimension] = MappingProxyType(
-    {**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")}
-)
+POSE: Mapping[str, Dimension] = FrozenMapping({**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")})
 
 UNIT_LENGTH = 1e-3
 """How far a quaternion may be from unit length: more than rounding leaves is a mistake."""
@@ -58,7 +56,7 @@ def read_targets(path: str | Path, source: ProblemFile) -> Targets:
     table, axes = read_table(path), source.problem.layout().joints
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
-    joints = Samples.from_table(table, Layout(axes, MappingProxyType({}))).joints if jointed else None
+    joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None
     text = tuple(",".join(row) for row in table.rows)
     poses = _poses(table, Layout(axes if jointed else (), POSE)) if posed else None
     return Targets(joints, poses, table.lines, text, table.file, table.sha256)

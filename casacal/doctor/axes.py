@@ -72,7 +72,7 @@ def axes_of(robot: Robot) -> Axes:
     slope = np.array(ca.Function("slope", [q], [ca.jacobian(ca.vec(symbolic), q)])(np.zeros(n)))
     tried = random_joints(robot, count, np.random.default_rng(0))
     at_zero, *asked = pose(np.vstack([np.zeros(n), tried]))[0].reshape(-1, 4, 4).transpose(0, 2, 1)
-    turns = tuple(joint.kind == "revolute" for joint in robot.axes)
+    turns = tuple(robot.revolute.tolist())
     for mixing in _mixings(turns):
         found = _screws(turns, slope, at_zero, mixing)
         if found is None:

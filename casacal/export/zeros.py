@@ -74,7 +74,7 @@ def zeros_text(result: ResultFile) -> str:
         "joint,correction_deg" + (",correction_mm" if slides else ""),
     ]
     for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
-        turns = joint.kind == "revolute"
+        turns = joint.turns
         cells = [str(i), f"{math.degrees(value) + 0.0:.6f}" if turns else ""]
         lines.append(",".join(cells + (["" if turns else plain(round(value, 6))] if slides else [])))
     return "\n".join(lines) + "\n"

@@ -13,6 +13,7 @@ from casacal.array_types import Array
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
+from casacal.values import FrozenMapping, Value, read_only, short
 
 
 class Status(Enum):
@@ -36,8 +37,8 @@ class Status(Enum):
         return self not in (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.SOLVER)
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Value):
     """An estimate and how it came about.
 
     x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array a quantity, one entry a
@@ -56,6 +57,17 @@ class Result:
     loss: Loss | None = None
     information: Array | None = None
     belief: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("x", "information", "belief"):
+            given = getattr(self, name)
+            object.__setattr__(self, name, None if given is None else read_only(given))
+        trace = {name: read_only(values) for name, values in self.trace.items()}
+        object.__setattr__(self, "trace", FrozenMapping(trace))
+
+    def __repr__(self) -> str:
+        numbers = [f"{name} {value:.6g}" for name, value in zip(self.problem.names, self.x, strict=True)]
+        return f"<Result of {self.method}: cost {self.cost:.6g}; {short(numbers, 4)}. {self.message}>"
 
     @cached_property
     def covariance(self) -> Array:

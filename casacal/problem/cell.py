@@ -45,39 +45,60 @@ class Face:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
-    """What surrounds and what disturbs a simulated arm; lengths mm, angles rad.
+class Disturbances:
+    """What disturbs a simulated arm and its measurements, whatever measures it; lengths mm, angles rad.
 
     Args:
-        faces: what is touched, in turn.
-        tilt: largest angle between plunger and face normal; tilts are uniform over that cone.
-        travel: range of the dial; None takes the instrument's.
         repeatability: standard deviation of the reading (or of the touch, without a dial); None takes the instrument's.
-        resolution: step of the dial's display; 0 for none.
+        resolution: step in which readings are shown; 0 for none.
         joint_std: standard deviation of joint repeatability, rad (mm for a prismatic joint).
         backlash: play of each joint, rad (mm for a prismatic joint); a joint lags half of it behind its last move.
-        flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
-        compliance: sag of the tip under gravity, RMS over the samples.
         outliers: fraction of rows that are gross.
         outlier_size: their size.
         error_scale: true parameters lie this many prior standard deviations (RMS) from nominal.
 
     """
 
-    faces: tuple[Face, ...]
-    tilt: float = math.radians(30.0)
-    travel: float | None = None
     repeatability: float | None = None
     resolution: float = 0.001
     joint_std: float = 0.0
     backlash: float = 0.0
-    flatness: float = 0.0
-    compliance: float = 0.0
     outliers: float = 0.0
     outlier_size: float = 1.0
     error_scale: float = 1.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.outliers < 1:
+            raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")
+        for name in AMOUNTS:
+            value = getattr(self, name, None)
+            if value is not None and not 0 <= value < math.inf:
+                raise SimulationError(f"{name} of the cell is {value!r}", "Give zero or a positive number")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Disturbances):
+    """What surrounds and what disturbs a simulated arm that touches faces; lengths mm, angles rad.
+
+    Args:
+        faces: what is touched, in turn.
+        tilt: largest angle between plunger and face normal; tilts are uniform over that cone.
+        travel: range of the dial; None takes the instrument's.
+        flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
+        compliance: sag of the tip under gravity, RMS over the samples.
+
+    The others are those of `Disturbances`.
+
+    """
+
+    faces: tuple[Face, ...]
+    tilt: float = math.radians(30.0)
+    travel: float | None = None
+    flatness: float = 0.0
+    compliance: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.faces:
             raise SimulationError("The cell has no face", "Give at least one")
         if len({face.label for face in self.faces}) < len(self.faces):
@@ -88,12 +109,6 @@ class Cell:
                 raise SimulationError(f"Face '{face.label}' has the size {face.size}", "Give two positive lengths")
         if not 0 <= self.tilt < math.pi / 2:
             raise SimulationError(f"The tilt is {math.degrees(self.tilt):g} degrees", "Give 0 to less than 90")
-        if not 0 <= self.outliers < 1:
-            raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")
-        for name in AMOUNTS:
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise SimulationError(f"{name} of the cell is {value!r}", "Give zero or a positive number")
 
 
 def plate(

@@ -55,8 +55,15 @@ class RowModel:
     """(z, c, d) -> flange origin (3), mm, its derivative, row by row (3 * nz)."""
     pose: ca.Function
     """(z, c, d) -> flange pose (16), column by column."""
+    plunger: ca.Function | None
+    """(z, c, d) -> direction of the plunger (3) in the base frame; None for an instrument without one."""
     raw_residual: ca.Function
     """(v, c, d) -> residual e (m) at raw coordinates v, for the IPOPT reference."""
+
+    def same_as(self, other: RowModel) -> bool:
+        """Whether another model computes the same, operation by operation."""
+        names = ("residual", "noise", "tip", "pose")
+        return all(getattr(self, name).serialize() == getattr(other, name).serialize() for name in names)
 
     @property
     def components(self) -> int:
@@ -93,8 +100,9 @@ class RowModel:
 
     @cached_property
     def columns(self) -> SimpleNamespace:
-        """Noise, tip and pose of many rows at one (z, c), each as a `Columnwise`."""
-        return SimpleNamespace(**{name: Columnwise(getattr(self, name)) for name in ("noise", "tip", "pose")})
+        """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
+        names = ("noise", "tip", "pose") + (("plunger",) if self.plunger is not None else ())
+        return SimpleNamespace(**{name: Columnwise(getattr(self, name)) for name in names})
 
     @cached_property
     def curvature(self) -> CurvatureKernel:
@@ -104,7 +112,8 @@ class RowModel:
     @cached_property
     def batch(self) -> SimpleNamespace:
         """The same functions, each as a `Batch`."""
-        names = ("residual", "jacobian", "noise", "tip", "tip_jacobian", "flange_jacobian", "pose")
+        names = ["residual", "jacobian", "noise", "tip", "tip_jacobian", "flange_jacobian", "pose"]
+        names += ["plunger"] if self.plunger is not None else []
         return SimpleNamespace(**{name: Batch(getattr(self, name)) for name in names})
 
 
@@ -131,6 +140,7 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
     pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
     residual = _traced(instrument.residual, "residual", type(instrument).__name__, None, pose, p, namespace)
     tip = _traced(instrument.tip, "tip", type(instrument).__name__, (3, 1), pose, p, namespace)
+    plunger = instrument.plunger_direction(pose, p)
     raw_pose = _traced(robot.pose, "pose", robot.name, (4, 4), p_raw, q)
     raw_residual = _traced(instrument.residual, "residual", robot.name, residual.shape, raw_pose, p_raw, namespace)
     slopes, origin = ca.jacobian(residual, z), ca.SX(position(pose))
@@ -144,6 +154,7 @@ def compile_rows(robot: Robot, instrument: Instrument) -> RowModel:
         tip_jacobian=_function("tip_jacobian", [z, c, d], [tip, ca.jacobian(tip, z).T]),
         flange_jacobian=_function("flange_jacobian", [z, c, d], [origin, ca.jacobian(origin, z).T]),
         pose=_function("pose", [z, c, d], [ca.SX(pose)]),
+        plunger=None if plunger is None else _function("plunger", [z, c, d], [ca.SX(plunger)]),
         raw_residual=_function("raw_residual", [v, c, d], [raw_residual]),
     )
 

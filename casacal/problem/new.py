@@ -105,7 +105,7 @@ def new_from_urdf(
 
 def dh_problem_text(table: DHTable, source: str) -> str:
     """Text of a problem.py with a DH table written out; `source` says where the table comes from."""
-    turning = all(joint.kind == "revolute" for joint in table.joints)
+    turning = all(joint.turns for joint in table.joints)
     names = ["DialOnPlane", "Joint", "Problem", "Robot", "deg"]
     arguments = [_quoted(table.name)]
     for key, values in (("alpha", table.alpha), ("a", table.a), ("d", table.d), ("theta", table.theta)):
@@ -115,7 +115,7 @@ def dh_problem_text(table: DHTable, source: str) -> str:
     else:
         rows = [
             f'Joint("revolute", *deg({degrees(joint.lower)}, {degrees(joint.upper)}))'
-            if joint.kind == "revolute"
+            if joint.turns
             else f'Joint("prismatic", {plain(joint.lower)}, {plain(joint.upper)})'
             for joint in table.joints
         ]
@@ -154,7 +154,7 @@ def urdf_problem_text(arm: UrdfChain, base: str, tip: str) -> str:
 
 def _conventions(conventions: Conventions, joints: Sequence[Joint]) -> str:
     """The `Conventions(...)` of a table."""
-    turns = [joint.kind == "revolute" for joint in joints]
+    turns = [joint.turns for joint in joints]
     if all(turns):
         offsets = _angles(conventions.offsets)
     else:

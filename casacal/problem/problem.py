@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from casacal.errors import ProblemError, UnknownNameError
@@ -18,10 +17,11 @@ from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.workbooks import KEY, joined_tables, read_any_table
 from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value, alike
 
 
-@dataclass(frozen=True, init=False)
-class Problem:
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Problem(Value):
     """A robot and the instruments that measured it; a value, without state of its own.
 
     Raises ProblemError when names collide or an instrument declares no noise.
@@ -46,6 +46,41 @@ class Problem:
                     continue
                 raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instruments, to the last operation of their residuals."""
+        if self is other or not isinstance(other, Problem):
+            return self is other
+        if self.robot != other.robot or len(self.instruments) != len(other.instruments):
+            return False
+        return all(
+            one == two or (_declared_alike(one, two) and self.models[i].same_as(other.models[i]))
+            for i, (one, two) in enumerate(zip(self.instruments, other.instruments, strict=True))
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
+
+    def __repr__(self) -> str:
+        names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
+        return f"<Problem: {self.robot!r} measured by {names}>"
+
+    @property
+    def instrument(self) -> Instrument:
+        """The only instrument; raises ProblemError where there are several."""
+        if len(self.instruments) > 1:
+            names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
+            raise ProblemError(
+                f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({names}), and this takes one",
+                "Make a problem with one of them, or use bind and lm, which take several",
+            )
+        return self.instruments[0]
+
+    @property
+    def model(self) -> RowModel:
+        """Compiled functions of the only instrument; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self.models[0]
+
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
         """Compiled functions, one set an instrument; built on first use."""
@@ -56,10 +91,10 @@ class Problem:
         chosen = self.instruments[instrument]
         labels = dict.fromkeys(unknown.per for unknown in chosen.unknowns.values() if unknown.per is not None)
         return Layout(
-            joints=tuple("angle" if joint.kind == "revolute" else "length" for joint in self.robot.axes),
-            columns=MappingProxyType(dict(chosen.columns)),
+            joints=tuple("angle" if joint.turns else "length" for joint in self.robot.axes),
+            columns=FrozenMapping(dict(chosen.columns)),
             labels=tuple(labels),
-            refused=MappingProxyType(dict(chosen.refused_columns)),
+            refused=FrozenMapping(dict(chosen.refused_columns)),
         )
 
     def read(
@@ -153,6 +188,11 @@ class Problem:
 
 def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
     return [name in (key, component) for component in unknown.names(key)]
+
+
+def _declared_alike(one: Instrument, two: Instrument) -> bool:
+    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
+    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
 
 
 def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:

@@ -95,7 +95,7 @@ class DHTable:
         q = q if self.conventions is None else self.conventions.to_model(q)
         links = []
         for i, joint in enumerate(self.joints):
-            turns = joint.kind == "revolute"
+            turns = joint.turns
             d, theta = p.d[i] + (0 if turns else q[i]), p.theta[i] + (q[i] if turns else 0)
             between = i + 1 if self.convention == "standard" else i  # the row whose twist stands in this link
             if between not in self.parallel:

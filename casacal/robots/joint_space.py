@@ -13,6 +13,4 @@ AXIS_WEIGHT = 300.0
 
 def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """Joint values (count, n; rad, mm), uniform between the limits."""
-    lower = np.array([joint.lower for joint in robot.axes])
-    upper = np.array([joint.upper for joint in robot.axes])
-    return rng.uniform(lower, upper, size=(count, len(robot.axes)))
+    return rng.uniform(*robot.limits, size=(count, len(robot.axes)))

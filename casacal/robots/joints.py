@@ -19,6 +19,11 @@ class Joint:
     upper: float = math.pi
     repeatability_std: float = 0.0
 
+    @property
+    def turns(self) -> bool:
+        """Whether it turns; otherwise it slides."""
+        return self.kind == "revolute"
+
     def __post_init__(self) -> None:
         if self.kind not in ("revolute", "prismatic"):
             raise ProblemError(f"A joint is '{self.kind}'", "Joints are 'revolute' or 'prismatic'")

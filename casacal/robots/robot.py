@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
+from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.conventions import Conventions
@@ -15,16 +18,18 @@ from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.joints import Joint, joints_of
 from casacal.robots.screws import Screws, triples
+from casacal.robots.traced_pose import TracedPose, travels
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value, alike, read_only, short
 
 PoseFunction = Callable[[Any, Expression], Expression]
 Arm: TypeAlias = DHTable | Screws | UrdfChain
 Joints: TypeAlias = int | str | Sequence[Joint]
 
 
-@dataclass(frozen=True)
-class Robot:
+@dataclass(frozen=True, eq=False)
+class Robot(Value):
     """A serial arm whose flange pose is a function of named parameters and joint values.
 
     Args:
@@ -45,7 +50,7 @@ class Robot:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", joints_of(self.joints))
-        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+        object.__setattr__(self, "parameters", FrozenMapping(self.parameters))
         if not self.axes:
             raise ProblemError(f"Robot '{self.name}' has no joints", "Give at least one")
         for key, unknown in self.parameters.items():
@@ -58,6 +63,44 @@ class Robot:
     def axes(self) -> tuple[Joint, ...]:
         """The joints, as a tuple of `Joint`."""
         return self.joints  # type: ignore[return-value]
+
+    @cached_property
+    def revolute(self) -> Rows:
+        """Which joints turn (n,); the others slide."""
+        turns: Rows = read_only(np.array([joint.turns for joint in self.axes], dtype=bool))
+        return turns
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper joint limits, each (n,); rad, mm."""
+        return (
+            read_only(np.array([joint.lower for joint in self.axes])),
+            read_only(np.array([joint.upper for joint in self.axes])),
+        )
+
+    @cached_property
+    def traced(self) -> TracedPose:
+        """The pose function as a graph; lets pass what the function raises."""
+        return TracedPose.of(self.pose, self.parameters, len(self.axes))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same arm: names, joints, parameters, and the graph that the pose function builds."""
+        if self is other or not isinstance(other, Robot):
+            return self is other
+        mine, theirs = ((r.name, r.axes, r.parameters, r.arm) for r in (self, other))
+        return alike(mine, theirs) and (self.pose == other.pose or self.traced == other.traced)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.axes))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: a pose function that only this process knows goes as the graph it builds."""
+        state = super().__getstate__()
+        return state if travels(self.pose) else state | {"pose": self.traced}
+
+    def __repr__(self) -> str:
+        kinds = "".join("R" if turns else "P" for turns in self.revolute)
+        return f"<Robot {self.name}: joints {kinds}, parameters {short(list(self.parameters))}>"
 
     @staticmethod
     def from_dh(
@@ -82,7 +125,8 @@ class Robot:
             name: what the report calls it.
             alpha, theta: twists and zero offsets (n,), rad.
             a, d: lengths and offsets (n,), mm.
-            length_std: prior standard deviation of a and d, one or one a row, mm; default 0.7 (see `casacal.priors`).
+            length_std: prior standard deviation of a and d, one or one per row, mm; default 0.7
+                (`casacal.uncertainty.priors` says why).
             angle_std: of theta, and of alpha unless `twist_std` is given, rad; default 1e-3.
             twist_std: of alpha and beta, rad.
             joints: as for `Robot`; default all revolute. A prismatic joint adds its value to d, not to theta.
@@ -114,7 +158,7 @@ class Robot:
     def from_dh_file(
         path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
     ) -> Robot:
-        """Robot from a DH table in CSV or TOML; `casacal.arms.dh_file` says how the files look.
+        """Robot from a DH table in CSV or TOML; `casacal.robots.files.dh_file` says how the files look.
 
         Raises ProblemError that names the file, the line or joint, and what to do.
         """

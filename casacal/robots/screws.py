@@ -70,7 +70,7 @@ class Screws:
         length_std = PRIOR_STD["mm"] if length_std is None else length_std
         angle_std = PRIOR_STD["rad"] if angle_std is None else angle_std
         found: dict[str, Unknown] = {}
-        turning = [i for i, joint in enumerate(self.joints, 1) if joint.kind == "revolute"]
+        turning = [i for i, joint in enumerate(self.joints, 1) if joint.turns]
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True), 1):
             found[f"axis{i}"] = Direction(axis, prior_std=angle_std)
             if i in turning:

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -22,13 +21,14 @@ from casacal.tables.labels import Labels
 from casacal.tables.large_csv import read_large_csv
 from casacal.tables.text import Table, read_table
 from casacal.tables.workbooks import WORKBOOKS, read_workbook
+from casacal.values import FrozenMapping, Value, short
 
 MANY = 100_000
 """Rows from which lines are numbers in an array rather than Python objects."""
 
 
-@dataclass(frozen=True)
-class Samples:
+@dataclass(frozen=True, eq=False)
+class Samples(Value):
     """Rows of measurements.
 
     joints: (N, n), rad or mm. columns: the instrument's own, each (N,), mm or rad. labels: label columns, each (N,) of
@@ -47,13 +47,24 @@ class Samples:
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _frozen(self.joints))
         columns = {name: _frozen(values) for name, values in self.columns.items()}
-        object.__setattr__(self, "columns", MappingProxyType(columns))
+        object.__setattr__(self, "columns", FrozenMapping(columns))
         labels = {name: Labels.of(values) for name, values in self.labels.items()}
-        object.__setattr__(self, "labels", MappingProxyType(labels))
-        object.__setattr__(self, "extra", MappingProxyType(dict(self.extra)))
+        object.__setattr__(self, "labels", FrozenMapping(labels))
+        object.__setattr__(self, "extra", FrozenMapping(self.extra))
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    def faces(self, column: str | None = "plane") -> Labels:
+        """Labels of the rows in one column, or where they have none, one label for all: "plane"."""
+        if column is not None and column in self.labels:
+            return self.labels[column]
+        return Labels(("plane",), np.zeros(len(self), dtype=np.int32))
+
+    def __repr__(self) -> str:
+        read = [*self.columns, *self.labels]
+        beside = f", {short(read)}" if read else ""
+        return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
 
     def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""

@@ -17,10 +17,9 @@ from casacal.samples.samples import Samples
 
 def write_samples(path: str | Path, robot: Robot, samples: Samples, comments: Sequence[str]) -> None:
     """Write samples in the form `read_samples` reads: joints in degrees (prismatic: mm), readings in mm."""
-    revolute = [joint.kind == "revolute" for joint in robot.axes]
-    header = [f"q{i + 1}_{'deg' if turn else 'mm'}" for i, turn in enumerate(revolute)]
+    header = [f"q{i + 1}_{'deg' if turns else 'mm'}" for i, turns in enumerate(robot.revolute)]
     header += [f"{name}_mm" for name in samples.columns] + list(samples.labels)
-    factors = np.where(revolute, 180 / math.pi, 1.0)
+    factors = np.where(robot.revolute, 180 / math.pi, 1.0)
     text = io.StringIO()
     text.writelines(f"# {comment}\n" for comment in comments)
     writer = csv.writer(text, lineterminator="\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.instruments import DialOnPlane
+from casacal.errors import SimulationError
+from casacal.instruments import Instrument
+from casacal.instruments.instrument import Probe
 from casacal.kernels.batch import Batch
-from casacal.kinematics import rotation
 from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
 
@@ -35,16 +37,21 @@ class Touch:
     local: Array
 
     @staticmethod
-    def of(robot: Robot, instrument: DialOnPlane, local: dict[str, Array]) -> Touch:
+    def of(robot: Robot, instrument: Instrument, probe: Probe, local: Mapping[str, Array]) -> Touch:
         """Compile for the arm whose unknowns stand at `local` coordinates by key; the plane plays no part."""
-        unknowns = {**robot.parameters, "tool": instrument.tool, "plunger": instrument.plunger}
+        unknowns = {**robot.parameters, **{key: instrument.unknowns[key] for key in probe.moves}}
         z = {key: ca.SX.sym(key, unknown.size) for key, unknown in unknowns.items()}
         nominal: dict[str, Any] = {key: unknown.nominal for key, unknown in unknowns.items()}
         p = SimpleNamespace(**{key: unknown.at(ca.DM(nominal[key]), z[key]) for key, unknown in unknowns.items()})
         q, reading = ca.SX.sym("q", len(robot.axes)), ca.SX.sym("r")
         pose = robot.pose(p, q)
-        tip = instrument.tip(pose, p, SimpleNamespace(reading=reading))
-        axis = rotation(pose) @ p.plunger
+        row = SimpleNamespace(**({} if probe.column is None else {probe.column: reading}))
+        tip, axis = instrument.tip(pose, p, row), instrument.plunger_direction(pose, p)
+        if axis is None:
+            raise SimulationError(
+                f"{type(instrument).__name__} touches faces and says no direction of its plunger",
+                "Override plunger_direction",
+            )
         place, slopes = [tip, axis], [ca.jacobian(tip, q).T, ca.jacobian(axis, q).T]
 
         def batch(outputs: list[ca.SX]) -> Batch:
@@ -107,13 +114,10 @@ class Touch:
 
     def within_limits(self, joints: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Joint values with whole turns taken out, and which rows are inside all limits."""
-        wrapped = joints.copy()
-        for i, joint in enumerate(self.robot.axes):
-            if joint.kind == "revolute":
-                middle = (joint.lower + joint.upper) / 2
-                wrapped[:, i] = middle + (wrapped[:, i] - middle + np.pi) % (2 * np.pi) - np.pi
-        lower = np.array([joint.lower for joint in self.robot.axes])
-        upper = np.array([joint.upper for joint in self.robot.axes])
+        lower, upper = self.robot.limits
+        middle = (lower + upper) / 2
+        turned = middle + (joints - middle + np.pi) % (2 * np.pi) - np.pi
+        wrapped = np.where(self.robot.revolute, turned, joints)
         return wrapped, np.all((wrapped >= lower) & (wrapped <= upper), axis=1)
 
     def _error(self, joints: Array, readings: Array, targets: Array, axes: Array) -> tuple[Array, Array]:

@@ -1,11 +1,10 @@
-"""Samples of a simulated cell, with the truth behind them."""
+"""Samples of a simulated arm, with the truth behind them: touches of faces, or rows that any residual fits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -14,152 +13,121 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import SimulationError
 from casacal.estimators import lm
-from casacal.instruments import DialOnPlane
+from casacal.instruments import Instrument
+from casacal.instruments.instrument import Probe
 from casacal.least_squares.objective import Restricted
-from casacal.problem.cell import Cell, Face, corner
+from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
+from casacal.simulation.places import default_cell
 from casacal.simulation.reach import Touch
-from casacal.simulation.touches import find_touches, try_touches
+from casacal.simulation.rows import fitting_rows
+from casacal.simulation.touches import find_touches
+from casacal.simulation.true_arm import lag, true_unknowns
 from casacal.tables.labels import Labels
-from casacal.unknowns import Plane
+from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value
 
 
-@dataclass(frozen=True)
-class Simulation:
-    """Samples, and the truth they came from: local coordinates of the arm's unknowns, and the cell."""
+@dataclass(frozen=True, eq=False)
+class Simulation(Value):
+    """Samples, and the truth they came from: local coordinates of the unknowns by name, and what disturbed them."""
 
     problem: Problem
     samples: Samples
     local: Mapping[str, Array]
-    cell: Cell
+    cell: Disturbances
     seed: int
 
     def truth(self, bound: BoundProblem) -> Array:
         """The true x (n,) of a problem bound to these samples (or a part of them)."""
-        x = np.zeros(bound.unknowns)
-        faces = {face.label: face for face in self.cell.faces}
+        x, placed = np.zeros(bound.unknowns), np.zeros(bound.unknowns, dtype=bool)
+        faces = {face.label: face for face in self.cell.faces} if isinstance(self.cell, Cell) else {}
         for slot in bound.slots:
-            if slot.key in self.local:
-                x[slot.columns] = self.local[slot.key]
-            elif isinstance(slot.unknown, Plane) and slot.unknown.size:
-                face = faces[slot.label] if slot.label is not None else self.cell.faces[0]
+            if slot.name in self.local and slot.unknown.nominal is not None:
+                x[slot.columns] = self.local[slot.name]
+            elif faces and slot.unknown.nominal_plane(slot.nominal) is not None:
+                face = faces[slot.label] if slot.label is not None else next(iter(faces.values()))
                 x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, face)
-        placed = np.array(
-            [slot.datum and not isinstance(slot.unknown, Plane) for slot in bound.slots for _ in slot.columns]
-        )
+            else:
+                placed[slot.columns] = slot.datum or slot.unknown.nominal is None
         if placed.any():  # bodies and frames: where the true arm says they are
             part = Restricted(bound, placed, x)
             x = part.expand(lm(part).x)
         return x
 
 
-def plane_coordinates(plane: Plane, nominal: Array, face: Face) -> Array:
-    """Local coordinates (3,) of a face about a nominal plane."""
+def plane_coordinates(plane: Unknown, nominal: Array, face: Face) -> Array:
+    """Local coordinates (3,) of a face about a nominal plane; none (0,) where the plane is held."""
+    if not plane.size:
+        return np.zeros(0)
     normal = face.axes[0]
     normal = normal if normal @ nominal[:3] > 0 else -normal
     raw = np.concatenate([normal, [normal @ (np.asarray(face.centre) - nominal[9:12])]])
     return np.asarray(plane.raw_local(ca.DM(nominal), ca.DM(raw))).ravel()
 
 
-def simulate(problem: Problem, cell: Cell | None = None, *, samples: int = 120, seed: int = 0) -> Simulation:
-    """Draw a true arm from the prior and let it touch the faces of a cell.
+def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int = 120, seed: int = 0) -> Simulation:
+    """Draw a true arm from the prior and let its instrument measure.
 
-    The true tip, at joint values inside the limits, touches a face within the dial's travel; what is recorded are the
-    joint values without sag, backlash and repeatability, and the reading with its faults.
+    An instrument that touches faces (`Instrument.probe`) touches those of a cell: the true tip, at joint values inside
+    the limits, within the travel of the dial. Any other instrument measures in random postures: its columns, and where
+    it reads none the joints, take the values at which its residual vanishes. What is recorded are the joint values
+    without sag, backlash and repeatability, and the readings with their faults.
 
     Args:
-        problem: one robot with one `DialOnPlane`.
-        cell: what surrounds it; by default `default_cell(problem)`.
-        samples: rows, shared evenly between the faces.
+        problem: a robot with one instrument.
+        cell: what surrounds and disturbs it; by default `default_cell(problem)` where faces are touched.
+        samples: rows, shared evenly between the faces, or between the labels.
         seed: of every random number drawn here.
 
-    Raises SimulationError when the faces cannot be touched as asked.
+    Raises SimulationError when it cannot be measured as asked.
 
     """
-    instrument = dial_of(problem)
-    cell = default_cell(problem) if cell is None else cell
     if samples < 1:
         raise SimulationError(f"{samples} samples were asked for", "Ask for at least one")
-    if len(cell.faces) > 1 and instrument.plane.per is None:
+    instrument = problem.instrument
+    if instrument.probe is None:
+        rows, local = fitting_rows(problem, Disturbances() if cell is None else cell, samples, seed)
+        return Simulation(problem, rows, FrozenMapping(local), Disturbances() if cell is None else cell, seed)
+    cell = default_cell(problem) if cell is None else cell
+    if not isinstance(cell, Cell):
+        raise SimulationError(
+            f"{type(instrument).__name__} touches faces, and the disturbances that came have none",
+            "Give a Cell(faces=...)",
+        )
+    return _touched(problem, instrument, instrument.probe, cell, samples, seed)
+
+
+def _touched(problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int, seed: int) -> Simulation:
+    """Touches on the faces of a cell."""
+    if len(cell.faces) > 1 and probe.label is None:
         raise SimulationError(
             f"The cell has {len(cell.faces)} faces and the problem one plane", 'Declare plane=Plane(per="plane")'
         )
     truth_rng, pose_rng, noise_rng, form_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
-    local = true_unknowns(problem, cell.error_scale, truth_rng)
-    touch = Touch.of(problem.robot, instrument, local)
+    local = true_unknowns(problem, probe, cell.error_scale, truth_rng)
+    touch = Touch.of(problem.robot, instrument, probe, local)
     which = np.arange(samples) % len(cell.faces)
-    noise = instrument.noise_std if cell.repeatability is None else cell.repeatability
+    noise = probe.noise_std if cell.repeatability is None else cell.repeatability
     gross = noise_rng.random(samples) < cell.outliers
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
     # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
-    lift = noise_rng.normal(size=samples) * (instrument.contact_std if instrument.reading else noise)
-    if not instrument.reading:
+    lift = noise_rng.normal(size=samples) * (noise if probe.column is None else probe.contact_std)
+    if probe.column is None:
         lift = lift + outlier
-    joints, readings = find_touches(touch, instrument, cell, which, lift, pose_rng, form_rng)
+    joints, readings = find_touches(touch, probe, cell, which, lift, pose_rng, form_rng)
     recorded = joints - _sag(touch, joints, readings, cell.compliance)
     recorded -= noise_rng.normal(size=joints.shape) * cell.joint_std
-    recorded += _lag(joints, cell.backlash)
+    recorded += lag(joints, cell.backlash)
     columns = {}
-    if instrument.reading:
+    if probe.column is not None:
         shown = readings + noise_rng.normal(size=samples) * noise + outlier
-        columns["reading"] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
-    labels = {"plane": Labels([face.label for face in cell.faces], which)} if instrument.plane.per else {}
+        columns[probe.column] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
+    labels = {probe.label: Labels([face.label for face in cell.faces], which)} if probe.label is not None else {}
     name = f"simulated-{seed}"
     rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name)
-    return Simulation(problem, rows, MappingProxyType(local), cell, seed)
-
-
-def dial_of(problem: Problem) -> DialOnPlane:
-    """Return the one instrument of a problem that the simulator understands; raises SimulationError."""
-    (first, *others) = problem.instruments
-    if others or not isinstance(first, DialOnPlane):
-        names = ", ".join(type(instrument).__name__ for instrument in problem.instruments)
-        raise SimulationError(f"The problem is measured by {names}", "The simulator knows one DialOnPlane alone")
-    return first
-
-
-def true_unknowns(problem: Problem, error_scale: float, rng: np.random.Generator) -> dict[str, Array]:
-    """Local coordinates of the arm's unknowns, drawn from the prior (flat: `start_std`) times `error_scale`."""
-    dial = dial_of(problem)
-    unknowns = {**problem.robot.parameters, "tool": dial.tool, "plunger": dial.plunger}
-    return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
-
-
-def default_cell(problem: Problem) -> Cell:
-    """Three faces at right angles where this arm touches them most readily; the same for the same problem.
-
-    Raises SimulationError when no such place is found, as for arms that cannot point their plunger freely.
-    """
-    instrument, rng = dial_of(problem), np.random.default_rng(0)
-    nominal = true_unknowns(problem, 0.0, rng)
-    touch = Touch.of(problem.robot, instrument, nominal)
-    tips = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[0]
-    base = np.median(tips, axis=0)
-    reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
-    size = min(600.0, 0.4 * reach)
-    best, best_share = None, 0.0
-    for centre in tips[rng.choice(len(tips), 24, replace=False)]:
-        away = (base - centre)[:2]
-        faces = corner(centre, size=size, towards=away if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0))
-        cell = Cell(faces=faces)
-        share = _share_reached(touch, instrument, cell, np.random.default_rng(1))
-        if share > best_share:
-            best, best_share = cell, share
-    if best is None or best_share < 0.1:
-        raise SimulationError(
-            f"No place was found where '{problem.robot.name}' can touch three faces at right angles",
-            "Define `cell = Cell(faces=...)` in the problem file",
-        )
-    return best
-
-
-def _share_reached(touch: Touch, instrument: DialOnPlane, cell: Cell, rng: np.random.Generator) -> float:
-    which = np.arange(30) % len(cell.faces)
-    *_, good = try_touches(touch, instrument, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
-    shares = [good[which == i].mean() for i in range(len(cell.faces))]
-    return float(min(shares))
+    return Simulation(problem, rows, FrozenMapping(local), cell, seed)
 
 
 def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Array:
@@ -171,16 +139,6 @@ def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Arr
         return np.zeros_like(joints)
     _, _, slope, _ = touch(joints, readings)
     lever = slope[:, 2, :]
-    turns = np.array([joint.kind == "revolute" for joint in touch.robot.axes])
-    yielding = -lever * turns
+    yielding = -lever * touch.robot.revolute
     sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
     return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
-
-
-def _lag(joints: Array, backlash: float) -> Array:
-    """How far joints (N, n) stand behind what they were sent to: half the backlash against each joint's last move.
-
-    The arm moves from row to row as they come, to the first one from all joints at zero.
-    """
-    moves = np.diff(joints, axis=0, prepend=np.zeros((1, joints.shape[1])))
-    return np.asarray(np.sign(moves) * backlash / 2)

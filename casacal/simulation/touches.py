@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
-from casacal.instruments import DialOnPlane
+from casacal.instruments.instrument import Probe
 from casacal.problem.cell import Cell, form_error
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.reach import Touch
@@ -26,7 +26,7 @@ ROUNDS = 60
 
 def find_touches(
     touch: Touch,
-    instrument: DialOnPlane,
+    probe: Probe,
     cell: Cell,
     which: NDArray[np.intp],
     lift: Array,
@@ -38,7 +38,7 @@ def find_touches(
     joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
     waiting = np.arange(len(which))
     for _ in range(ROUNDS):
-        found_joints, found_readings, good = try_touches(touch, instrument, cell, which, lift, seeds, rng, waiting)
+        found_joints, found_readings, good = try_touches(touch, probe, cell, which, lift, seeds, rng, waiting)
         joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
         waiting = waiting[~good]
         if not waiting.size:
@@ -53,7 +53,7 @@ def find_touches(
 
 def try_touches(
     touch: Touch,
-    instrument: DialOnPlane,
+    probe: Probe,
     cell: Cell,
     which: NDArray[np.intp],
     lift: Array,
@@ -69,8 +69,8 @@ def try_touches(
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
     half = np.array([face.size for face in cell.faces])[which] / 2
-    travel = instrument.travel if cell.travel is None else cell.travel
-    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if instrument.reading else np.zeros(count)
+    travel = probe.travel if cell.travel is None else cell.travel
+    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if probe.column is not None else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
     directions = _tilted(axes, cell.tilt, rng)

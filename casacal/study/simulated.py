@@ -59,7 +59,7 @@ class SimulatedTrial:
 
     def detail(self, result: Result) -> dict[str, Any]:
         """What only the first trial keeps: estimate and spread by name, tip errors at the held-out touches."""
-        (touches,) = self.heldout.samples
+        touches = self.heldout.block.samples
         joints, true, _ = self._workspace
         tips = self.problem.tips(result.x, joints)
         at, at_true = (self.problem.tips(x, touches.joints) for x in (result.x, self.truth))

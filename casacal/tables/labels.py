@@ -60,6 +60,12 @@ class Labels(Sequence[str]):
 
     __hash__ = None  # type: ignore[assignment]  # compared by its labels
 
+    def __reduce__(self) -> tuple[type[Labels], tuple[tuple[str, ...], Codes]]:
+        return Labels, (self.names, np.array(self.codes))
+
+    def __deepcopy__(self, memo: object) -> Labels:
+        return self
+
     def __repr__(self) -> str:
         shown = ", ".join(repr(label) for label in self[:4])
         return f"<{len(self)} labels: {shown}{', ...' if len(self) > 4 else ''}>"

@@ -11,14 +11,12 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.slots import ENOUGH, nominal_sight
 from casacal.errors import CasacalError
-from casacal.instruments import DialOnBody, DialOnPlane, Step
+from casacal.instruments import Instrument
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.simulate import simulate
-from casacal.tables.labels import Labels
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection
-from casacal.unknowns import Plane
 
 EXTRA_ROWS = 24
 """Touches that a cure adds."""
@@ -40,17 +38,17 @@ def cures(bound: BoundProblem) -> list[Cure]:
     """Extra touches that could help, cheapest first: more tilt, another face, a known length.
 
     Simulated on the nominal arm and the nominal planes, without noise; a cure that this arm cannot reach is left out.
-    Empty for instruments other than a dial on free planes.
+    Empty for instruments that know no faces by label, such as a tracker.
     """
     if len(bound.problem.instruments) != 1:
         return []
-    instrument = bound.problem.instruments[0]
-    if not isinstance(instrument, DialOnPlane) or isinstance(instrument, DialOnBody):
+    labelled = bound.problem.instrument.with_faces_by_label()
+    if labelled is None:
         return []
-    found, here = [], _labelled(bound.samples[0])
+    found, here = [], _labelled(bound.block.samples, labelled)
     if len(here) > ENOUGH:
         here = here.take(np.arange(0, len(here), -(-len(here) // ENOUGH)))
-    for words, problem, cell in _offers(bound, instrument):
+    for words, problem, cell in _offers(bound, labelled):
         try:
             extra = simulate(problem, cell, samples=EXTRA_ROWS, seed=0).samples
             # a problem that only asks what if is not worth compiling
@@ -96,13 +94,11 @@ def _seen(bound: BoundProblem, names: dict[str, float]) -> float:
     return float(np.linalg.norm(left))
 
 
-def _offers(bound: BoundProblem, instrument: DialOnPlane) -> Iterator[tuple[str, Problem, Cell]]:
+def _offers(bound: BoundProblem, labelled: Instrument) -> Iterator[tuple[str, Problem, Cell]]:
     """Words, problem and cell of each cure; the cell holds faces where the nominal arm found them."""
-    faces = _faces(bound)
-    problem = bound.problem
-    if instrument.plane.per is None:
-        instrument = replace(instrument, plane=replace(instrument.plane, per="plane"))
-        problem = Problem(problem.robot, instrument)
+    faces, problem = _faces(bound), bound.problem
+    if labelled is not problem.instrument:
+        problem = Problem(problem.robot, labelled)
     calm = Cell(faces=faces, error_scale=0.0, repeatability=0.0, resolution=0.0)
     yield "tilt the tool by 10 degrees or more, up to 30", problem, calm
     first = faces[0]
@@ -112,7 +108,9 @@ def _offers(bound: BoundProblem, instrument: DialOnPlane) -> Iterator[tuple[str,
         second = Face("second", _triple(centre), _triple(normal), first.size)
         yield "add a second face at right angles, tool tilted", problem, replace(calm, faces=(*faces, second))
     top = np.asarray(first.centre) + STEP * first.axes[0]
-    stepped = replace(instrument, steps={**instrument.steps, "known step": Step(first.label, STEP)})
+    stepped = labelled.with_step("known step", first.label, STEP)
+    if stepped is None:
+        return
     raised = Face("known step", _triple(top), first.normal, first.size)
     yield (
         f"measure one known length, such as a {STEP:g} mm gauge-block step",
@@ -122,26 +120,26 @@ def _offers(bound: BoundProblem, instrument: DialOnPlane) -> Iterator[tuple[str,
 
 
 def _faces(bound: BoundProblem) -> tuple[Face, ...]:
-    """Rectangles around the nominal tips of each plane."""
-    sight = nominal_sight(bound.problem, 0, bound.samples[0])
-    labels = np.array(bound.samples[0].labels.get("plane", ("plane",) * len(sight.tips)))
+    """Rectangles around the nominal tips of each face."""
+    samples, instrument = bound.block.samples, bound.problem.instrument
+    sight, labels = nominal_sight(bound.problem, 0, samples), samples.faces(instrument.groups)
     faces = []
     for slot in bound.slots:
-        if not isinstance(slot.unknown, Plane):
+        if (plane := slot.unknown.nominal_plane(slot.nominal)) is None:
             continue
-        tips = sight.tips if slot.label is None else sight.tips[labels == slot.label]
-        normal = slot.nominal[:3]
-        face = Face(slot.label or "plane", _triple(slot.nominal[9:12]), _triple(normal))
-        spans = np.ptp((tips - slot.nominal[9:12]) @ face.axes[1:].T, axis=0)
+        normal, base = plane
+        own = [k for k, name in enumerate(labels.names) if instrument.instance(slot.key, name) == slot.label]
+        tips = sight.tips if slot.label is None else sight.tips[np.isin(labels.codes, own)]
+        face = Face(slot.label or "plane", _triple(base), _triple(normal))
+        spans = np.ptp((tips - base) @ face.axes[1:].T, axis=0)
         faces.append(replace(face, size=(max(float(spans[0]), 50.0), max(float(spans[1]), 50.0))))
     return tuple(faces)
 
 
-def _labelled(samples: Samples) -> Samples:
+def _labelled(samples: Samples, labelled: Instrument) -> Samples:
     """Rows with a column of labels; those of a problem with one plane have none."""
-    if "plane" in samples.labels:
-        return samples
-    return replace(samples, labels={**samples.labels, "plane": Labels.of(("plane",) * len(samples))})
+    column = labelled.groups or "plane"
+    return replace(samples, labels={**samples.labels, column: samples.faces(column)})
 
 
 def _triple(values: Array | tuple[float, ...]) -> tuple[float, float, float]:

@@ -6,7 +6,6 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.unknowns import Plane
 
 
 def scale_direction(bound: BoundProblem) -> Array:
@@ -16,8 +15,7 @@ def scale_direction(bound: BoundProblem) -> Array:
         if j is not None and unit == "mm":
             direction[j] = nominal
     for slot in bound.slots:
-        if isinstance(slot.unknown, Plane) and slot.unknown.size:
-            direction[slot.first + 2] = slot.nominal[:3] @ slot.nominal[9:12]
+        direction[slot.columns] += slot.unknown.growth(slot.nominal)
     return direction
 
 

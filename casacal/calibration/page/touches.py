@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
-from casacal.instruments import DialOnPlane
+from casacal.tables.labels import Labels
 
 Rows: TypeAlias = NDArray[np.intp]
 
@@ -43,11 +43,16 @@ class Part:
     @property
     def lines(self) -> NDArray[np.int64]:
         """Line of each row in its file (N,)."""
-        return np.asarray(self.bound.samples[0].lines, dtype=np.int64)
+        return np.asarray(self.bound.block.samples.lines, dtype=np.int64)
+
+    @property
+    def labels(self) -> Labels | None:
+        """What the rows are grouped by (N,); None where nothing groups them."""
+        return self.bound.block.samples.labels.get(self.bound.problem.instrument.groups or "")
 
     def rows_of(self, label: str) -> Rows:
         """Rows of one face."""
-        labels = self.bound.samples[0].labels.get("plane")
+        labels = self.labels
         if labels is None:
             return np.arange(len(self.after))
         return np.flatnonzero(labels.codes == labels.names.index(label)) if label in labels.names else np.zeros(0, int)
@@ -87,12 +92,13 @@ class Touches:
     @property
     def has_faces(self) -> bool:
         """Whether rows carry the label of a face."""
-        return "plane" in self.calibration.samples.labels
+        return self.calibration.fit.problem.instrument.groups in self.calibration.samples.labels
 
     @cached_property
     def faces(self) -> tuple[str, ...]:
         """Labels of the faces in file order; one for all rows where there are none."""
-        return self.calibration.samples.labels["plane"].names if self.has_faces else ("all rows",)
+        column = self.calibration.fit.problem.instrument.groups
+        return self.calibration.samples.labels[column].names if column is not None and self.has_faces else ("all rows",)
 
     @property
     def series(self) -> tuple[str, ...]:
@@ -145,24 +151,22 @@ def thinned(rows: Rows, most: int) -> Rows:
 
 
 def _part(calibration: Calibration, bound: BoundProblem, *, held: bool) -> Part:
-    count = len(bound.samples[0])
+    count = len(bound.block.samples)
     before, after = (bound.plain_residual(r.x).reshape(count, -1) for r in (calibration.before, calibration.result))
     weight = np.ones(count) if held else calibration.result.weights.reshape(count, -1).min(axis=1)
-    return Part(bound, held, before, after, bound.blocks[0].noise, weight)
+    return Part(bound, held, before, after, bound.block.noise, weight)
 
 
 def _seen(bound: BoundProblem, x: Array, rows: Rows) -> tuple[Array, Array]:
     """Tips (k, 3; mm) of some rows at x (n,), and directions of the plunger (k, 3), zero where there is none."""
-    block, instrument = bound.blocks[0], bound.problem.instruments[0]
+    block = bound.block
     pattern = block.pattern[rows]
     inputs = x[block.columns[pattern]], block.constants[pattern], block.rows(rows)
     (tips,) = block.model.batch.tip(*inputs)
-    if not isinstance(instrument, DialOnPlane):
+    if block.model.plunger is None:
         return tips, np.zeros_like(tips)
-    (flat,) = block.model.batch.pose(*inputs)
-    turns = flat.reshape(-1, 4, 4).transpose(0, 2, 1)[:, :3, :3]
-    plunger = next(np.asarray(slot.value(x), dtype=float).ravel() for slot in bound.slots if slot.key == "plunger")
-    return tips, turns @ plunger
+    (plungers,) = block.model.batch.plunger(*inputs)
+    return tips, plungers
 
 
 def _across_face(normal: Array, plungers: Array, upright: bool) -> Array:

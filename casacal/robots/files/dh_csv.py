@@ -51,13 +51,13 @@ def csv_text(table: DHTable) -> str:
     if table.parallel:
         lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
     if table.conventions is not None:
-        lines += conventions_comments(table.conventions, [joint.kind == "revolute" for joint in table.joints])
+        lines += conventions_comments(table.conventions, [joint.turns for joint in table.joints])
     slides = [joint for joint in table.joints if joint.kind == "prismatic"]
     header = ["joint", "alpha_deg", "a_mm", "d_mm", "theta_deg", *(["beta_deg"] if table.parallel else []), "kind"]
     header += ["lower_deg", "upper_deg", *(["lower_mm", "upper_mm"] if slides else [])]
     lines.append(",".join(header))
     for i, joint in enumerate(table.joints):
-        turn = joint.kind == "revolute"
+        turn = joint.turns
         cells = [str(i + 1), degrees(table.alpha[i]), plain(table.a[i]), plain(table.d[i]), degrees(table.theta[i])]
         if table.parallel:
             cells.append(degrees(table.beta[table.parallel.index(i + 1)]) if i + 1 in table.parallel else "")

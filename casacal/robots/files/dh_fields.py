@@ -92,7 +92,7 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
                 f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", "Give one a joint"
             )
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
-            if value and (unit in ANGLE) != (joint.kind == "revolute"):
+            if value and (unit in ANGLE) != (joint.turns):
                 raise ProblemError(
                     f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}",
                     "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others",

@@ -59,7 +59,7 @@ def toml_text(table: DHTable) -> str:
     if table.conventions is not None:
         text += "\n" + conventions_toml(table.conventions, table.joints)
     for i, joint in enumerate(table.joints):
-        turn = joint.kind == "revolute"
+        turn = joint.turns
         unit, shown = ("deg", degrees) if turn else ("mm", plain)
         rows = [f'kind = "{joint.kind}"', f"alpha_deg = {degrees(table.alpha[i])}", f"a_mm = {plain(table.a[i])}"]
         rows += [f"d_mm = {plain(table.d[i])}", f"theta_deg = {degrees(table.theta[i])}"]
@@ -72,7 +72,7 @@ def toml_text(table: DHTable) -> str:
 
 def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = None) -> str:
     """The [conventions] block of a TOML file; offsets in degrees, or mm for those `joints` that slide."""
-    turns = [True] * len(conventions.signs) if joints is None else [joint.kind == "revolute" for joint in joints]
+    turns = [True] * len(conventions.signs) if joints is None else [joint.turns for joint in joints]
     degs = [degrees(o) if turn else "0" for o, turn in zip(conventions.offsets, turns, strict=True)]
     lines = ["[conventions]", f"signs = {list(conventions.signs)}", f"offsets_deg = [{', '.join(degs)}]"]
     if not all(turns):

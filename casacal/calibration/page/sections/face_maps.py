@@ -20,7 +20,7 @@ MOST_MAPS = 12
 
 def face_maps(touches: Touches) -> Markup | None:
     """A map a face, all on one scale; None where rows touch no face."""
-    if not touches.has_faces or not touches.calibration.touches_planes:
+    if not touches.has_faces or touches.calibration.fit.problem.instrument.probe is None:
         return None
     found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
     maps = [(label, places, _means(places)) for label, places in found if places is not None]

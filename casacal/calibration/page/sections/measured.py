@@ -45,7 +45,7 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
 
 def _no_faces(touches: Touches) -> list[Markup]:
     spans = []
-    for name in touches.calibration.fit.problem.instruments[0].columns:
+    for name in touches.calibration.fit.problem.instrument.columns:
         values = touches.calibration.samples.columns[name]
         spans.append([name, fixed(float(values.min()), 3), fixed(float(values.max()), 3)])
     if not spans:
@@ -56,10 +56,10 @@ def _no_faces(touches: Touches) -> list[Markup]:
 
 def _face(touches: Touches, label: str, planes: Mapping[str, Any]) -> list[object]:
     rows = [len(part.rows_of(label)) for part in touches.parts]
+    probe = touches.calibration.fit.problem.instrument.probe
+    column = None if probe is None else probe.column
     readings = [
-        part.bound.samples[0].columns["reading"][part.rows_of(label)]
-        for part in touches.parts
-        if "reading" in part.bound.samples[0].columns
+        part.bound.block.samples.columns[column][part.rows_of(label)] for part in touches.parts if column is not None
     ]
     travel = np.concatenate(readings) if readings else np.zeros(0)
     places = touches.places(label)

@@ -55,7 +55,7 @@ def _opening(touches: Touches, beyond: int) -> str:
 
 def _row(part: Part, i: int, white: float) -> list[object]:
     component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
-    labels = part.bound.samples[0].labels.get("plane")
+    labels = part.labels
     return [
         str(part.lines[i]),
         "–" if labels is None else shortened(labels[i], 40),

@@ -18,9 +18,8 @@ FIGURES = (("RMSE", "rmse_mm"), ("MAE", "mae_mm"), ("STD", "std_mm"), ("MAX", "m
 
 def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     """Figures, histograms, rows and faces."""
-    planes = touches.calibration.touches_planes
-    what = "Distance of the touched points from their planes" if planes else "Predicted less measured coordinates"
-    alone = "only the planes fitted, the arm as drawn" if planes else "only the station fitted, the arm as drawn"
+    said = touches.calibration.fit.problem.instrument.words
+    what, alone = f"{said.residual[:1].upper()}{said.residual[1:]}", f"{said.before}, the arm as drawn"
     return section(
         "residuals",
         "Residuals before and after",

@@ -28,7 +28,7 @@ class Verdict:
 
 def verdict_of(calibration: Calibration, document: Mapping[str, Any]) -> Verdict:
     """Whether to use the result; the first reason that speaks against it decides."""
-    tip, planes = document["tip"], "planes" if calibration.touches_planes else "points"
+    tip, planes = document["tip"], calibration.fit.problem.instrument.words.things
     stands = (
         f"the tip is expected to be wrong by {mm(tip['expected_rms_mm'])} RMS over the workspace "
         f"(before: {mm(tip['prior_rms_mm'])}), provided that the stated noise and priors are right"
