@@ -1,6 +1,9 @@
 """Rules that save work, exact curvature and compiled steps: against CasADi's own evaluation and plain NumPy."""
 
+import shutil
+import subprocess
 from collections import Counter
+from importlib import resources
 
 import casadi as ca
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 from test_kernels import BACKENDS, HAS_COMPILER
 
 from casacal import bind, chain, dh
+from casacal.kernels import c_source
 from casacal.kernels.blocks import BlockKernels
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.curvature import CurvatureKernel
@@ -15,6 +19,45 @@ from casacal.kernels.operations import evaluate
 from casacal.kernels.reading import read_program
 from casacal.kinematics import transform_point
 from casacal.least_squares import LeastSquares
+
+C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
+
+
+def test_every_c_file_is_part_of_a_source():
+    """As package data too: they are read from where the package is installed."""
+    program = "/* printed */\n"
+    sources = [c_source.composed(names, program) for names in (c_source.KERNELS, c_source.FILTER)]
+    for name in C_FILES:
+        own = c_source.INCLUDE.split(program if name == c_source.PROGRAM else c_source.c_file(name))[-1]
+        assert own.strip()
+        assert [source.count(own) for source in sources] in ([1, 0], [0, 1], [1, 1]), name
+    assert not any('#include "' in source for source in sources)
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+@pytest.mark.parametrize("name", [name for name in C_FILES if name.endswith(".c")])
+def test_every_c_file_stands_alone_as_c(name):
+    """With the example in program.h, whose definitions are those that Python prints."""
+    compiler = next(path for each in ("gcc", "clang", "cc") if (path := shutil.which(each)))
+    strict = ["-std=gnu11", "-fopenmp-simd", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-fsyntax-only"]
+    with resources.as_file(resources.files("casacal.kernels") / "c" / name) as path:
+        done = subprocess.run([compiler, *strict, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_example_header_defines_what_is_printed():
+    p, d = ca.SX.sym("p", 2), ca.SX.sym("d")
+    e = p[0] * ca.sin(d) - p[1] ** 2
+    printed = c_source.kernel_source(
+        read_program(ca.Function("e", [p, d], [e, ca.jacobian(e, p).T]), ("once", "lane")), 2
+    )
+    sizes = ("PARAMETERS", "COMPONENTS", "UNKNOWNS", "ROWS", "ERRORS_PREPARED", "SLOPES_PREPARED")
+    for text in (printed, c_source.c_file(c_source.PROGRAM)):
+        found = dict(line.split()[1:3] for line in text.splitlines() if line.startswith("#define") and line[-1] != "\\")
+        assert [found[name] for name in sizes] == ["2", "1", "2", "4", "2", "3"]
+        for statements in ("PREPARE", "READ", "LANE_OF"):
+            assert f"#define {statements}_ERRORS " in text
+            assert f"#define {statements}_SLOPES " in text
 
 
 def arm(joints):

@@ -1,17 +1,25 @@
-"""A program printed as C: straight lines over lanes, which any compiler vectorises; reductions inside the kernel."""
+"""A program printed as C: straight lines over lanes, which any compiler vectorises, before the files that use them.
+
+What is the same for every program stands in the folder c. What differs is printed as the definitions of c/program.h.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
 
 import casadi as ca
 
-from casacal.kernels.c_filter import EXTENDED, FILTER
-from casacal.kernels.c_normal import NORMAL_EQUATIONS
-from casacal.kernels.c_templates import ERRORS, HEAD, KERNELS, PREPARE
 from casacal.kernels.operations import C
 from casacal.kernels.program import TRIGONOMETRIC, Program
+
+KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
+FILTER = ("cubature_filter.c",)
+PROGRAM = "program.h"
+"""The header that is printed."""
 
 
 def can_print(program: Program) -> bool:
@@ -34,24 +42,13 @@ def kernel_source(slopes: Program, parameters: int) -> str:
 
     """
     components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
-    rows, e, s = rows_of_normal(unknowns), _Printer(slopes.only(0)), _Printer(slopes)
+    rows, printed = rows_of_normal(unknowns), _Printer(slopes)
     out = [f"const double w{m} = w[{m} * distance + i];" for m in range(components)]
     for m in range(components):
         values = [*slopes.outputs[1][m * unknowns : (m + 1) * unknowns], slopes.outputs[0][m]]
-        out += [f"a[{m * rows + r} * PART + i] = w{m} * {s.name(value)};" for r, value in enumerate(values)]
-    kernels = KERNELS.substitute(
-        prepared=s.prepared(),
-        lane=s.lane(),
-        out=_lines(out),
-        parameters=parameters,
-        components=components,
-        unknowns=unknowns,
-        rows=rows,
-        errors_values=max(len(e.once), 1),
-        slopes_values=max(len(s.once), 1),
-    )
-    own = (e.prepare("errors"), s.prepare("slopes"), e.errors(), kernels)
-    return "".join((HEAD, *own, NORMAL_EQUATIONS, EXTENDED))
+        out += [f"a[{m * rows + r} * PART + i] = w{m} * {printed.name(value)};" for r, value in enumerate(values)]
+    sizes = {"PARAMETERS": parameters, "COMPONENTS": components, "UNKNOWNS": unknowns, "ROWS": rows}
+    return composed(KERNELS, _sizes(sizes) + _errors(_Printer(slopes.only(0))) + printed.definitions("SLOPES", out))
 
 
 def filter_source(residual: Program, unknowns: int, once: int) -> str:
@@ -63,10 +60,42 @@ def filter_source(residual: Program, unknowns: int, once: int) -> str:
         once: numbers in p.
 
     """
-    printer = _Printer(residual)
-    printer.place = {value: residual.operations[value].element[1] for value in residual.lanes}
-    run = FILTER.substitute(z=unknowns, m=len(residual.outputs[0]), once=once, values=max(len(printer.once), 1))
-    return HEAD + printer.prepare("errors") + printer.errors() + run
+    printed = _Printer(residual)
+    printed.place = {value: residual.operations[value].element[1] for value in residual.lanes}
+    sizes = {"PARAMETERS": once, "COMPONENTS": len(residual.outputs[0]), "UNKNOWNS": unknowns}
+    return composed(FILTER, _sizes(sizes) + _errors(printed))
+
+
+def composed(names: Iterable[str], program: str) -> str:
+    """Files of the folder c as one source, each header where it is first included, with `program` for program.h."""
+    done: set[str] = set()
+
+    def text(name: str) -> str:
+        if name in done:
+            return ""
+        done.add(name)
+        return program if name == PROGRAM else INCLUDE.sub(lambda found: text(found[1]), c_file(name))
+
+    return "".join(text(name) for name in names)
+
+
+INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
+
+
+@functools.cache
+def c_file(name: str) -> str:
+    """A file of the folder c."""
+    return (resources.files("casacal.kernels") / "c" / name).read_text(encoding="utf-8")
+
+
+def _sizes(sizes: Mapping[str, int]) -> str:
+    return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+
+
+def _errors(printed: _Printer) -> str:
+    outputs = printed.program.outputs[0]
+    out = [f"e[{m} * distance + i] = {printed.name(value)};" for m, value in enumerate(outputs)]
+    return printed.definitions("ERRORS", out)
 
 
 class _Printer:
@@ -84,26 +113,23 @@ class _Printer:
             return _constant(operation.constant)
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
-    def prepare(self, name: str) -> str:
-        out = _lines(f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once))
+    def definitions(self, what: str, out: Sequence[str]) -> str:
+        """Definitions of c/program.h for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
+        prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once)]
         wanted = [v for v in self.program.needed(self.once) if self.program.kinds[v] == "once"]
-        return PREPARE.substitute(name=name, once=self._printed(wanted), out=out)
-
-    def errors(self) -> str:
-        outputs = self.program.outputs[0]
-        out = _lines(f"e[{m} * distance + i] = {self.name(value)};" for m, value in enumerate(outputs))
-        return ERRORS.substitute(prepared=self.prepared(), lane=self.lane(), out=out)
-
-    def prepared(self) -> str:
-        return _lines(f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once))
-
-    def lane(self) -> str:
+        read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once)]
         used = set(self.needed)
-        loads = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
-        return _lines(loads) + "\n" + self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
+        lane = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
+        lane += self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
+        return (
+            f"#define {what}_PREPARED {max(len(self.once), 1)}\n"
+            + _definition(f"PREPARE_{what}", [*self._printed(wanted), *prepared])
+            + _definition(f"READ_{what}", read)
+            + _definition(f"LANE_OF_{what}", [*lane, *out])
+        )
 
-    def _printed(self, values: Sequence[int]) -> str:
-        return _lines(f"const double v{v} = {self._expression(v)};" for v in values)
+    def _printed(self, values: Sequence[int]) -> list[str]:
+        return [f"const double v{v} = {self._expression(v)};" for v in values]
 
     def _expression(self, value: int) -> str:
         operation = self.program.operations[value]
@@ -120,5 +146,5 @@ def _constant(value: float) -> str:
     return "NAN" if math.isnan(value) else "(INFINITY)" if value > 0 else "(-INFINITY)"
 
 
-def _lines(lines: Iterable[str]) -> str:
-    return "\n".join(f"        {line}" for line in lines)
+def _definition(name: str, lines: Sequence[str]) -> str:
+    return " \\\n    ".join([f"#define {name}", *lines]) + "\n"
