@@ -86,7 +86,7 @@ class BoundProblem(LeastSquares):
 
     @property
     def backend(self) -> str:
-        """Name of the back end that evaluates the rows: "c", "blocks", or "map" for graphs that neither knows."""
+        """Name of the back end that evaluates the rows: "c" or "blocks"."""
         return self._groups[0].backend
 
     def plain_residual(self, x: Array) -> Array:
@@ -153,12 +153,12 @@ class BoundProblem(LeastSquares):
             total += groups.costs(states)
         return np.asarray(total)
 
-    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
         """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
         i = int(np.searchsorted(self._starts, first, side="right")) - 1
         start = int(self._starts[i])
         done = self._groups[i].filter_pass(first - start, self.x0, self.start_std, mean, root)
-        return None if done is None else replace(done, stop=start + done.stop)
+        return replace(done, stop=start + done.stop)
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
         """Let an extended filter take in all rows, in C where there is a compiler."""

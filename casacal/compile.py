@@ -74,11 +74,11 @@ class RowModel:
             self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
         return self._rows[key]
 
-    def filter(self, backend: str | None = None) -> NativeFilter | BlockFilter | None:
-        """The cubature filter's pass, on the back end that evaluates rows; None where CasADi maps them."""
+    def filter(self, backend: str | None = None) -> NativeFilter | BlockFilter:
+        """The cubature filter's pass, on the back end that evaluates rows."""
         name = self.rows(backend).kernels.name
         if name not in self._filters:
-            self._filters[name] = None if name == "map" else self._made_filter(name)
+            self._filters[name] = self._made_filter(name)
         return self._filters[name]
 
     def _made_filter(self, name: str) -> NativeFilter | BlockFilter:
@@ -88,7 +88,7 @@ class RowModel:
         return BlockFilter(self.residual)
 
     @cached_property
-    def _filters(self) -> dict[str, NativeFilter | BlockFilter | None]:
+    def _filters(self) -> dict[str, NativeFilter | BlockFilter]:
         return {}
 
     @cached_property

@@ -125,9 +125,9 @@ def test_cost_gradient_and_hessian_are_casadis(rows):
     np.testing.assert_allclose(bend, np.array(expected[2]), rtol=1e-11, atol=1e-11)
 
 
-def test_curvature_of_a_graph_that_numpy_does_not_know():
+def test_curvature_of_a_graph_without_a_form_in_c():
     v, d = ca.SX.sym("v", 2), ca.SX.sym("d")
-    residual = ca.Function("e", [v, ca.SX.sym("c", 0), d], [ca.vertcat(v[0] ** 2 * ca.erfinv(d) - v[1] * v[0])])
+    residual = ca.Function("e", [v, ca.SX.sym("c", 0), d], [ca.vertcat(v[0] ** 2 * ca.erfinv(d * v[1]) - v[1] * v[0])])
     kernel, data = CurvatureKernel(residual), np.linspace(-0.5, 0.5, 9)[:, None]
     total = sum(ca.sumsqr(residual(v, [], value)) for value in data.ravel()) / 2
     expected = ca.Function("f", [v], [ca.hessian(total, v)[0]])([1.5, -0.5])

@@ -32,7 +32,7 @@ class Lanes:
 class BlockKernels:
     """The four kernels of a row model on CasADi's virtual machine."""
 
-    name, shareable = "blocks", True
+    name = "blocks"
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])

@@ -13,19 +13,14 @@ from importlib import resources
 
 import casadi as ca
 
-from casacal.kernels.operations import C
+from casacal.kernels.compiler import CompilerError
+from casacal.kernels.operations import C, name_of
 from casacal.kernels.program import TRIGONOMETRIC, Program
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)
 PROGRAM = "program.h"
 """The header that is printed."""
-
-
-def can_print(program: Program) -> bool:
-    """Whether every operation has a form in C."""
-    needed = (program.operations[value].op for value in program.needed(program.results))
-    return all(op in (ca.OP_CONST, ca.OP_INPUT) or op in C for op in needed)
 
 
 def rows_of_normal(unknowns: int) -> int:
@@ -39,6 +34,8 @@ def kernel_source(slopes: Program, parameters: int) -> str:
     Args:
         slopes: outputs e (m), and its derivative row by row (m * z).
         parameters: numbers in p: the arguments of role "once", one after the other.
+
+    Raises CompilerError for an operation that has no form in C.
 
     """
     components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
@@ -58,6 +55,8 @@ def filter_source(residual: Program, unknowns: int, once: int) -> str:
         residual: outputs e (m); its lanes are the z that many states give.
         unknowns: z.
         once: numbers in p.
+
+    Raises CompilerError for an operation that has no form in C.
 
     """
     printed = _Printer(residual)
@@ -133,6 +132,8 @@ class _Printer:
 
     def _expression(self, value: int) -> str:
         operation = self.program.operations[value]
+        if operation.op not in C and operation.op != ca.OP_INPUT:
+            raise CompilerError(f"the operation '{name_of(operation.op)}' has no form in C")
         if operation.op == ca.OP_INPUT:
             return f"p[{self.program.position(value)} * states + s]"
         called = "lane_" if operation.op in TRIGONOMETRIC else ""

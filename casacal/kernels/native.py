@@ -42,7 +42,7 @@ class Lanes:
 class NativeKernels:
     """The four kernels of a row model in C."""
 
-    name, shareable = "c", True
+    name = "c"
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
