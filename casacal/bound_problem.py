@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block, Slot, make_block, make_slots
-from casacal.kernels.native_extended import extended_pass
-from casacal.kernels.native_normal import NativeNormal
-from casacal.kernels.native_pieces import PackedPieces
+from casacal.kernels.native_filter import extended_pass
+from casacal.kernels.native_normal import NativeNormal, PackedPieces
 from casacal.least_squares import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 from casacal.problem import Problem

@@ -26,11 +26,11 @@ from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
-from casacal.kernels.block_filter import BlockFilter
+from casacal.kernels.block_filter import BlockCubature
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.compiler import CompilerError
 from casacal.kernels.curvature import CurvatureKernel
-from casacal.kernels.native_filter import NativeFilter
+from casacal.kernels.native_filter import NativeCubature
 from casacal.kinematics import Product, position
 from casacal.robot import Robot
 from casacal.unknowns import Unknown
@@ -74,21 +74,21 @@ class RowModel:
             self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
         return self._rows[key]
 
-    def filter(self, backend: str | None = None) -> NativeFilter | BlockFilter:
+    def filter(self, backend: str | None = None) -> NativeCubature | BlockCubature:
         """The cubature filter's pass, on the back end that evaluates rows."""
         name = self.rows(backend).kernels.name
         if name not in self._filters:
             self._filters[name] = self._made_filter(name)
         return self._filters[name]
 
-    def _made_filter(self, name: str) -> NativeFilter | BlockFilter:
+    def _made_filter(self, name: str) -> NativeCubature | BlockCubature:
         if name == "c":
             with contextlib.suppress(CompilerError):
-                return NativeFilter(self.residual)
-        return BlockFilter(self.residual)
+                return NativeCubature(self.residual)
+        return BlockCubature(self.residual)
 
     @cached_property
-    def _filters(self) -> dict[str, NativeFilter | BlockFilter]:
+    def _filters(self) -> dict[str, NativeCubature | BlockCubature]:
         return {}
 
     @cached_property

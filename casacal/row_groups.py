@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block
-from casacal.kernels.native import NativeKernels
-from casacal.kernels.native_pieces import NativePiece, PackedPieces
+from casacal.kernels.native_normal import NativePiece, PackedPieces
+from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares import FilterPass
 from casacal.losses import Loss
 from casacal.threads import shared_out

@@ -12,7 +12,7 @@ from test_kernels import BACKENDS, HAS_COMPILER
 
 from casacal import bind, chain, dh
 from casacal.kernels import c_source
-from casacal.kernels.blocks import BlockKernels
+from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate

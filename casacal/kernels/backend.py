@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.kernels.blocks import BlockKernels
+from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.compiler import CompilerError
-from casacal.kernels.native import NativeKernels
-from casacal.kernels.operations import evaluate
+from casacal.kernels.lanes import lane_data
+from casacal.kernels.native_rows import NativeKernels
 from casacal.kernels.program import Program, Role
 from casacal.kernels.reading import read_program
 
@@ -76,10 +76,7 @@ class RowKernels:
         """Rows in the form the kernels read: arguments of role "lane", each (n, size), and noise (n, m)."""
         waiting = iter(arguments)
         given = [next(waiting).T if role == "lane" else np.zeros(0) for role in self._roles]
-        d = np.zeros((len(self._program.lanes), len(noise)))
-        if len(d):  # a residual may ignore its data
-            d[...] = evaluate(self._program, self._program.lanes, given).reshape(len(d), -1)
-        return self.kernels.lanes(d, 1.0 / noise.T)
+        return self.kernels.lanes(lane_data(self._program, given, len(noise)), 1.0 / noise.T)
 
 
 def _chosen(asked: str, slopes: Program, parameters: int) -> Kernels:

@@ -17,8 +17,8 @@ Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
 
 
-class BlockFilter:
-    """The filter's pass for a residual function of (z, c, d); called as `NativeFilter` is."""
+class BlockCubature:
+    """The filter's pass for a residual function of (z, c, d); called as `NativeCubature` is."""
 
     def __init__(self, residual: ca.Function) -> None:
         self.unknowns, self.components = residual.numel_in(0), residual.numel_out(0)
@@ -38,7 +38,7 @@ class BlockFilter:
         mean: Array,
         root: Array,
     ) -> tuple[int, Array, Array, Array]:
-        """Take in residuals from `first` on, changing mean and root in place; see `NativeFilter`."""
+        """Take in residuals from `first` on, changing mean and root in place; see `NativeCubature`."""
         n, rows = x0.size, weight.size
         means, trace = np.empty((rows, n)), np.empty((rows, 3))
         # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column

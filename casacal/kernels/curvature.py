@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.kernels.operations import evaluate
+from casacal.kernels.lanes import BlockLanes, lane_data
 from casacal.kernels.reading import read_program
-from casacal.kernels.replay import Buffered, blocked, product, replayed, width_for
+from casacal.kernels.replay import Buffered, product, replayed
 from casacal.threads import shared_out
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOGETHER = 16
 """Blocks that one thread sums up at a time."""
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Data d (blocks, columns, width) and weights w (blocks, m, width) of rows."""
-
-    d: Array
-    w: Array
 
 
 class CurvatureKernel:
@@ -52,17 +43,14 @@ class CurvatureKernel:
         # one set a thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
-    def lanes(self, data: Array, noise: Array) -> Lanes:
+    def lanes(self, data: Array, noise: Array) -> BlockLanes:
         """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
-        lanes = self._program.lanes
-        d = np.zeros((len(lanes), len(data)))
-        if lanes:
-            empty = np.zeros(0)
-            d[...] = evaluate(self._program, lanes, [empty, empty, data.T]).reshape(len(lanes), -1)
-        width = width_for(len(data))
-        return Lanes(blocked(d, width, "edge"), blocked(1.0 / noise.T, width, "constant"))
+        empty = np.zeros(0)
+        return BlockLanes.of(lane_data(self._program, [empty, empty, data.T], len(data)), 1.0 / noise.T)
 
-    def __call__(self, v: Array, constants: Array, lanes: Lanes, *, threads: int = 1) -> tuple[float, Array, Array]:
+    def __call__(
+        self, v: Array, constants: Array, lanes: BlockLanes, *, threads: int = 1
+    ) -> tuple[float, Array, Array]:
         """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c.
 
         Threads change no digit: blocks are summed up in groups, and the groups in order.
