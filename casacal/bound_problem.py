@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from casacal.binding import Block, Slot, make_block, make_slots
 from casacal.kernels.native_filter import extended_pass
 from casacal.kernels.native_normal import NativeNormal, PackedPieces
+from casacal.kernels.steps import all_rows_in_c
 from casacal.least_squares import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.losses import Loss
 from casacal.problem import Problem
 from casacal.raw_graph import RawBlock, RawGraph
-from casacal.row_groups import FEW, RowGroups, packed, places
+from casacal.row_groups import FEW, RowGroups, places
 from casacal.samples import Samples
 from casacal.threads import thread_count
 from casacal.unknowns import Parameter
@@ -133,7 +134,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def _packed(self) -> PackedPieces | None:
-        return packed(self._groups)
+        return all_rows_in_c([groups.native_pieces for groups in self._groups])
 
     @cached_property
     def _native(self) -> NativeNormal | None:

@@ -10,7 +10,6 @@ row and the raw form for the IPOPT reference come from the same graph. Coordinat
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,9 +27,9 @@ from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
 from casacal.kernels.block_filter import BlockCubature
 from casacal.kernels.columnwise import Columnwise
-from casacal.kernels.compiler import CompilerError
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.native_filter import NativeCubature
+from casacal.kernels.steps import cubature_pass
 from casacal.kinematics import Product, position
 from casacal.robot import Robot
 from casacal.unknowns import Unknown
@@ -78,14 +77,8 @@ class RowModel:
         """The cubature filter's pass, on the back end that evaluates rows."""
         name = self.rows(backend).kernels.name
         if name not in self._filters:
-            self._filters[name] = self._made_filter(name)
+            self._filters[name] = cubature_pass(self.residual, name)
         return self._filters[name]
-
-    def _made_filter(self, name: str) -> NativeCubature | BlockCubature:
-        if name == "c":
-            with contextlib.suppress(CompilerError):
-                return NativeCubature(self.residual)
-        return BlockCubature(self.residual)
 
     @cached_property
     def _filters(self) -> dict[str, NativeCubature | BlockCubature]:

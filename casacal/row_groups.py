@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding import Block
-from casacal.kernels.native_normal import NativePiece, PackedPieces
+from casacal.kernels.native_normal import NativePiece
 from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares import FilterPass
 from casacal.losses import Loss
@@ -161,13 +161,6 @@ class RowGroups:
         mean, root = mean.copy(), np.ascontiguousarray(root.copy())
         stop, *trace = run(first, block.pattern, block.columns, x0, scale, once, 1 / block.noise, mean, root)
         return FilterPass(stop, mean, root, *(each[first:stop] for each in trace))
-
-
-def packed(groups: Sequence[RowGroups]) -> PackedPieces | None:
-    """All rows as compiled C takes them; None where some block's rows are not evaluated in C, or there are none."""
-    pieces = [each.native_pieces for each in groups]
-    known = [piece for some in pieces if some is not None for piece in some]
-    return None if None in pieces or not known else PackedPieces(known)
 
 
 def places(groups: Sequence[RowGroups]) -> NDArray[np.intp]:

@@ -8,9 +8,9 @@ from importlib import resources
 import casadi as ca
 import numpy as np
 import pytest
-from test_kernels import BACKENDS, HAS_COMPILER
+from test_kernels import HAS_COMPILER
 
-from casacal import bind, chain, dh
+from casacal import chain, dh
 from casacal.kernels import c_source
 from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.columnwise import Columnwise
@@ -18,7 +18,6 @@ from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate
 from casacal.kernels.reading import read_program
 from casacal.kinematics import transform_point
-from casacal.least_squares import LeastSquares
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
 
@@ -142,33 +141,6 @@ def test_a_function_of_many_rows_is_casadis(rows):
     found = Columnwise(residual)(v, c, data)
     expected = np.array(residual.map(rows)(v, c, data.T)).T
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_damped_step_solves_the_system_of_the_whole_objective(hsr, backend):
-    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend=backend)
-    x = 0.3 * bound.start_std * np.random.default_rng(0).normal(size=bound.unknowns)
-    jacobian, r = bound.jacobian(x), bound.residual(x)
-    stacked = np.vstack([jacobian, np.diag(np.sqrt(bound.prior_information))]) * bound.start_std
-    residual = np.concatenate([r, np.sqrt(bound.prior_information) * (x - bound.x0)])
-    for damping in (1e-3, 10.0):
-        damped = np.vstack([stacked, np.sqrt(damping) * np.eye(bound.unknowns)])
-        y = np.linalg.lstsq(damped, -np.concatenate([residual, np.zeros(bound.unknowns)]), rcond=None)[0]
-        step = bound.damped_step(x, bound.normal(x), damping)
-        np.testing.assert_allclose((step.x - x) / bound.start_std, y, rtol=1e-6, atol=1e-9)
-        assert step.squared_length == pytest.approx(np.sum((stacked @ y) ** 2), rel=1e-6)
-        fall = (residual @ residual - np.sum((residual + stacked @ y) ** 2)) / 2
-        assert step.predicted == pytest.approx(fall, rel=1e-6)
-
-
-@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
-def test_a_step_in_c_is_numpys_and_says_when_there_is_none(hsr):
-    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend="c")
-    normal = bound.normal(bound.x0)
-    one, other = bound.damped_step(bound.x0, normal, 0.1), LeastSquares.damped_step(bound, bound.x0, normal, 0.1)
-    np.testing.assert_allclose(one.x / bound.start_std, other.x / bound.start_std, rtol=0, atol=1e-9)
-    for spoilt in (-normal.information, normal.information * np.nan):
-        assert bound.damped_step(bound.x0, type(normal)(0.0, normal.gradient, spoilt), 0.1) is None
 
 
 def test_outputs_that_are_sums_of_few_values_become_so():

@@ -9,19 +9,15 @@ import sys
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import pytest
 from conftest import ROOT
 from test_new_robots import scara
 
 from casacal import (
-    BoundProblem,
     DialOnPlane,
     Parameter,
     Problem,
     Robot,
-    Samples,
-    TrackedPoint,
     bind,
     calibrate,
     ekf,
@@ -31,13 +27,11 @@ from casacal import (
     simulate,
 )
 from casacal.errors import ProblemError
-from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler
 from casacal.kernels.backend import RowKernels
 from casacal.kernels.operations import NUMPY, C, evaluate, name_of
 from casacal.kernels.reading import read_program
-from casacal.least_squares import LeastSquares
 from casacal.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
@@ -379,81 +373,3 @@ def test_processes_that_race_for_the_cache_all_get_kernels(fresh):
     assert len({out for out, _ in said}) == 1
     assert {error for _, error in said} == {""}
     assert not [path for path in fresh.iterdir() if path.suffix != ".so"]
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_fused_filter_is_the_filter_step_by_step(case, backend, monkeypatch):
-    problem, samples, _ = case
-    fused = bind(problem, samples, backend=backend)
-    assert fused.filter_pass(0, np.zeros(fused.unknowns), np.eye(fused.unknowns)).stop == fused.rows
-    one = sckf(fused)
-    monkeypatch.setattr(BoundProblem, "filter_pass", LeastSquares.filter_pass)
-    monkeypatch.setattr(sys.modules["casacal.estimators.sckf"], "downdated", lambda root, u: None)  # QR in every row
-    other = sckf(bind(problem, samples, backend=backend))
-    scale = fused.start_std
-    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
-                               rtol=0, atol=1e-10)  # fmt: skip
-    for name in ("x", "innovation", "innovation_std"):
-        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-8)
-    assert one.residual_rows == other.residual_rows == 2 * fused.unknowns * fused.rows
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_fused_filter_hands_over_the_rows_that_would_lose_digits(hsr, backend, monkeypatch):
-    rows = hsr.problem.read(hsr.samples)
-    expected = sckf(bind(hsr.problem, rows, backend=backend))
-    # as if much more of a variance had to remain: the first rows of each face then need the full triangularisation
-    for module in ("native_filter", "block_filter"):
-        monkeypatch.setattr(f"casacal.kernels.{module}.LEAST_LEFT", 0.2)
-    bound = bind(hsr.problem, rows, backend=backend)
-    assert bound.filter_pass(0, np.zeros(bound.unknowns), np.eye(bound.unknowns)).stop < bound.rows
-    mixed = sckf(bound)
-    np.testing.assert_allclose(mixed.x / bound.start_std, expected.x / bound.start_std, rtol=0, atol=1e-10)
-    assert len(mixed.trace["innovation"]) == bound.rows
-
-
-def test_a_measurement_that_tells_all_is_triangularised_in_full():
-    belief = Belief(np.zeros(3), np.eye(3))
-    update = cubature_update(belief, lambda s: s @ np.array([1.0, 2.0, 3.0]), 1.0, 1e-9)
-    root = update.belief.root
-    assert (np.diagonal(root) >= 0).all()
-    np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ root, 0, atol=1e-8)
-
-
-@pytest.fixture(scope="module", params=["hsr", "scara", "two instruments", "many rows"])
-def filtered(request):
-    """Samples that a filter reads: rows of one pattern and of several, three residuals a row, more than one piece."""
-    made, rng = bounds(), np.random.default_rng(0)
-    if request.param in made:
-        problem, samples, _ = made[request.param]
-        return problem, (samples,)
-    problem, samples, _ = made["hsr"]
-    if request.param == "many rows":
-        return problem, (samples.take(rng.integers(len(samples), size=8_500)),)
-    joints = rng.uniform(-60, 60, size=(12, 6))
-    pair = Problem(problem.robot, *problem.instruments, TrackedPoint(noise_std=0.05))
-    tracked = pd.DataFrame(joints, columns=[f"q{i}_deg" for i in range(1, 7)])
-    bound = bind(problem, samples)
-    shift = np.array([1000.0, 0.0, -300.0])
-    tracked[["x_mm", "y_mm", "z_mm"]] = bound.tips(0.5 * bound.start_std, np.radians(joints)) + shift
-    return pair, (samples, Samples.from_frame(tracked, pair.layout(1)))
-
-
-@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
-def test_the_fused_extended_filter_is_the_filter_row_by_row(filtered, monkeypatch):
-    problem, samples = filtered
-    bound = bind(problem, *samples, backend="c")
-    assert bound.extended_pass(np.zeros(bound.unknowns), np.eye(bound.unknowns)) is not None
-    one, seen = ekf(bound), []
-    monkeypatch.setattr(BoundProblem, "extended_pass", LeastSquares.extended_pass)
-    other = ekf(bound, progress=lambda k, _: seen.append(k))
-    assert seen == list(range(1, bound.rows + 1))
-    scale = bound.start_std
-    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
-                               rtol=0, atol=1e-10)  # fmt: skip
-    assert (np.linalg.eigvalsh(one.covariance / np.outer(scale, scale)) > 0).all()
-    for name in ("x", "innovation", "innovation_std"):
-        assert one.trace[name].shape == other.trace[name].shape
-        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-6)

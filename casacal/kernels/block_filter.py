@@ -85,7 +85,7 @@ class BlockCubature:
             std = ca.sqrt(1 + ca.sumsqr(e - average) / (2 * n))
             u = (e[:n] - e[n:]) / (2 * math.sqrt(n) * std)
             left = 1 - ca.mtimes(ca.DM(np.tril(np.ones((n, n)))), u**2)
-            before = ca.vertcat(1, left[:-1])
+            before = ca.vertcat(1, left)[:n]
             split = (ca.vertsplit(each) for each in (u, ca.sqrt(left / before), u / ca.sqrt(left * before)))
             turned, beyond = [], ca.MX.zeros(n, 1)
             for column, part, up, down in zip(*map(reversed, (ca.horzsplit(root), *split)), strict=True):
