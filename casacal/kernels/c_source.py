@@ -1,6 +1,8 @@
-"""A program printed as C: straight lines over lanes, which any compiler vectorises, before the files that use them.
+"""A program printed as C: straight lines over lanes, which any compiler vectorises, in the loops of the folder c.
 
-What is the same for every program stands in the folder c. What differs is printed as the definitions of c/program.h.
+What is the same for every program stands in that folder, as C that compilers and editors read as it is: c/program.h
+defines an example of what differs. Here the sizes are defined anew, and statements written out where they are named,
+for a compiler takes half as long again over macros of hundreds of lines.
 """
 
 from __future__ import annotations
@@ -8,8 +10,9 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from importlib import resources
+from typing import TypeAlias
 
 import casadi as ca
 
@@ -19,8 +22,10 @@ from casacal.kernels.program import TRIGONOMETRIC, Program
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)
+Definitions: TypeAlias = dict[str, int | Sequence[str]]
+"""Numbers and statements by the names that C has for them."""
 PROGRAM = "program.h"
-"""The header that is printed."""
+"""The example, which a source has no need of."""
 
 
 def rows_of_normal(unknowns: int) -> int:
@@ -44,8 +49,8 @@ def kernel_source(slopes: Program, parameters: int) -> str:
     for m in range(components):
         values = [*slopes.outputs[1][m * unknowns : (m + 1) * unknowns], slopes.outputs[0][m]]
         out += [f"a[{m * rows + r} * PART + i] = w{m} * {printed.name(value)};" for r, value in enumerate(values)]
-    sizes = {"PARAMETERS": parameters, "COMPONENTS": components, "UNKNOWNS": unknowns, "ROWS": rows}
-    return composed(KERNELS, _sizes(sizes) + _errors(_Printer(slopes.only(0))) + printed.definitions("SLOPES", out))
+    sizes: Definitions = {"PARAMETERS": parameters, "COMPONENTS": components, "UNKNOWNS": unknowns, "ROWS": rows}
+    return composed(KERNELS, sizes | _errors(_Printer(slopes.only(0))) | printed.definitions("SLOPES", out))
 
 
 def filter_source(residual: Program, unknowns: int, once: int) -> str:
@@ -61,24 +66,35 @@ def filter_source(residual: Program, unknowns: int, once: int) -> str:
     """
     printed = _Printer(residual)
     printed.place = {value: residual.operations[value].element[1] for value in residual.lanes}
-    sizes = {"PARAMETERS": once, "COMPONENTS": len(residual.outputs[0]), "UNKNOWNS": unknowns}
-    return composed(FILTER, _sizes(sizes) + _errors(printed))
+    sizes: Definitions = {"PARAMETERS": once, "COMPONENTS": len(residual.outputs[0]), "UNKNOWNS": unknowns}
+    return composed(FILTER, sizes | _errors(printed))
 
 
-def composed(names: Iterable[str], program: str) -> str:
-    """Files of the folder c as one source, each header where it is first included, with `program` for program.h."""
+def composed(names: Iterable[str], definitions: Definitions) -> str:
+    """Files of the folder c as one source, each header where it is first included, with what c/program.h is to define.
+
+    Numbers are defined; statements are written out where a line of C is their name.
+    """
     done: set[str] = set()
+    sizes = "".join(f"#define {name} {size}\n" for name, size in definitions.items() if isinstance(size, int))
+
+    def written(line: re.Match[str]) -> str:
+        statements = definitions.get(line[2])
+        return "".join(f"{line[1]}{each}\n" for each in statements) if isinstance(statements, Sequence) else line[0]
 
     def text(name: str) -> str:
         if name in done:
             return ""
         done.add(name)
-        return program if name == PROGRAM else INCLUDE.sub(lambda found: text(found[1]), c_file(name))
+        if name == PROGRAM:
+            return sizes
+        return INCLUDE.sub(lambda found: text(found[1]), NAME.sub(written, c_file(name)))
 
     return "".join(text(name) for name in names)
 
 
 INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
+NAME = re.compile(r"^( *)([A-Z_]+)\n", re.MULTILINE)
 
 
 @functools.cache
@@ -87,11 +103,7 @@ def c_file(name: str) -> str:
     return (resources.files("casacal.kernels") / "c" / name).read_text(encoding="utf-8")
 
 
-def _sizes(sizes: Mapping[str, int]) -> str:
-    return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-
-
-def _errors(printed: _Printer) -> str:
+def _errors(printed: _Printer) -> Definitions:
     outputs = printed.program.outputs[0]
     out = [f"e[{m} * distance + i] = {printed.name(value)};" for m, value in enumerate(outputs)]
     return printed.definitions("ERRORS", out)
@@ -112,20 +124,20 @@ class _Printer:
             return _constant(operation.constant)
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
-    def definitions(self, what: str, out: Sequence[str]) -> str:
-        """Definitions of c/program.h for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
+    def definitions(self, what: str, out: Sequence[str]) -> Definitions:
+        """What c/program.h defines for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
         prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once)]
         wanted = [v for v in self.program.needed(self.once) if self.program.kinds[v] == "once"]
         read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once)]
         used = set(self.needed)
         lane = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
         lane += self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
-        return (
-            f"#define {what}_PREPARED {max(len(self.once), 1)}\n"
-            + _definition(f"PREPARE_{what}", [*self._printed(wanted), *prepared])
-            + _definition(f"READ_{what}", read)
-            + _definition(f"LANE_OF_{what}", [*lane, *out])
-        )
+        return {
+            f"{what}_PREPARED": max(len(self.once), 1),
+            f"PREPARE_{what}": [*self._printed(wanted), *prepared],
+            f"READ_{what}": read,
+            f"LANE_OF_{what}": [*lane, *out],
+        }
 
     def _printed(self, values: Sequence[int]) -> list[str]:
         return [f"const double v{v} = {self._expression(v)};" for v in values]
@@ -145,7 +157,3 @@ def _constant(value: float) -> str:
     if math.isfinite(value):
         return f"({value!r})"
     return "NAN" if math.isnan(value) else "(INFINITY)" if value > 0 else "(-INFINITY)"
-
-
-def _definition(name: str, lines: Sequence[str]) -> str:
-    return " \\\n    ".join([f"#define {name}", *lines]) + "\n"
