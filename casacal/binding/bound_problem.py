@@ -11,11 +11,11 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.raw_graph import RawBlock, RawGraph
-from casacal.binding.row_groups import FEW, RowGroups, packed, places
+from casacal.binding.row_groups import FEW, RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
-from casacal.kernels.native_extended import extended_pass
-from casacal.kernels.native_normal import NativeNormal
-from casacal.kernels.native_pieces import PackedPieces
+from casacal.kernels.native_filter import extended_pass
+from casacal.kernels.native_normal import NativeNormal, PackedPieces
+from casacal.kernels.steps import all_rows_in_c
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
@@ -109,7 +109,7 @@ class BoundProblem(LeastSquares):
 
     @property
     def backend(self) -> str:
-        """Name of the back end that evaluates the rows: "c", "blocks", or "map" for graphs that neither knows."""
+        """Name of the back end that evaluates the rows: "c" or "blocks"."""
         return self._groups[0].backend
 
     def plain_residual(self, x: Array) -> Array:
@@ -157,7 +157,7 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def _packed(self) -> PackedPieces | None:
-        return packed(self._groups)
+        return all_rows_in_c([groups.native_pieces for groups in self._groups])
 
     @cached_property
     def _native(self) -> NativeNormal | None:
@@ -176,12 +176,12 @@ class BoundProblem(LeastSquares):
             total += groups.costs(states)
         return np.asarray(total)
 
-    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
         """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
         i = int(np.searchsorted(self._starts, first, side="right")) - 1
         start = int(self._starts[i])
         done = self._groups[i].filter_pass(first - start, self.x0, self.start_std, mean, root)
-        return None if done is None else replace(done, stop=start + done.stop)
+        return replace(done, stop=start + done.stop)
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
         """Let an extended filter take in all rows, in C where there is a compiler."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.curvature import CurvatureKernel, Lanes
+from casacal.kernels.curvature import CurvatureKernel
+from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.replay import Buffered
 from casacal.unknowns import Unknown
 
@@ -34,7 +35,7 @@ class RawBlock:
     """How many share the rows."""
 
     @cached_property
-    def lanes(self) -> Lanes:
+    def lanes(self) -> BlockLanes:
         """The rows as the kernel reads them."""
         return self.kernel.lanes(self.data, self.noise)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.slots import Block
-from casacal.kernels.native import NativeKernels
-from casacal.kernels.native_pieces import NativePiece, PackedPieces
+from casacal.kernels.native_normal import NativePiece
+from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
 from casacal.threads import shared_out
@@ -65,8 +65,8 @@ class RowGroups:
 
     def __init__(self, block: Block, unknowns: int, backend: str | None, threads: int) -> None:
         self.block, self._unknowns, self._asked, self._rows = block, unknowns, backend, block.model.rows(backend)
-        self._shareable = threads if self._rows.kernels.shareable else 1
-        self._threads = self._shareable if len(block.noise) >= FEW else 1
+        self._shared_by = threads
+        self._threads = threads if len(block.noise) >= FEW else 1
 
     @property
     def backend(self) -> str:
@@ -130,7 +130,7 @@ class RowGroups:
         if len(states) * len(self.block.noise) < MANY_LANES:
             return total(states)
         few = [states[k : k + STATES] for k in range(0, len(states), STATES)]
-        return np.concatenate(shared_out(total, few, self._shareable))
+        return np.concatenate(shared_out(total, few, self._shared_by))
 
     def normal(self, x: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Half the whitened sum of squares, its gradient (n,), and J'J (n, n); with a loss, rows by their weights."""
@@ -153,22 +153,13 @@ class RowGroups:
             information[piece.square] += s[:-1, :-1]
         return cost, gradient, information
 
-    def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass | None:
-        """Let a cubature filter take in the block's residuals from `first` on; None where CasADi maps them."""
+    def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass:
+        """Let a cubature filter take in the block's residuals from `first` on."""
         block, run = self.block, self.block.model.filter(self._asked)
-        if run is None:
-            return None
         once = np.hstack([block.constants[block.pattern], block.data])
         mean, root = mean.copy(), np.ascontiguousarray(root.copy())
         stop, *trace = run(first, block.pattern, block.columns, x0, scale, once, 1 / block.noise, mean, root)
         return FilterPass(stop, mean, root, *(each[first:stop] for each in trace))
-
-
-def packed(groups: Sequence[RowGroups]) -> PackedPieces | None:
-    """All rows as compiled C takes them; None where some block's rows are not evaluated in C, or there are none."""
-    pieces = [each.native_pieces for each in groups]
-    known = [piece for some in pieces if some is not None for piece in some]
-    return None if None in pieces or not known else PackedPieces(known)
 
 
 def places(groups: Sequence[RowGroups]) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ with e_k the residual of row k, w_k its standard deviation and s_j the prior sta
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -53,6 +54,11 @@ class Step(NamedTuple):
     x: Array
     squared_length: float
     predicted: float
+
+    @property
+    def finite(self) -> bool:
+        """Whether it leads anywhere."""
+        return math.isfinite(self.squared_length) and math.isfinite(self.predicted)
 
 
 @dataclass(frozen=True)

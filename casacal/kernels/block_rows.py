@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.program import Program
-from casacal.kernels.replay import Buffered, blocked, joined, prepared, product, replayed, width_for
+from casacal.kernels.replay import Buffered, prepared, product, replayed
 
 Array: TypeAlias = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Data of some rows in blocks: d (blocks, columns, width), w (blocks, m, width); n rows.
-
-    The last block repeats the last row, with weight zero.
-    """
-
-    n: int
-    d: Array
-    w: Array
 
 
 class BlockKernels:
     """The four kernels of a row model on CasADi's virtual machine."""
 
-    name, shareable = "blocks", True
+    name = "blocks"
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
@@ -41,27 +29,25 @@ class BlockKernels:
         # one set a thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
-    def lanes(self, d: Array, w: Array) -> Lanes:
+    def lanes(self, d: Array, w: Array) -> BlockLanes:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
-        n = d.shape[1]
-        width = width_for(n)
-        return Lanes(n, blocked(d, width, "edge"), blocked(w, width, "constant"))
+        return BlockLanes.of(d, w)
 
-    def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
+    def reweighted(self, lanes: BlockLanes, w: Array) -> BlockLanes:
         """The same rows with other weights (m, n)."""
-        return replace(lanes, w=blocked(w, lanes.w.shape[2], "constant"))
+        return lanes.reweighted(w)
 
-    def residual(self, p: Array, lanes: Lanes) -> Array:
+    def residual(self, p: Array, lanes: BlockLanes) -> Array:
         """Plain residuals (m, n)."""
         function, o = self._function("residual", lanes), self._prepared("residual", p)
-        e = np.empty((len(lanes.d), self.components, lanes.d.shape[2]))
+        e = np.empty((len(lanes.d), self.components, lanes.width))
         for d, out in zip(lanes.d, e, strict=True):
             function((o, d), (out,))
-        return joined(e, lanes.n)
+        return lanes.joined(e)
 
-    def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
+    def slopes(self, p: Array, lanes: BlockLanes) -> tuple[Array, Array]:
         """Plain residuals (m, n) and slopes (m, z, n)."""
-        function, (blocks, _, width) = self._function("slopes", lanes), lanes.d.shape
+        function, blocks, width = self._function("slopes", lanes), len(lanes.d), lanes.width
         m, z = self.components, self.unknowns
         some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
         evaluate = function.bound((self._prepared("slopes", p), lanes.d[0]), tuple(some))
@@ -71,7 +57,7 @@ class BlockKernels:
             values[:, k * width : (k + 1) * width] = some
         return values[:m, : lanes.n], values[m:].reshape(m, z, -1)[:, :, : lanes.n]
 
-    def costs(self, states: Array, lanes: Lanes) -> Array:
+    def costs(self, states: Array, lanes: BlockLanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
         function, out, cost = self._function("cost", lanes), np.empty(1), np.zeros(len(states))
         states = np.ascontiguousarray(states)
@@ -82,7 +68,7 @@ class BlockKernels:
                 cost[k] += out[0]
         return cost
 
-    def normal(self, p: Array, lanes: Lanes) -> Array:
+    def normal(self, p: Array, lanes: BlockLanes) -> Array:
         """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
         function, o = self._function("normal", lanes), self._prepared("slopes", p)
         out, s = np.empty((2, self.unknowns + 1, self.unknowns + 1))
@@ -99,9 +85,8 @@ class BlockKernels:
         self._kept(f"prepared {name}", 0, lambda: prepared(program, self._parameters))((p,), (o,))
         return o
 
-    def _function(self, name: str, lanes: Lanes) -> Buffered:
-        width = int(lanes.d.shape[2])
-        return self._kept(name, width, lambda: self._built(name, width))
+    def _function(self, name: str, lanes: BlockLanes) -> Buffered:
+        return self._kept(name, lanes.width, lambda: self._built(name, lanes.width))
 
     def _kept(self, name: str, width: int, build: Callable[[], ca.Function]) -> Buffered:
         if not hasattr(self._local, "functions"):

@@ -1,14 +1,5 @@
-"""C that sums normal equations over pieces of the rows, and takes damped steps on them; the same for every problem."""
-
-NORMAL_EQUATIONS = """
-typedef struct {
-    void (*normal)(long, long, const double *, const double *, const double *, double *);
-    void (*slopes)(long, long, const double *, const double *, double *, double *, long);
-    long n, ld, z, rows, constants, components, lanes;
-    const long *column;     /* where the z slopes stand in x */
-    const double *constant; /* what follows them in p */
-    const double *d, *w;    /* [lanes][ld], [components][ld] */
-} piece;
+#include "lanes.h"
+#include "piece.h"
 
 /* Information[n][n], gradient[n] and cost of each of `count` pieces of the rows, at x, to sums[piece]. */
 void accumulate(long count, const piece *pieces, long n, const double *x, double *sums, double *work)
@@ -76,4 +67,3 @@ long damped_step(long n, const double *restrict information, const double *restr
     out[n + 1] = predicted;
     return 1;
 }
-"""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,37 +11,19 @@ from numpy.typing import NDArray
 
 from casacal.kernels.c_source import kernel_source, rows_of_normal
 from casacal.kernels.compiler import load_library
+from casacal.kernels.lanes import PaddedLanes, aligned
 from casacal.kernels.program import Program
 
 Array: TypeAlias = NDArray[np.float64]
 
-PAD = 8
-"""Lanes are padded to a multiple of this, so that loops over them need no tail."""
 LARGE = 1 << 20
 """Bytes of a Jacobian beyond which it is written past the caches."""
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Data of n rows, column by column: d (columns, ld) and weights w (m, ld).
-
-    The padding repeats the last row, with weight zero.
-    """
-
-    n: int
-    d: Array
-    w: Array
-
-    @property
-    def ld(self) -> int:
-        """Lanes in memory: n and the padding."""
-        return int(self.d.shape[1])
 
 
 class NativeKernels:
     """The four kernels of a row model in C."""
 
-    name, shareable = "c", True
+    name = "c"
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
@@ -55,34 +36,34 @@ class NativeKernels:
         self._costs = self._function("costs", long, long, long, pointer, pointer, pointer, pointer)
         self._normal = self._function("normal", long, long, pointer, pointer, pointer, pointer)
 
-    def lanes(self, d: Array, w: Array) -> Lanes:
+    def lanes(self, d: Array, w: Array) -> PaddedLanes:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
-        return Lanes(d.shape[1], _padded(d, repeat=True), _padded(w))
+        return PaddedLanes.of(d, w)
 
-    def reweighted(self, lanes: Lanes, w: Array) -> Lanes:
+    def reweighted(self, lanes: PaddedLanes, w: Array) -> PaddedLanes:
         """The same rows with other weights (m, n)."""
-        return replace(lanes, w=_padded(w))
+        return lanes.reweighted(w)
 
-    def residual(self, p: Array, lanes: Lanes) -> Array:
+    def residual(self, p: Array, lanes: PaddedLanes) -> Array:
         """Plain residuals (m, n)."""
         e = np.empty((self.components, lanes.ld))
         self._residual(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e))
         return e[:, : lanes.n]
 
-    def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
+    def slopes(self, p: Array, lanes: PaddedLanes) -> tuple[Array, Array]:
         """Plain residuals (m, n) and slopes (m, z, n)."""
         e = np.empty((self.components, lanes.ld))
-        j = _aligned(self.components * self.unknowns, lanes.ld)
+        j = aligned(self.components * self.unknowns, lanes.ld)
         self._slopes(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e), _at(j), j.nbytes > LARGE)
         return e[:, : lanes.n], j.reshape(self.components, self.unknowns, -1)[:, :, : lanes.n]
 
-    def costs(self, states: Array, lanes: Lanes) -> Array:
+    def costs(self, states: Array, lanes: PaddedLanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
         states, cost = np.ascontiguousarray(states), np.zeros(len(states))
         self._costs(lanes.n, lanes.ld, len(states), _at(states), _at(lanes.d), _at(lanes.w), _at(cost))
         return cost
 
-    def normal(self, p: Array, lanes: Lanes) -> Array:
+    def normal(self, p: Array, lanes: PaddedLanes) -> Array:
         """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
         s = np.empty((self.rows, self.rows))
         self._normal(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(lanes.w), _at(s))
@@ -92,22 +73,6 @@ class NativeKernels:
         function = getattr(self.compiled, name)
         function.argtypes, function.restype = types, None
         return function  # type: ignore[no-any-return]
-
-
-def _padded(columns: Array, *, repeat: bool = False) -> Array:
-    """Columns (k, n) with lanes added up to a multiple of `PAD`: zeros, or the last one again."""
-    count, n = columns.shape
-    padded = _aligned(count, -(-n // PAD) * PAD)
-    padded[:, :n] = columns
-    padded[:, n:] = columns[:, -1:] if repeat and n else 0.0
-    return padded
-
-
-def _aligned(rows: int, columns: int) -> Array:
-    """An uninitialised array whose numbers begin at a multiple of 64 bytes."""
-    raw = np.empty(rows * columns + 8)
-    skipped = -(raw.ctypes.data // 8) % 8
-    return raw[skipped : skipped + rows * columns].reshape(rows, columns)
 
 
 def _at(array: Array) -> int:

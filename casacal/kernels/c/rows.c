@@ -1,67 +1,20 @@
-"""What is the same in the C of every program: loops over parts of the lanes, and reductions."""
+/* Residuals, slopes, costs and normal equations of rows: samples innermost, sums where the Jacobian is made. */
+#include "errors.h"
 
-from __future__ import annotations
-
-from string import Template
-
-HEAD = """
-#include <math.h>
-#if defined(__AVX512F__)
-#define WIDE 8
-#else
-#define WIDE 4
-#endif
-#define PART 128  /* lanes at a time: what they need stays in the nearest cache */
-#define STATES 16 /* parameter vectors prepared at a time */
-typedef double wide __attribute__((vector_size(8 * WIDE)));
-
-/* Under names that the compiler does not know as sine and cosine, it does not merge them into one call that it cannot
-   vectorise; the names in the library, and its forms for several lanes, are the usual ones. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
-double lane_sin(double) __asm__("sin") __attribute__((const, simd("notinbranch")));
-double lane_cos(double) __asm__("cos") __attribute__((const, simd("notinbranch")));
-#else
-#define lane_sin sin
-#define lane_cos cos
-#endif
-
-/* Lanes are padded to a multiple of eight, so a loop over them needs no tail. */
-static long padded(long lanes) { return (lanes + 7) & ~7L; }
-"""
-
-PREPARE = Template("""
-/* What depends on parameters alone, of each of `states` vectors p[parameter][state], to o[value][state]. */
-static void prepare_$name(long states, const double *restrict p, double *restrict o)
+/* What depends on parameters alone, of residuals and slopes, to o[value]. */
+static void prepare_slopes(long states, const double *restrict p, double *restrict o)
 {
 #pragma omp simd
     for (long s = 0; s < states; s++) {
-$once
-$out
+        PREPARE_SLOPES
     }
 }
-""")
 
-ERRORS = Template("""
-/* Residuals e[m][distance]; o[value][stride] as prepared. */
-static void errors(long lanes, long ld, long stride, const double *restrict o, const double *restrict d,
-                   long distance, double *restrict e)
-{
-$prepared
-    lanes = padded(lanes);
-#pragma omp simd
-    for (long i = 0; i < lanes; i++) {
-$lane
-$out
-    }
-}
-""")
-
-KERNELS = Template("""
-/* Upper triangle of A A' for $rows rows of PART numbers, added to S: two by four rows at a time. */
+/* Upper triangle of A A' for ROWS rows of PART numbers, added to S: two by four rows at a time. */
 static void gram(const double *restrict a, double *restrict s)
 {
-    for (long i = 0; i < $rows; i += 2)
-        for (long j = i & ~3L; j < $rows; j += 4) {
+    for (long i = 0; i < ROWS; i += 2)
+        for (long j = i & ~3L; j < ROWS; j += 4) {
             wide sum[2][4] = {{{0}}};
             for (long k = 0; k < PART; k += WIDE) {
                 wide x[2], y[4];
@@ -74,22 +27,21 @@ static void gram(const double *restrict a, double *restrict s)
                 for (int n = 0; n < 4; n++) {
                     double total = 0.0;
                     for (int k = 0; k < WIDE; k++) total += sum[m][n][k];
-                    s[(i + m) * $rows + j + n] += total;
+                    s[(i + m) * ROWS + j + n] += total;
                 }
         }
 }
 
-/* Slopes and, last, residual of each of $components components, times its weight w[m][distance]: a[m][$rows][PART]. */
+/* Slopes and, last, residual of each of COMPONENTS components, times its weight w[m][distance]: a[m][ROWS][PART]. */
 static void fill(long lanes, long ld, const double *restrict o, const double *restrict d, long distance,
                  const double *restrict w, double *restrict a)
 {
     const long stride = 1;
-$prepared
+    READ_SLOPES
     lanes = padded(lanes);
 #pragma omp simd
     for (long i = 0; i < lanes; i++) {
-$lane
-$out
+        LANE_OF_SLOPES
     }
 }
 
@@ -114,7 +66,7 @@ static void put(long lanes, const double *restrict from, double *restrict to, lo
 /* Residuals e[m][lane]. */
 void residual(long n, long ld, const double *restrict p, const double *restrict d, double *restrict e)
 {
-    double o[$errors_values];
+    double o[ERRORS_PREPARED];
     prepare_errors(1, p, o);
     errors(n, ld, 1, o, d, ld, e);
 }
@@ -123,17 +75,17 @@ void residual(long n, long ld, const double *restrict p, const double *restrict 
 void slopes(long n, long ld, const double *restrict p, const double *restrict d, double *restrict e,
             double *restrict j, long large)
 {
-    double a[$components * $rows * PART] __attribute__((aligned(64))), o[$slopes_values], ones[PART];
+    double a[COMPONENTS * ROWS * PART] __attribute__((aligned(64))), o[SLOPES_PREPARED], ones[PART];
     for (long i = 0; i < PART; i++) ones[i] = 1.0;
     prepare_slopes(1, p, o);
     for (long first = 0; first < n; first += PART) {
         const long lanes = n - first < PART ? n - first : PART;
         fill(lanes, ld, o, d + first, 0, ones, a);
-        for (long m = 0; m < $components; m++) {
-            const double *row = a + m * $rows * PART;
-            double *to = j + m * $unknowns * ld + first;
-            for (long k = 0; k < $unknowns; k++) put(lanes, row + k * PART, to + k * ld, large);
-            put(lanes, row + $unknowns * PART, e + m * ld + first, 0);
+        for (long m = 0; m < COMPONENTS; m++) {
+            const double *row = a + m * ROWS * PART;
+            double *to = j + m * UNKNOWNS * ld + first;
+            for (long k = 0; k < UNKNOWNS; k++) put(lanes, row + k * PART, to + k * ld, large);
+            put(lanes, row + UNKNOWNS * PART, e + m * ld + first, 0);
         }
     }
 }
@@ -142,18 +94,18 @@ void slopes(long n, long ld, const double *restrict p, const double *restrict d,
 void costs(long n, long ld, long states, const double *restrict p, const double *restrict d, const double *restrict w,
            double *restrict cost)
 {
-    double e[$components * PART] __attribute__((aligned(64))), o[$errors_values * STATES], turned[$parameters * STATES];
+    double e[COMPONENTS * PART] __attribute__((aligned(64))), o[ERRORS_PREPARED * STATES], turned[PARAMETERS * STATES];
     for (long begun = 0; begun < states; begun += STATES) {
         const long count = states - begun < STATES ? states - begun : STATES;
         for (long s = 0; s < count; s++)
-            for (long k = 0; k < $parameters; k++) turned[k * count + s] = p[(begun + s) * $parameters + k];
+            for (long k = 0; k < PARAMETERS; k++) turned[k * count + s] = p[(begun + s) * PARAMETERS + k];
         prepare_errors(count, turned, o);
         for (long s = 0; s < count; s++) {
             double total = 0.0;
             for (long first = 0; first < n; first += PART) {
                 const long lanes = padded(n - first < PART ? n - first : PART);
                 errors(lanes, ld, count, o + s, d + first, PART, e);
-                for (long m = 0; m < $components; m++) {
+                for (long m = 0; m < COMPONENTS; m++) {
                     const double *weight = w + m * ld + first;
 #pragma omp simd reduction(+ : total)
                     for (long i = 0; i < lanes; i++) {
@@ -167,23 +119,22 @@ void costs(long n, long ld, long states, const double *restrict p, const double 
     }
 }
 
-/* Weighted normal matrix of slopes and, last, residual, to s[$rows][$rows]. */
+/* Weighted normal matrix of slopes and, last, residual, to s[ROWS][ROWS]. */
 void normal(long n, long ld, const double *restrict p, const double *restrict d, const double *restrict w,
             double *restrict s)
 {
-    double a[$components * $rows * PART] __attribute__((aligned(64))), o[$slopes_values];
+    double a[COMPONENTS * ROWS * PART] __attribute__((aligned(64))), o[SLOPES_PREPARED];
     prepare_slopes(1, p, o);
-    for (long k = 0; k < $rows * $rows; k++) s[k] = 0.0;
-    for (long k = 0; k < $components * $rows * PART; k++) a[k] = 0.0;
+    for (long k = 0; k < ROWS * ROWS; k++) s[k] = 0.0;
+    for (long k = 0; k < COMPONENTS * ROWS * PART; k++) a[k] = 0.0;
     for (long first = 0; first < n; first += PART) {
         const long lanes = n - first < PART ? n - first : PART;
         fill(lanes, ld, o, d + first, ld, w + first, a);
         if (first && lanes < PART)
-            for (long r = 0; r < $components * $rows; r++)
+            for (long r = 0; r < COMPONENTS * ROWS; r++)
                 for (long k = lanes; k < PART; k++) a[r * PART + k] = 0.0;
-        for (long m = 0; m < $components; m++) gram(a + m * $rows * PART, s);
+        for (long m = 0; m < COMPONENTS; m++) gram(a + m * ROWS * PART, s);
     }
-    for (long i = 1; i < $rows; i++)
-        for (long k = 0; k < i; k++) s[i * $rows + k] = s[k * $rows + i];
+    for (long i = 1; i < ROWS; i++)
+        for (long k = 0; k < i; k++) s[i * ROWS + k] = s[k * ROWS + i];
 }
-""")
