@@ -254,7 +254,7 @@ def taken(monkeypatch):
     watch(module[BoundProblem.__module__], "extended_pass", "extended in C")
     watch(module["casacal.estimators.ekf"], "linear_update", "extended in NumPy")
     watch(NativeNormal, "step", "damped in C")
-    watch(module["casacal.least_squares"], "damped_solution", "damped in NumPy")
+    watch(module[LeastSquares.__module__], "damped_solution", "damped in NumPy")
     return seen
 
 
