@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.calibration import Reference
@@ -98,6 +100,6 @@ def _check(fit: BoundProblem, method: str, result: Result) -> Reference:
     """Solve again by other means: IPOPT, or, when that is the method, LM."""
     solver = "lm" if method == "ipopt" else "ipopt"
     other = METHODS[solver](fit)
-    own = other.trace["cost"]
+    own = other.trace.get("cost", np.zeros(0))
     cost = float(own[-1]) if own.size else other.cost
     return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

@@ -205,7 +205,7 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
     """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
     samples = simulation.samples
     comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    write_samples(path, source.problem.robot, samples, comments)
+    write_samples(path, source.problem.layout(), samples, comments)
     written = source.problem.read(path)
     bound = bind(source.problem, written)
     truth = Result(

@@ -186,7 +186,7 @@ def _covariance(result: ResultFile) -> tuple[Array, list[tuple[int, int]]]:
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     places = {name: j for j, name in enumerate(names)}
     local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
-    return np.array(rows), [(i, places[name]) for i, name in enumerate(local) if name in places]
+    return np.array(rows, dtype=np.float64).reshape(len(names), len(names)), [(i, places[name]) for i, name in enumerate(local) if name in places]
 
 
 def infinite_variances(result: ResultFile, keys: Iterable[str]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from casacal.errors import CasacalError, ProblemError
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
+from casacal.user_code import run_file
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,9 @@ def load_problem(path: str | Path) -> ProblemFile:
 
 
 def _execute(file: Path) -> dict[str, Any]:
-    spec = importlib.util.spec_from_file_location(f"casacal_problem_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise ProblemError(f"{file} is not a Python file", "Name it problem.py")
-    module = importlib.util.module_from_spec(spec)
+    """What the file defines; raises ProblemError that names the line where it fails."""
     try:
-        spec.loader.exec_module(module)
+        return vars(run_file(file))
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
         line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else (places or [None])[-1]
@@ -71,4 +68,3 @@ def _execute(file: Path) -> dict[str, Any]:
             raise ProblemError(f"{where}: {error.what}", error.fix) from error
         said = " ".join(str(error).split()) or "no message"
         raise ProblemError(f"{where}: {type(error).__name__}: {said}", "Mend the problem file") from error
-    return vars(module)
