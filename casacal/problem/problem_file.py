@@ -12,11 +12,15 @@ from casacal.errors import CasacalError, ProblemError
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.user_code import run_file
+from casacal.values import Value
 
 
-@dataclass(frozen=True)
-class ProblemFile:
-    """A problem read from a problem.py, with where it came from; `cell` is None when the file defines none."""
+@dataclass(frozen=True, eq=False)
+class ProblemFile(Value):
+    """A problem, and the problem.py it was read from; `cell` is None when the file defines none.
+
+    A problem that was made in Python has the path "" and the SHA-256 of what it computes.
+    """
 
     name: str
     path: str
@@ -24,10 +28,15 @@ class ProblemFile:
     problem: Problem
     cell: Cell | None
 
+    @staticmethod
+    def of(problem: Problem, name: str | None = None) -> ProblemFile:
+        """The same for a problem that no file defines; its name is the robot's unless given."""
+        return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None)
+
     @property
-    def samples(self) -> Path:
-        """The samples file beside it."""
-        return Path(self.path).parent / "samples.csv"
+    def samples(self) -> Path | None:
+        """The samples file beside it; None for a problem that no file defines."""
+        return Path(self.path).parent / "samples.csv" if self.path else None
 
 
 def load_problem(path: str | Path) -> ProblemFile:
