@@ -237,7 +237,6 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
         (["calibrate", HSR, "--prior", "a3=0"], "positive"),
         (["calibrate", HSR, "--prior", "plane=0.001"], "components in mm and rad"),
         (["calibrate", HSR, "--fix", "aplha"], "Did you mean 'alpha'"),
-        (["calibrate", HSR, "--fix", "plane"], "Say where it is"),
         (["calibrate", HSR, "--prior", "a3=nan"], "NAME=STD"),
         (["calibrate", HSR, "--method", "lm", "--loss", "cauchy"], "invalid choice"),
         (["calibrate", HSR, "--method", "ekf", "--loss", "huber"], "no robust loss"),

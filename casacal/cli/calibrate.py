@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     box = None if options.box is None else _box(options.box)
     with _Progress(options.method) as progress:
         calibration = calibrate(
-            problem,
+            replace(source, problem=problem),
             samples,
             method=options.method,
             holdout=options.holdout,

@@ -85,12 +85,9 @@ class Problem(Value):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of what it computes, of its priors and of what its instruments read."""
-        digest = hashlib.sha256(self.robot.traced.text.encode())
-        for key, unknown in self._all_unknowns():
-            digest.update(f"{key} {unknown!r}\n".encode())
-        for i, model in enumerate(self.models):
-            digest.update(f"{self.layout(i)!r}\n{model.text}".encode())
-        return digest.hexdigest()
+        parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
+        parts += [f"{key} {unknown!r}" for key, unknown in self._all_unknowns()]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
     def models(self) -> tuple[RowModel, ...]:

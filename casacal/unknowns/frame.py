@@ -38,8 +38,9 @@ class Frame(Unknown):
         prior_std: (rotation in rad, translation in mm) standard deviations; `math.inf` is flat.
         start_std: the same, where filters and populations start when the prior is flat.
         turns_only: True when only the three rotations are unknown.
-        free: False holds the frame, where it is declared, or else where the data propose it.
+        free: False holds the frame where it is declared.
         per: name of a label column; one frame for each of its values.
+        held_as_proposed: True holds it where the data propose it, as `Problem.fix` does.
 
     """
 
@@ -49,10 +50,13 @@ class Frame(Unknown):
     turns_only: bool = False
     free: bool = True
     per: str | None = None
+    held_as_proposed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("matrix", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
+        if self.matrix is None and not self.free and not self.held_as_proposed:
+            raise ProblemError("A frame is held but has no matrix", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a frame"), "prior_std of a frame")
         if self.matrix is not None:
             self.encode(np.asarray(self.matrix, dtype=np.float64))
@@ -151,7 +155,7 @@ class Frame(Unknown):
 
     def with_free(self, free: Sequence[bool]) -> Frame:
         """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a frame"))
+        return replace(self, free=all_or_nothing(free, "a frame"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Frame:
         """Copy with another prior; rotations share one standard deviation, translations another."""

@@ -31,6 +31,7 @@ class Parameter(Unknown):
         free: False holds the value at nominal; a sequence says so component by component.
         labels: suffixes of the component names, such as ("_x", "_y", "_z"); default "1", "2", ...
         per: name of a label column; one instance for each of its values.
+        held_as_proposed: True holds it where the data propose it, as `Problem.fix` does.
 
     Raises ProblemError for values that are not finite or stds that are not positive.
 
@@ -43,6 +44,7 @@ class Parameter(Unknown):
     free: bool | Sequence[bool] = True
     labels: Sequence[str] | None = None
     per: str | None = None
+    held_as_proposed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("values", "prior_std", "start_std", "free", "labels"):
@@ -53,6 +55,8 @@ class Parameter(Unknown):
             raise ProblemError(
                 f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label a value"
             )
+        if self.values is None and not self._free.all() and not self.held_as_proposed:
+            raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
         check_stds(self._prior, "prior_std of a parameter")
         start_stds(self.prior_stds, self._start, self.units, "a parameter")
 
@@ -154,7 +158,7 @@ class Parameter(Unknown):
         """Copy that keeps free only the flagged ones of its free components."""
         mask = self._free.copy()
         mask[np.flatnonzero(mask)] = list(free)
-        return replace(self, free=tuple(bool(value) for value in mask))
+        return replace(self, free=tuple(bool(value) for value in mask), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Parameter:
         """Copy with other prior standard deviations of its free components."""

@@ -56,8 +56,9 @@ class Plane(Unknown):
         normal, point: nominal plane, mm; both None when the data are to propose it (total least squares).
         prior_std: (tilt in rad, offset in mm) standard deviations; `math.inf` is flat.
         start_std: the same, where filters and populations start when the prior is flat.
-        free: False holds the plane, where it is declared, or else where the data propose it.
+        free: False holds the plane where it is declared.
         per: name of a label column; one plane for each of its values.
+        held_as_proposed: True holds it where the data propose it, as `Problem.fix` does.
 
     """
 
@@ -67,12 +68,15 @@ class Plane(Unknown):
     start_std: tuple[float, float] = (0.01, 10.0)
     free: bool = True
     per: str | None = None
+    held_as_proposed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("normal", "point", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
         if (self.normal is None) != (self.point is None):
             raise ProblemError("A plane has a normal or a point but not both", "Give both, or neither")
+        if self.normal is None and not self.free and not self.held_as_proposed:
+            raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
         if self.normal is not None and self.point is not None:
             self.encode(self.normal, self.point)
@@ -186,7 +190,7 @@ class Plane(Unknown):
 
     def with_free(self, free: Sequence[bool]) -> Plane:
         """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a plane"))
+        return replace(self, free=all_or_nothing(free, "a plane"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Plane:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""
