@@ -11,6 +11,7 @@ from casacal.arguments import METHOD_NAMES
 from casacal.cli import main
 
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
+SIMULATED = sorted(path.parent for path in (ROOT / "problems").glob("*/samples.csv"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -74,9 +75,10 @@ def test_the_headline_is_that_of_the_committed_report():
         assert (value, low, high) in {tuple(round(part, digits) for part in triple) for triple in found}, figure
 
 
-def test_the_generating_command_makes_the_committed_samples(workplace, capsys):
-    folder = ROOT / "problems" / "hsr_jr680"
-    command = re.search(r"casacal (simulate problems/hsr_jr680 .*)", (folder / "README.md").read_text())[1]
+@pytest.mark.parametrize("folder", SIMULATED, ids=lambda folder: folder.name)
+def test_the_generating_command_makes_the_committed_samples(folder, workplace, capsys):
+    command = re.search(r"casacal (simulate problems/\w+ .*)", (folder / "README.md").read_text(encoding="utf-8"))[1]
+    assert f"problems/{folder.name} " in command
     assert main(shlex.split(command)) == 0
     made = (workplace / "out" / "samples.csv").read_text().splitlines()
     kept = (folder / "samples.csv").read_text().splitlines()
