@@ -8,15 +8,17 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from casacal.version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from casacal.bound_problem import BoundProblem, bind
-    from casacal.calibrating import calibrate
-    from casacal.calibration import Calibration
-    from casacal.cells import Cell, Face, corner, gauge_block, plate
-    from casacal.compensation import compensate
-    from casacal.convention_doctor import PendantRows, diagnose, read_pendant_rows
-    from casacal.conventions import Conventions
-    from casacal.doctor import Finding, check
+    from casacal.binding.bound_problem import BoundProblem, bind
+    from casacal.calibration.calibrate import calibrate
+    from casacal.calibration.calibration import Calibration
+    from casacal.checks import Finding, check
+    from casacal.compensation.compensate import compensate
+    from casacal.compensation.predict import read_result
+    from casacal.compensation.targets import Targets, read_targets
+    from casacal.doctor import PendantRows, diagnose, read_pendant_rows
     from casacal.errors import CasacalError
     from casacal.estimators import (
         annealing,
@@ -32,32 +34,29 @@ if TYPE_CHECKING:
         sckf_lm,
         swarm,
     )
-    from casacal.files import ProblemFile, load_problem
     from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
-    from casacal.joints import Joint
     from casacal.kinematics import chain, deg, dh, modified_dh
-    from casacal.prediction import read_result
-    from casacal.problem import Problem
-    from casacal.result import Result, Status
-    from casacal.robot import Robot
-    from casacal.samples import Samples
-    from casacal.simulated_trials import Simulated
-    from casacal.simulation import Simulation, simulate
-    from casacal.study import Method, Run, Study
-    from casacal.targets import Targets, read_targets
+    from casacal.least_squares.result import Result, Status
+    from casacal.problem.cell import Cell, Face, corner, gauge_block, plate
+    from casacal.problem.problem import Problem
+    from casacal.problem.problem_file import ProblemFile, load_problem
+    from casacal.robots.conventions import Conventions
+    from casacal.robots.joints import Joint
+    from casacal.robots.robot import Robot
+    from casacal.samples.samples import Samples
+    from casacal.simulation.simulate import Simulation, simulate
+    from casacal.study import Method, Run, Simulated, Study
     from casacal.unknowns import Direction, Frame, Parameter, Plane
 
-__version__ = "0.1.0"
-
 _HOMES = {
-    "casacal.bound_problem": ("BoundProblem", "bind"),
-    "casacal.calibrating": ("calibrate",),
-    "casacal.calibration": ("Calibration",),
-    "casacal.cells": ("Cell", "Face", "corner", "gauge_block", "plate"),
-    "casacal.compensation": ("compensate",),
-    "casacal.convention_doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
-    "casacal.conventions": ("Conventions",),
-    "casacal.doctor": ("Finding", "check"),
+    "casacal.binding.bound_problem": ("BoundProblem", "bind"),
+    "casacal.calibration.calibrate": ("calibrate",),
+    "casacal.calibration.calibration": ("Calibration",),
+    "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
+    "casacal.compensation.compensate": ("compensate",),
+    "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
+    "casacal.robots.conventions": ("Conventions",),
+    "casacal.checks": ("Finding", "check"),
     "casacal.errors": ("CasacalError",),
     "casacal.estimators": (
         "annealing",
@@ -73,19 +72,18 @@ _HOMES = {
         "scipy_least_squares",
         "swarm",
     ),
-    "casacal.files": ("ProblemFile", "load_problem"),
+    "casacal.problem.problem_file": ("ProblemFile", "load_problem"),
     "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
-    "casacal.prediction": ("read_result",),
-    "casacal.problem": ("Problem",),
-    "casacal.result": ("Result", "Status"),
-    "casacal.joints": ("Joint",),
-    "casacal.robot": ("Robot",),
-    "casacal.samples": ("Samples",),
-    "casacal.simulated_trials": ("Simulated",),
-    "casacal.simulation": ("Simulation", "simulate"),
-    "casacal.study": ("Method", "Run", "Study"),
-    "casacal.targets": ("Targets", "read_targets"),
+    "casacal.compensation.predict": ("read_result",),
+    "casacal.problem.problem": ("Problem",),
+    "casacal.least_squares.result": ("Result", "Status"),
+    "casacal.robots.joints": ("Joint",),
+    "casacal.robots.robot": ("Robot",),
+    "casacal.samples.samples": ("Samples",),
+    "casacal.simulation.simulate": ("Simulation", "simulate"),
+    "casacal.study": ("Method", "Run", "Simulated", "Study"),
+    "casacal.compensation.targets": ("Targets", "read_targets"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from casacal import Method, Run, Simulated, Study, ipopt, lm, load_problem, plate, scipy_least_squares, sckf_lm
-from casacal.harness.statistics import holm, mean_interval, paired, quantiles, success_rate
+from casacal.study.statistics import holm, mean_interval, paired, quantiles, success_rate
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
 from studies.paper_tables import FOUND, best_cost

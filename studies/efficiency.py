@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from casacal import Problem, Run, Simulated, Study, load_problem
-from casacal.harness.statistics import mean_interval
+from casacal.study.statistics import mean_interval
 from studies import rivals
 from studies.reporting import PROBLEMS, script, table
 

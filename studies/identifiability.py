@@ -26,10 +26,11 @@ from casacal import (
     plate,
     simulate,
 )
-from casacal.identifiability import identifiability
-from casacal.linalg import posterior_covariance
-from casacal.metrics import bayesian_bound, tip_stds, without_rigid, workspace_joints
-from casacal.scale import conditional_scale_std, marginal_scale_std
+from casacal.least_squares.linalg import posterior_covariance
+from casacal.uncertainty.bounds import bayesian_bound
+from casacal.uncertainty.identifiability import identifiability
+from casacal.uncertainty.scale import conditional_scale_std, marginal_scale_std
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 from studies import reporting
 from studies.reporting import script
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from casacal import Method, Problem, Result, Run, Simulated, Study, lm, load_problem
-from casacal.cells import flatness_din_876
-from casacal.harness.statistics import mean_interval, paired, quantiles, success_rate
-from casacal.losses import huber
-from casacal.metrics import noise_interval
-from casacal.simulated_trials import SimulatedTrial
+from casacal.least_squares.losses import huber
+from casacal.problem.cell import flatness_din_876
+from casacal.study.simulated import SimulatedTrial
+from casacal.study.statistics import mean_interval, paired, quantiles, success_rate
+from casacal.uncertainty.figures import noise_interval
 from studies import rivals
 from studies.paper_pictures import COLOURS
 from studies.reporting import PROBLEMS, figure, number, percent, save, script, table

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import Run
-from casacal.harness.statistics import mean_interval
+from casacal.study.statistics import mean_interval
 from studies import rivals
 from studies.paper_tables import best_cost
 from studies.reporting import figure, save, save_both

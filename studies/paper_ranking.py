@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from casacal import Run
-from casacal.harness.statistics import Interval, holm, paired
+from casacal.study.statistics import Interval, holm, paired
 from studies import rivals
 from studies.reporting import table
 

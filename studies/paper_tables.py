@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from casacal import Problem, Run
-from casacal.harness.statistics import holm, mean_interval, paired, quantiles
-from casacal.identifiability import verdict
+from casacal.study.statistics import holm, mean_interval, paired, quantiles
+from casacal.uncertainty.identifiability import verdict
 from studies import rivals
 from studies.paper_ranking import PAPER
 from studies.reporting import number, table

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
-from casacal.harness.statistics import mean_interval, paired
-from casacal.holdout import split
-from casacal.least_squares import Restricted
-from casacal.metrics import residual_figures
+from casacal.least_squares.objective import Restricted
+from casacal.samples.holdout import split
+from casacal.study.statistics import mean_interval, paired
+from casacal.uncertainty.figures import residual_figures
 from studies import rivals
 from studies.paper_pictures import COLOURS, base
 from studies.reporting import PROBLEMS, figure, save, script, table

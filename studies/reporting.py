@@ -9,8 +9,8 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from casacal.cli import main
-from casacal.harness.statistics import Interval
+from casacal.cli.main import main
+from casacal.study.statistics import Interval
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 

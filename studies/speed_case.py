@@ -13,7 +13,7 @@ import pandas as pd
 from casacal import BoundProblem, DialOnPlane, Plane, Problem, bind, load_problem, sckf
 from casacal.errors import ProblemError
 from casacal.kernels.compiler import load_library
-from casacal.samples import Samples
+from casacal.samples.samples import Samples
 from casacal.unknowns.unknown import tangent_basis
 from studies.reporting import PROBLEMS
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.files import load_problem
+from casacal.problem.problem_file import load_problem
 from studies.reporting import PROBLEMS, table
 from studies.speed_case import arm_at_a_plane, touches
 
@@ -100,7 +100,7 @@ def a_million_rows(place: Path) -> list[str]:
 
 def start_up(place: Path) -> list[str]:
     """Seconds of the whole command, with the kernels' cache warm and empty, and of importing casacal."""
-    command = [sys.executable, "-m", "casacal.cli", "calibrate", str(PROBLEMS / "hsr_jr680"), "--method", "lm"]
+    command = [sys.executable, "-m", "casacal", "calibrate", str(PROBLEMS / "hsr_jr680"), "--method", "lm"]
     command.append("--no-reference")
     load_problem(PROBLEMS / "hsr_jr680")
     # bytecode is kept, as it is where casacal is installed, whatever this process was told

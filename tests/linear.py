@@ -7,8 +7,8 @@ import pandas as pd
 
 from casacal import Instrument, Parameter, Problem, Robot, bind
 from casacal.kinematics import translate_z
-from casacal.least_squares import LeastSquares
-from casacal.samples import Samples
+from casacal.least_squares.objective import LeastSquares
+from casacal.samples.samples import Samples
 
 
 class Matrix(LeastSquares):

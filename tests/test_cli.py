@@ -14,8 +14,8 @@ from conftest import ROOT
 from oracles import dh_chain
 
 import casacal
-from casacal.arguments import METHOD_NAMES
-from casacal.cli import main
+from casacal.cli.calibrate import METHOD_NAMES
+from casacal.cli.main import main
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 
@@ -115,7 +115,7 @@ def test_fixing_and_priors(run, tmp_path):
 
 
 def test_a_method_that_does_not_converge_exits_with_one(run, tmp_path, monkeypatch):
-    import casacal.calibrating as calibrating
+    import casacal.calibration.calibrate as calibrating
     from casacal import lm
 
     monkeypatch.setitem(calibrating.METHODS, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
@@ -300,7 +300,7 @@ def test_a_file_that_cannot_be_completed_leaves_the_old_one(tmp_path, monkeypatc
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from casacal.cli import main\n"
+        "import sys; from casacal.cli.main import main\n"
         "try: main(['--help'])\n"
         "except SystemExit: pass\n"
         "heavy = {'casadi', 'numpy', 'scipy', 'pandas', 'matplotlib'} & set(sys.modules)\n"
@@ -312,13 +312,13 @@ def test_help_imports_nothing_heavy():
 
 
 def test_the_parser_knows_the_methods_of_the_library():
-    from casacal.calibrating import METHODS
+    from casacal.calibration.calibrate import METHODS
 
     assert sorted(METHOD_NAMES) == sorted(METHODS)
 
 
 def test_an_interruption_is_one_line(run, monkeypatch):
-    import casacal.calibrating as calibrating
+    import casacal.calibration.calibrate as calibrating
 
     def stop(*_, **__):
         raise KeyboardInterrupt

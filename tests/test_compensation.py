@@ -15,17 +15,18 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, deg, lm, load_problem, simulate
-from casacal.cli import main
-from casacal.compensation import compensate
-from casacal.corrected_targets import Outcome, Rounding
-from casacal.documents import calibration_document, write_simulation
+from casacal.calibration.result_json import calibration_document, write_simulation
+from casacal.cli.main import main
+from casacal.compensation.compensate import compensate
+from casacal.compensation.outcome import Outcome, Rounding
+from casacal.compensation.predict import ResultFile, predict, read_result, write_prediction
+from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
+from casacal.compensation.targets import Targets, read_targets
 from casacal.errors import CasacalError
-from casacal.files import ProblemFile, write_json
+from casacal.files import write_json
 from casacal.kinematics import chain, rotate_z, translate_x
-from casacal.prediction import ResultFile, predict, read_result, write_prediction
-from casacal.robot_programs import KRL, RAPID, URSCRIPT, notes, text_of
-from casacal.samples import Samples
-from casacal.targets import Targets, read_targets
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.samples import Samples
 
 SEEDS = range(6)
 

@@ -11,13 +11,13 @@ from oracles import dh_chain
 from scipy.spatial.transform import Rotation
 
 from casacal import Conventions, Joint, Parameter, Robot, chain, deg
-from casacal.arms.dh_file import read_conventions
-from casacal.cli import main
-from casacal.convention_doctor import PendantRows, diagnose, read_pendant_rows
-from casacal.convention_doctor.axes import axes_of
-from casacal.convention_doctor.words import diagnosis_text
+from casacal.cli.main import main
+from casacal.doctor import PendantRows, diagnose, read_pendant_rows
+from casacal.doctor.axes import axes_of
+from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
+from casacal.robots.files.dh_file import read_conventions
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 QUARTER = math.pi / 2
@@ -280,7 +280,7 @@ def test_rows_too_poor_to_look_at_all_that_fits_are_not_called_inexplicable(monk
     assert found.more
     assert not found.certain
     assert "Ambiguous: at least 48 conventions fit" in diagnosis_text(found)
-    monkeypatch.setattr("casacal.convention_doctor.search.MOST", 10)
+    monkeypatch.setattr("casacal.doctor.search.MOST", 10)
     found = diagnose(robot_of(table), rows)  # now only readings without coupling are looked at, and none of them fits
     assert (found.meanings, found.more) == ((), True)
     text = diagnosis_text(found)

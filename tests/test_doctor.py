@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from casacal import DialOnPlane, Problem, bind, check, lm, simulate
-from casacal.cli import main
-from casacal.doctor.outliers import _spreads
-from casacal.files import write_samples
+from casacal.checks.outliers import _spreads
+from casacal.cli.main import main
+from casacal.samples.write import write_samples
 
 REPLACE = dataclasses.replace
 
@@ -90,9 +90,9 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
     plant, about, wrong, lines = PLANTED[name]
     samples = plant(hsr, corner_simulation.samples)
     file = tmp_path / "planted.csv"
-    write_samples(file, hsr.problem, samples, ["planted"])
+    write_samples(file, hsr.problem.robot, samples, ["planted"])
     if name == "degrees as radians":
-        write_samples(file, hsr.problem, corner_simulation.samples, ["planted"])
+        write_samples(file, hsr.problem.robot, corner_simulation.samples, ["planted"])
         file.write_text(file.read_text().replace("_deg", "_rad"))
     code = main(["check", str(hsr.path), str(file)])
     out = capsys.readouterr().out
@@ -113,9 +113,9 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     plant = PLANTED[name][0] if name in PLANTED else lambda _, samples: samples
     samples = plant(hsr, corner_simulation.samples)
     expected = check(hsr.problem, samples)
-    monkeypatch.setattr(sys.modules["casacal.doctor.check"], "SPREAD", 90)
+    monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
     for limit, size in (("TOGETHER", 25), ("JUDGES", 30)):
-        monkeypatch.setattr(f"casacal.doctor.outliers.{limit}", size)
+        monkeypatch.setattr(f"casacal.checks.outliers.{limit}", size)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
         (each.severity, each.about, each.lines) for each in expected
@@ -123,7 +123,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
 
 
 def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monkeypatch):
-    monkeypatch.setattr("casacal.doctor.outliers.TOGETHER", 25)
+    monkeypatch.setattr("casacal.checks.outliers.TOGETHER", 25)
     bound = bind(hsr.problem, corner_simulation.samples)
     result = lm(bound)
     jacobian = bound.jacobian(result.x)

@@ -7,8 +7,8 @@ import matplotlib.pyplot as plt
 import pytest
 from conftest import ROOT
 
-from casacal.arguments import METHOD_NAMES
-from casacal.cli import main
+from casacal.cli.calibrate import METHOD_NAMES
+from casacal.cli.main import main
 
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 SIMULATED = sorted(path.parent for path in (ROOT / "problems").glob("*/samples.csv"))

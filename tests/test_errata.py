@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casacal.metrics import residual_figures
+from casacal.uncertainty.figures import residual_figures
 from studies import as_printed
 
 

@@ -2,16 +2,21 @@
 
 import dataclasses
 import math
+import shutil
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import pytest
 from filterpy.kalman import CubatureKalmanFilter
-from linear import Matrix, as_symbols, random_linear
+from linear import Matrix, Weighing, as_symbols, random_linear
 from oracles import central_difference, cubature_step, posterior
 from scipy.optimize import differential_evolution, dual_annealing, least_squares
 
 from casacal import (
+    BoundProblem,
+    Parameter,
+    Problem,
     Simulated,
     annealing,
     bind,
@@ -31,9 +36,10 @@ from casacal import (
 )
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
+from casacal.estimators.lm import Damping, Move, stop
 from casacal.estimators.sckf import Belief, cubature_update, predict
-from casacal.metrics import tip_rms, without_rigid, workspace_joints
-from casacal.result import Status
+from casacal.least_squares.result import Status
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 ALL = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt, "scipy": scipy_least_squares}
 
@@ -235,6 +241,91 @@ def test_lm_agrees_with_scipy_on_a_robot(corner_bound):
 
 def test_lm_from_nominal_needs_few_evaluations(corner_bound):
     assert lm(corner_bound).steps <= 8
+
+
+class Spoilt(Matrix):
+    """Residuals that are finite everywhere, with a Jacobian that is not, or with no step; it counts what is asked."""
+
+    def __init__(self, *, slopes=None, beyond=-1.0, steps=True):
+        super().__init__(np.eye(3), np.ones(3), np.zeros(3), np.ones(3))
+        self.slopes, self.beyond, self.steps, self.asked = slopes, beyond, steps, 0
+
+    def jacobian(self, x):
+        spoilt = self.slopes is not None and np.linalg.norm(x) > self.beyond
+        return np.full((3, 3), self.slopes) if spoilt else self.a.copy()
+
+    def damped_step(self, x, normal, damping):
+        self.asked += 1
+        assert self.asked <= 100, "more steps than max_steps allows"
+        return super().damped_step(x, normal, damping) if self.steps else None
+
+
+@pytest.mark.parametrize("slopes", [math.nan, math.inf, -math.inf, 1e200], ids=str)
+@pytest.mark.filterwarnings("ignore:(invalid value|overflow) encountered:RuntimeWarning")
+def test_lm_ends_where_the_cost_is_finite_and_its_derivatives_are_not(slopes):
+    start = lm(Spoilt(slopes=slopes))
+    assert (start.status, start.steps, start.converged) == (Status.NOT_FINITE, 1, False)
+    np.testing.assert_array_equal(start.x, 0.0)
+    later = lm(Spoilt(slopes=slopes, beyond=0.1))  # after the first step
+    assert later.status is Status.NOT_FINITE
+    assert later.steps == 2
+    assert np.isfinite(later.x).all()
+
+
+def test_lm_ends_where_there_is_never_a_step():
+    problem = Spoilt(steps=False)
+    result = lm(problem)
+    assert result.status is Status.STUCK
+    assert result.steps == problem.asked < 20
+    assert lm(Spoilt(steps=False), max_steps=3).status is Status.MAX_STEPS
+    assert lm(Spoilt(steps=False), damping=0.0).steps == 100
+
+
+@pytest.mark.parametrize("backend", ["c", "blocks"])
+def test_lm_ends_where_a_model_has_an_infinite_slope(backend, monkeypatch):
+    class Root(Weighing):
+        def residual(self, pose, p, row):
+            return ca.sqrt(p.b[0]) - row.y
+
+    linear = as_symbols(*random_linear(1, 9, 1))
+    problem = Problem(linear.problem.robot, Root(Parameter((0.0,), prior_std=1.0), 0.2))
+    if backend == "c" and not any(shutil.which(name) for name in ("gcc", "clang", "cc")):
+        pytest.skip("no C compiler")
+    allowed, step = iter(range(100)), BoundProblem.damped_step
+    monkeypatch.setattr(BoundProblem, "damped_step", lambda *given: (next(allowed), step(*given))[1])
+    result = lm(bind(problem, *linear.samples, backend=backend))
+    assert math.isfinite(result.cost)
+    assert (result.status, result.steps) == (Status.NOT_FINITE, 1)
+
+
+def test_damping_follows_the_gain_ratio_as_nielsen_has_it():
+    level = Damping(9.0)
+    assert [level.accepted(ratio).mu for ratio in (1.0, 0.5, 1e-9, 100.0)] == pytest.approx([3.0, 9.0, 18.0, 3.0])
+    mus = [(level := level.rejected()).mu for _ in range(3)]
+    assert mus == [18.0, 72.0, 576.0]
+    assert level.accepted(0.5) == Damping(576.0, 2.0)
+    assert not level.stuck
+    assert Damping(1e21).stuck
+
+
+def test_on_a_linear_problem_the_model_foretells_the_fall():
+    a, y, nominal, prior, noise = random_linear(4)
+    problem = Matrix(a / noise, y / noise, nominal, prior)
+    result = lm(problem)
+    assert result.trace["gain_ratio"][1] == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(result.trace["damping"][:2], [1e-3, 1e-3 / 3])
+
+
+def test_when_lm_stops():
+    seen, hidden = Move(1e-3, False), Move(1e-5, True)
+    assert stop(seen, None, 1e-9) is None
+    assert stop(Move(1e-10, False), seen, 1e-9) is Status.CONVERGED
+    assert stop(hidden, seen, 1e-9) is None  # the first that cannot be seen in the cost
+    assert stop(Move(4e-6, True), hidden, 1e-9) is None  # they shrink
+    assert stop(Move(6e-6, True), hidden, 1e-9) is Status.PRECISION
+    assert not hidden.negligible(seen, 1e-9)
+    assert Move(1e-7, True).negligible(seen, 1e-9)  # the next, again 1e-4 times as long, is below the tolerance
+    assert not Move(1e-7, False).negligible(seen, 1e-9)
 
 
 # --- filters ---------------------------------------------------------------------------------------------------------

@@ -18,9 +18,9 @@ from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 
 import casacal
 from casacal import export, load_problem
-from casacal.cli import main
-from casacal.new_problem import new_from_dh, new_from_urdf
-from casacal.prediction import ResultFile, arm_values, read_result
+from casacal.cli.main import main
+from casacal.compensation.predict import ResultFile, arm_values, read_result
+from casacal.problem.new import new_from_dh, new_from_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
 IIWA_CSV = "# convention: modified\n" + PLAIN
@@ -291,7 +291,7 @@ def test_what_zero_offsets_cannot_express_remains(place):
     result = made(place / "ur5", 4)
     found, v = export.zero_corrections(result), numbers(result)
     drawn = {row["name"]: row["nominal"] for row in result.document["parameters"]}
-    joints = casacal.metrics.workspace_joints(result.source.problem.robot)
+    joints = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)
     probe = np.array([[0, 0, 0, 1], [100, 0, 0, 1], [0, 100, 0, 1], [0, 0, 100, 1]]).T
 
     def misses(correction):
@@ -513,7 +513,7 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
     reach = 6 * 0.7  # prior standard deviations of a length, mm
     if name == "ur":
         there, here = (
-            {j.name: np.array(j.xyz) * 1000 for j in casacal.arms.urdf.read_urdf(path).joints}
+            {j.name: np.array(j.xyz) * 1000 for j in casacal.robots.files.urdf.read_urdf(path).joints}
             for path in (place / "ur.urdf", _written(tmp_path / "ur.urdf", export.urdf_text(result)))
         )
         for joint, xyz in there.items():
@@ -525,8 +525,8 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
         return
     source = place / ("ur5.csv" if name == "ur5" else "puma.toml")
     text = export.dh_text(result, source)
-    table = casacal.arms.dh_file.read_dh_file(_written(tmp_path / source.name, text))
-    began = casacal.arms.dh_file.read_dh_file(source)
+    table = casacal.robots.files.dh_file.read_dh_file(_written(tmp_path / source.name, text))
+    began = casacal.robots.files.dh_file.read_dh_file(source)
     for key in ("a", "d"):
         assert np.abs(np.subtract(getattr(table, key), getattr(began, key))).max() < reach
     frames = dh_pose(numbers(result), np.zeros(6), parallel)[1]
@@ -622,7 +622,7 @@ def test_least_squares_agrees_on_zero_offsets_of_a_small_arm(tmp_path):
     result = made(new_from_dh("small", tmp_path / "small.csv", tmp_path)[0], 1)
     v = numbers(result)
     drawn = {row["name"]: row["nominal"] for row in result.document["parameters"]}
-    joints = casacal.metrics.workspace_joints(result.source.problem.robot)
+    joints = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)
     probe = np.array([[0, 0, 0, 1], [100, 0, 0, 1], [0, 100, 0, 1], [0, 0, 100, 1]]).T
 
     def misses(c):

@@ -10,8 +10,8 @@ import numpy as np
 from conftest import ROOT
 
 from casacal import Simulated, lm, swarm
-from casacal.harness.fingerprint import code_fingerprint, fingerprint
-from casacal.losses import huber
+from casacal.least_squares.losses import huber
+from casacal.study.fingerprint import code_fingerprint, fingerprint
 
 FACTOR = 2.0
 
@@ -91,7 +91,7 @@ def test_a_users_instrument_tells_by_its_methods(hsr):
 
 def test_another_process_finds_the_same():
     program = (
-        "from casacal import load_problem, Simulated, lm\nfrom casacal.harness.fingerprint import *\n"
+        "from casacal import load_problem, Simulated, lm\nfrom casacal.study.fingerprint import *\n"
         "s = load_problem('problems/hsr_jr680')\n"
         "print(fingerprint([Simulated(s.problem, s.cell), lm, {1, 2, 'x'}]), code_fingerprint())"
     )

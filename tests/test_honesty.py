@@ -9,14 +9,15 @@ import pytest
 from conftest import ROOT
 
 from casacal import Parameter, bind, calibrate, lm, load_problem, simulate
-from casacal.cli import main
+from casacal.calibration.summary import summary
+from casacal.calibration.warnings import tip_extremes, warnings
+from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
-from casacal.expectation import accuracy_in_box, planned_accuracy
-from casacal.guards import tip_extremes, warnings
-from casacal.losses import huber, tukey
-from casacal.metrics import classical_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
-from casacal.priors import prior_tip_rms, scaled_to_accuracy
-from casacal.report import summary
+from casacal.least_squares.losses import huber, tukey
+from casacal.uncertainty.bounds import classical_bound
+from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
+from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
 
 def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):

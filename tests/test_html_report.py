@@ -15,18 +15,18 @@ from page_reader import REFERENCES, Page, facts, tables
 
 import casacal
 from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
-from casacal.cli import main
-from casacal.documents import calibration_document
-from casacal.html_report import report_page
-from casacal.html_report.colours import Scale
-from casacal.html_report.drawing import Panel, nice_ceiling, ticks
-from casacal.html_report.markup import tag, text
-from casacal.html_report.sections.verdict import verdict_of
-from casacal.html_report.squares import in_squares
-from casacal.html_report.touches import Touches
-from casacal.html_report.workspace import Workspace
-from casacal.losses import huber
-from casacal.samples import Samples
+from casacal.calibration.page import report_page
+from casacal.calibration.page.colours import Scale
+from casacal.calibration.page.drawing import Panel, nice_ceiling, ticks
+from casacal.calibration.page.markup import tag, text
+from casacal.calibration.page.sections.verdict import verdict_of
+from casacal.calibration.page.squares import in_squares
+from casacal.calibration.page.touches import Touches
+from casacal.calibration.page.workspace import Workspace
+from casacal.calibration.result_json import calibration_document
+from casacal.cli.main import main
+from casacal.least_squares.losses import huber
+from casacal.samples.samples import Samples
 
 HSR = ROOT / "problems" / "hsr_jr680"
 OPTIONS = ("--holdout", "0.25", "--seed", "1", "--box", "1000:1700,-400:400,400:1000")
@@ -328,7 +328,7 @@ def test_verdicts(hsr, calibration, monkeypatch):
     assert "far above" in said.sentence
     filtered = calibrate(hsr.problem, samples, method="sckf")
     assert verdict_of(filtered, calibration_document(filtered, hsr)).level == "care"
-    import casacal.calibrating as module
+    import casacal.calibration.calibrate as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
     stopped = calibrate(hsr.problem, samples, method="lm")

@@ -8,11 +8,11 @@ import pytest
 from conftest import ROOT
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem, plate, simulate
-from casacal.cli import main
-from casacal.cures import cure_for, cures
-from casacal.files import write_samples
-from casacal.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict
-from casacal.metrics import workspace_joints
+from casacal.cli.main import main
+from casacal.samples.write import write_samples
+from casacal.uncertainty.cures import cure_for, cures
+from casacal.uncertainty.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict
+from casacal.uncertainty.workspace import workspace_joints
 
 CENTRE = (1350.0, 0.0, 700.0)
 FLAT = plate((1350.0, 0.0, 500.0))
@@ -105,7 +105,7 @@ def test_result_json_holds_the_table(row, tmp_path):
     )
     source = load_problem(problem)
     cell = Cell(faces=faces, tilt=math.radians(tilt), error_scale=0.0, repeatability=0.0)
-    write_samples(tmp_path / "s.csv", source.problem, simulate(source.problem, cell, seed=1).samples, ["exact"])
+    write_samples(tmp_path / "s.csv", source.problem.robot, simulate(source.problem, cell, seed=1).samples, ["exact"])
     assert (
         main(
             [

@@ -1,20 +1,62 @@
 """Rules that save work, exact curvature and compiled steps: against CasADi's own evaluation and plain NumPy."""
 
+import re
+import shutil
+import subprocess
 from collections import Counter
+from importlib import resources
 
 import casadi as ca
 import numpy as np
 import pytest
-from test_kernels import BACKENDS, HAS_COMPILER
+from test_kernels import HAS_COMPILER
 
-from casacal import bind, chain, dh
-from casacal.kernels.blocks import BlockKernels
+from casacal import chain, dh
+from casacal.kernels import c_source
+from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate
 from casacal.kernels.reading import read_program
 from casacal.kinematics import transform_point
-from casacal.least_squares import LeastSquares
+
+C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
+
+
+def test_every_c_file_is_part_of_a_source():
+    """As package data too: they are read from where the package is installed."""
+    sources = [c_source.composed(names, {"ROWS": 4}) for names in (c_source.KERNELS, c_source.FILTER)]
+    for name in C_FILES:
+        own = "#define ROWS 4\n" if name == c_source.PROGRAM else c_source.INCLUDE.split(c_source.c_file(name))[-1]
+        assert own.strip()
+        assert [source.count(own) for source in sources] in ([1, 0], [0, 1], [1, 1]), name
+    assert not any('#include "' in source for source in sources)
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+@pytest.mark.parametrize("name", [name for name in C_FILES if name.endswith(".c")])
+def test_every_c_file_stands_alone_as_c(name):
+    """With the example in program.h, whose definitions are those that Python prints."""
+    compiler = next(path for each in ("gcc", "clang", "cc") if (path := shutil.which(each)))
+    strict = ["-std=gnu11", "-fopenmp-simd", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-fsyntax-only"]
+    with resources.as_file(resources.files("casacal.kernels") / "c" / name) as path:
+        done = subprocess.run([compiler, *strict, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_example_header_defines_what_is_printed(monkeypatch):
+    p, q = ca.SX.sym("p", 2), ca.SX.sym("q")
+    e = p[0] * ca.sin(q) - p[1] ** 2
+    slopes = ca.Function("e", [p, q], [e, ca.jacobian(e, p).T])
+    given = {}
+    monkeypatch.setattr(c_source, "composed", lambda names, definitions: given.update(definitions) or "")
+    c_source.kernel_source(read_program(slopes, ("once", "lane")), 2)
+    header = c_source.c_file(c_source.PROGRAM).replace("\\\n", "")
+    example = dict(re.findall(r"^#define (\w+) +(.+?)(?: +/\*.*)?$", header, re.MULTILINE))
+    assert example.keys() == given.keys()
+    for name, value in given.items():
+        expected = str(value) if isinstance(value, int) else " ".join(value)
+        assert " ".join(example[name].split()) == expected
 
 
 def arm(joints):
@@ -82,9 +124,9 @@ def test_cost_gradient_and_hessian_are_casadis(rows):
     np.testing.assert_allclose(bend, np.array(expected[2]), rtol=1e-11, atol=1e-11)
 
 
-def test_curvature_of_a_graph_that_numpy_does_not_know():
+def test_curvature_of_a_graph_without_a_form_in_c():
     v, d = ca.SX.sym("v", 2), ca.SX.sym("d")
-    residual = ca.Function("e", [v, ca.SX.sym("c", 0), d], [ca.vertcat(v[0] ** 2 * ca.erfinv(d) - v[1] * v[0])])
+    residual = ca.Function("e", [v, ca.SX.sym("c", 0), d], [ca.vertcat(v[0] ** 2 * ca.erfinv(d * v[1]) - v[1] * v[0])])
     kernel, data = CurvatureKernel(residual), np.linspace(-0.5, 0.5, 9)[:, None]
     total = sum(ca.sumsqr(residual(v, [], value)) for value in data.ravel()) / 2
     expected = ca.Function("f", [v], [ca.hessian(total, v)[0]])([1.5, -0.5])
@@ -99,33 +141,6 @@ def test_a_function_of_many_rows_is_casadis(rows):
     found = Columnwise(residual)(v, c, data)
     expected = np.array(residual.map(rows)(v, c, data.T)).T
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_damped_step_solves_the_system_of_the_whole_objective(hsr, backend):
-    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend=backend)
-    x = 0.3 * bound.start_std * np.random.default_rng(0).normal(size=bound.unknowns)
-    jacobian, r = bound.jacobian(x), bound.residual(x)
-    stacked = np.vstack([jacobian, np.diag(np.sqrt(bound.prior_information))]) * bound.start_std
-    residual = np.concatenate([r, np.sqrt(bound.prior_information) * (x - bound.x0)])
-    for damping in (1e-3, 10.0):
-        damped = np.vstack([stacked, np.sqrt(damping) * np.eye(bound.unknowns)])
-        y = np.linalg.lstsq(damped, -np.concatenate([residual, np.zeros(bound.unknowns)]), rcond=None)[0]
-        step = bound.damped_step(x, bound.normal(x), damping)
-        np.testing.assert_allclose((step.x - x) / bound.start_std, y, rtol=1e-6, atol=1e-9)
-        assert step.squared_length == pytest.approx(np.sum((stacked @ y) ** 2), rel=1e-6)
-        fall = (residual @ residual - np.sum((residual + stacked @ y) ** 2)) / 2
-        assert step.predicted == pytest.approx(fall, rel=1e-6)
-
-
-@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
-def test_a_step_in_c_is_numpys_and_says_when_there_is_none(hsr):
-    bound = bind(hsr.problem, hsr.problem.read(hsr.samples), backend="c")
-    normal = bound.normal(bound.x0)
-    one, other = bound.damped_step(bound.x0, normal, 0.1), LeastSquares.damped_step(bound, bound.x0, normal, 0.1)
-    np.testing.assert_allclose(one.x / bound.start_std, other.x / bound.start_std, rtol=0, atol=1e-9)
-    for spoilt in (-normal.information, normal.information * np.nan):
-        assert bound.damped_step(bound.x0, type(normal)(0.0, normal.gradient, spoilt), 0.1) is None
 
 
 def test_outputs_that_are_sums_of_few_values_become_so():

@@ -1,6 +1,7 @@
 """Kernels: what C and blocks compute is what CasADi computes, with a compiler, without one, and with a spoilt cache."""
 
 import logging
+import math
 import os
 import shutil
 import subprocess
@@ -8,19 +9,15 @@ import sys
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import pytest
 from conftest import ROOT
 from test_new_robots import scara
 
 from casacal import (
-    BoundProblem,
     DialOnPlane,
     Parameter,
     Problem,
     Robot,
-    Samples,
-    TrackedPoint,
     bind,
     calibrate,
     ekf,
@@ -30,14 +27,12 @@ from casacal import (
     simulate,
 )
 from casacal.errors import ProblemError
-from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler
 from casacal.kernels.backend import RowKernels
-from casacal.kernels.operations import NUMPY, C, evaluate
+from casacal.kernels.operations import NUMPY, C, evaluate, name_of
 from casacal.kernels.reading import read_program
-from casacal.least_squares import LeastSquares
-from casacal.losses import huber
+from casacal.least_squares.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
 BACKENDS = ["blocks", pytest.param("c", marks=pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler"))]
@@ -145,7 +140,7 @@ def test_every_operation_in_numpy_and_c_is_casadis():
         ca.logic_not(x > y), ca.logic_and(x > 1, y > 1), ca.logic_or(x > 1, y > 1), ca.floor(x), ca.ceil(x),
         ca.fmod(x, y), ca.fabs(x - y), ca.sign(x - y), ca.copysign(x, x - y), ca.if_else(x > y, x, y), ca.erf(x),
         ca.fmin(x, y), ca.fmax(x, y), 1 / x, ca.sinh(x), ca.cosh(x), ca.tanh(x), ca.asinh(x), ca.acosh(x + 1),
-        ca.atanh(x / 9), ca.hypot(x, y), ca.expm1(x), ca.log1p(x),
+        ca.atanh(x / 9), ca.hypot(x, y), ca.expm1(x), ca.log1p(x), ca.remainder(x, y),
     ]  # fmt: skip
     e = ca.vertcat(*values)
     function = ca.Function("all", [x, y], [e, ca.densify(ca.SX(e.numel(), 1))])
@@ -180,22 +175,68 @@ def test_sines_of_sums_are_split_and_nothing_else_changes():
             np.testing.assert_allclose(evaluate(program, values, [a, b]).ravel(), part, atol=1e-14)
 
 
-def test_a_graph_that_numpy_does_not_know_is_mapped_by_casadi():
+ODD = [-math.inf, -1e300, -2.5, -1.0, -0.5, -1e-9, -0.0, 0.0, 1e-9, 0.3, 1.0, 2.5, 710.0, math.inf, math.nan]
+UNARY = {name for name in NUMPY if ca.SX.binary(name, ca.SX.sym("x"), ca.SX.sym("y")).n_dep() == 1}
+
+
+@pytest.mark.parametrize("op", sorted(NUMPY.keys() - {ca.OP_ASSIGN, ca.OP_LIFT}), ids=name_of)
+def test_every_operation_is_casadis_on_odd_numbers_too(op, capfd):
+    """On data alone, on parameters alone, on both; in C wherever it has a form there. The sign of zero counts."""
+    pairs = np.array([(a, b) for a in ODD for b in ODD])
+    x, y, q, r = (ca.SX.sym(name) for name in "xyqr")
+    if op in UNARY:
+        e = [ca.SX.unary(op, given) for given in (x, q, x + q - q)]
+    else:
+        e = [ca.SX.binary(op, *given) for given in ((x, y), (q, r), (x, r), (q, y))]
+    function = ca.Function("f", [ca.vertcat(x, y), ca.vertcat(q, r)], [ca.vertcat(*e), ca.densify(ca.SX(len(e), 1))])
+    assert op in {function.instruction_id(k) for k in range(function.n_instructions())} | {ca.OP_CONSTPOW}
+    for name in ("blocks", "c") if HAS_COMPILER and op in C else ("blocks",):
+        rows = RowKernels(function, ("once", "lane"), name)
+        assert rows.kernels.name == name
+        packed = rows.lanes([pairs], np.ones((len(pairs), len(e))))
+        for at in pairs[:: len(ODD) + 1]:
+            expected = np.array(function.map(len(pairs))(ca.DM(at), ca.DM(pairs.T))[0])
+            np.testing.assert_allclose(rows.kernels.residual(at, packed), expected, rtol=1e-13, atol=0)
+    capfd.readouterr()  # printme prints
+
+
+def test_an_operation_without_a_form_in_c_keeps_a_model_on_blocks(caplog):
     p, q = ca.SX.sym("p", 2), ca.SX.sym("q")
-    e = p[0] * ca.erfinv(q) + p[1]
+    e = ca.erfinv(p[0] * q) + p[1]  # of data alone it would be done before
     function = ca.Function("f", [p, q], [e, ca.jacobian(e, p).T])
-    rows = RowKernels(function, ("once", "lane"))
-    assert rows.kernels.name == "map"
-    lanes = np.linspace(-0.9, 0.9, 13)[:, None]
+    backends._notice.cache_clear()
+    with caplog.at_level(logging.WARNING, "casacal"):
+        rows = RowKernels(function, ("once", "lane"), "auto")
+    assert rows.kernels.name == "blocks"
+    assert not HAS_COMPILER or "the operation 'erfinv' has no form in C" in caplog.text
+    with pytest.raises(ProblemError, match="back end c cannot be used"):
+        RowKernels(function, ("once", "lane"), "c")
+    lanes = np.linspace(-1.8, 1.8, 13)[:, None]
     packed = rows.lanes([lanes], np.full((13, 1), 2.0))
-    at = np.array([2.0, 0.5])
+    at = np.array([0.5, 0.5])
     expected = np.array([float(function(at, value)[0]) for value in lanes.ravel()])
     np.testing.assert_allclose(rows.kernels.residual(at, packed)[0], expected)
     assert rows.kernels.costs(at[None], packed)[0] == pytest.approx(np.sum((expected / 2) ** 2) / 2)
-    s = rows.kernels.normal(at, packed)
-    assert s[-1, -1] == pytest.approx(np.sum((expected / 2) ** 2))
     heavier = rows.kernels.reweighted(packed, np.full((1, 13), 1.0))
     assert rows.kernels.normal(at, heavier)[-1, -1] == pytest.approx(np.sum(expected**2))
+
+
+@pytest.mark.parametrize("of", ["data alone", "parameters too"])
+def test_a_function_that_casadi_cannot_write_out_is_refused(of):
+    class Table(DialOnPlane):
+        def residual(self, pose, p, row):
+            given = pose[0, 3] if of == "parameters too" else row.reading
+            return super().residual(pose, p, row) + bend(given)
+
+    bend = ca.interpolant("bend", "linear", [[0.0, 1.0, 2.0]], [0.0, 1.0, 4.0])
+    problem = Problem(hsr_robot(), Table(noise_std=0.05))
+    for backend in ("auto", "blocks"):
+        with pytest.raises(ProblemError, match="the operation 'call', which is not elementary"):
+            problem.models[0].rows(backend)
+
+
+def hsr_robot():
+    return load_problem(ROOT / "problems" / "hsr_jr680").problem.robot
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -332,81 +373,3 @@ def test_processes_that_race_for_the_cache_all_get_kernels(fresh):
     assert len({out for out, _ in said}) == 1
     assert {error for _, error in said} == {""}
     assert not [path for path in fresh.iterdir() if path.suffix != ".so"]
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_fused_filter_is_the_filter_step_by_step(case, backend, monkeypatch):
-    problem, samples, _ = case
-    fused = bind(problem, samples, backend=backend)
-    assert fused.filter_pass(0, np.zeros(fused.unknowns), np.eye(fused.unknowns)).stop == fused.rows
-    one = sckf(fused)
-    monkeypatch.setattr(BoundProblem, "filter_pass", LeastSquares.filter_pass)
-    monkeypatch.setattr(sys.modules["casacal.estimators.sckf"], "downdated", lambda root, u: None)  # QR in every row
-    other = sckf(bind(problem, samples, backend=backend))
-    scale = fused.start_std
-    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
-                               rtol=0, atol=1e-10)  # fmt: skip
-    for name in ("x", "innovation", "innovation_std"):
-        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-8)
-    assert one.residual_rows == other.residual_rows == 2 * fused.unknowns * fused.rows
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_fused_filter_hands_over_the_rows_that_would_lose_digits(hsr, backend, monkeypatch):
-    rows = hsr.problem.read(hsr.samples)
-    expected = sckf(bind(hsr.problem, rows, backend=backend))
-    # as if much more of a variance had to remain: the first rows of each face then need the full triangularisation
-    for module in ("native_filter", "block_filter"):
-        monkeypatch.setattr(f"casacal.kernels.{module}.LEAST_LEFT", 0.2)
-    bound = bind(hsr.problem, rows, backend=backend)
-    assert bound.filter_pass(0, np.zeros(bound.unknowns), np.eye(bound.unknowns)).stop < bound.rows
-    mixed = sckf(bound)
-    np.testing.assert_allclose(mixed.x / bound.start_std, expected.x / bound.start_std, rtol=0, atol=1e-10)
-    assert len(mixed.trace["innovation"]) == bound.rows
-
-
-def test_a_measurement_that_tells_all_is_triangularised_in_full():
-    belief = Belief(np.zeros(3), np.eye(3))
-    update = cubature_update(belief, lambda s: s @ np.array([1.0, 2.0, 3.0]), 1.0, 1e-9)
-    root = update.belief.root
-    assert (np.diagonal(root) >= 0).all()
-    np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ root, 0, atol=1e-8)
-
-
-@pytest.fixture(scope="module", params=["hsr", "scara", "two instruments", "many rows"])
-def filtered(request):
-    """Samples that a filter reads: rows of one pattern and of several, three residuals a row, more than one piece."""
-    made, rng = bounds(), np.random.default_rng(0)
-    if request.param in made:
-        problem, samples, _ = made[request.param]
-        return problem, (samples,)
-    problem, samples, _ = made["hsr"]
-    if request.param == "many rows":
-        return problem, (samples.take(rng.integers(len(samples), size=8_500)),)
-    joints = rng.uniform(-60, 60, size=(12, 6))
-    pair = Problem(problem.robot, *problem.instruments, TrackedPoint(noise_std=0.05))
-    tracked = pd.DataFrame(joints, columns=[f"q{i}_deg" for i in range(1, 7)])
-    bound = bind(problem, samples)
-    shift = np.array([1000.0, 0.0, -300.0])
-    tracked[["x_mm", "y_mm", "z_mm"]] = bound.tips(0.5 * bound.start_std, np.radians(joints)) + shift
-    return pair, (samples, Samples.from_frame(tracked, pair.layout(1)))
-
-
-@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
-def test_the_fused_extended_filter_is_the_filter_row_by_row(filtered, monkeypatch):
-    problem, samples = filtered
-    bound = bind(problem, *samples, backend="c")
-    assert bound.extended_pass(np.zeros(bound.unknowns), np.eye(bound.unknowns)) is not None
-    one, seen = ekf(bound), []
-    monkeypatch.setattr(BoundProblem, "extended_pass", LeastSquares.extended_pass)
-    other = ekf(bound, progress=lambda k, _: seen.append(k))
-    assert seen == list(range(1, bound.rows + 1))
-    scale = bound.start_std
-    np.testing.assert_allclose(one.x / scale, other.x / scale, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(one.covariance / np.outer(scale, scale), other.covariance / np.outer(scale, scale),
-                               rtol=0, atol=1e-10)  # fmt: skip
-    assert (np.linalg.eigvalsh(one.covariance / np.outer(scale, scale)) > 0).all()
-    for name in ("x", "innovation", "innovation_std"):
-        assert one.trace[name].shape == other.trace[name].shape
-        np.testing.assert_allclose(one.trace[name], other.trace[name], rtol=1e-6, atol=1e-6)

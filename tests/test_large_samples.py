@@ -8,10 +8,10 @@ import pytest
 
 from casacal import bind
 from casacal.errors import SamplesError
-from casacal.labels import Labels, combinations
-from casacal.layout import Layout
-from casacal.samples import Samples
-from casacal.tables import read_table
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.tables.labels import Labels, combinations
+from casacal.tables.text import read_table
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 ROWS = 3000
@@ -19,9 +19,9 @@ ROWS = 3000
 
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
-    monkeypatch.setattr("casacal.large_csv.LARGE_FILE", 0)
+    monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
     for name, size in (("SECTION", 20_000), ("PIECE", 3_000), ("ROWS", 100)):  # several of each
-        monkeypatch.setattr(f"casacal.large_csv.{name}", size)
+        monkeypatch.setattr(f"casacal.tables.large_csv.{name}", size)
 
 
 def columns():
@@ -77,7 +77,7 @@ def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatc
     file = tmp_path / "s.csv"
     file.write_bytes(content.encode())
     expected = Samples.from_table(read_table(file), LAYOUT)
-    monkeypatch.setattr("casacal.samples.read_table", forbidden)
+    monkeypatch.setattr("casacal.samples.samples.read_table", forbidden)
     found = Samples.from_csv(file, LAYOUT)
     np.testing.assert_allclose(found.joints, expected.joints, rtol=1e-15)
     np.testing.assert_allclose(found.columns["reading"], expected.columns["reading"], rtol=1e-15)

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from casacal.linalg import correlation, damped_solution, downdated, inverse_triangle, posterior_covariance, tria
+from casacal.least_squares.linalg import (
+    correlation,
+    damped_solution,
+    downdated,
+    inverse_triangle,
+    posterior_covariance,
+    tria,
+)
 
 
 def test_tria_is_lower_triangular_with_the_same_product():

@@ -10,7 +10,7 @@ from robots_of_others import ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 from test_arms import nominal, pose_of
 
 from casacal import Robot, load_problem
-from casacal.cli import main
+from casacal.cli.main import main
 
 ROW = "{0},{1},{2},{3},0.7,R,-170.5,170.5,,\n"
 LONG_TABLE = """# name: a "very" long \\ name

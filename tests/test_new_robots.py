@@ -8,7 +8,7 @@ from oracles import dh_chain
 
 from casacal import DialOnPlane, Joint, Parameter, Plane, Problem, Robot, TrackedPoint, bind, chain, ipopt, lm, sckf_lm
 from casacal.kinematics import rotate_z, translate_x
-from casacal.samples import Samples
+from casacal.samples.samples import Samples
 
 
 def test_a_planar_two_link_arm_on_lines():

@@ -6,8 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from casacal import calibrate
-from casacal.documents import calibration_document
-from casacal.notebook import Calibrated
+from casacal.calibration.calibrated import Calibrated
+from casacal.calibration.result_json import calibration_document
 
 
 @pytest.fixture(scope="module")

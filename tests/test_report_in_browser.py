@@ -8,7 +8,7 @@ import shutil
 import pytest
 from conftest import ROOT
 
-from casacal.cli import main
+from casacal.cli.main import main
 
 FLAGS = (
     "--headless",

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from casacal.errors import SamplesError
-from casacal.files import write_samples
-from casacal.samples import Layout, Samples
+from casacal.samples.samples import Layout, Samples
+from casacal.samples.write import write_samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment
@@ -24,7 +24,7 @@ q1_deg,q2_mm,reading_mm,plane,note
 def size(request, monkeypatch):
     """Every test twice: as files of this size are read, and as those are that take pandas."""
     if request.param == "large":
-        monkeypatch.setattr("casacal.large_csv.LARGE_FILE", 0)
+        monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
 
 
 def read(tmp_path, content, layout=LAYOUT):
@@ -137,7 +137,7 @@ def test_a_data_frame_reads_like_the_file(tmp_path):
 
 def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
     odd = dataclasses.replace(corner_simulation.samples, labels={"plane": tuple(f'a "{i % 3}", b' for i in range(120))})
-    write_samples(tmp_path / "w.csv", hsr.problem, odd, ["a comment"])
+    write_samples(tmp_path / "w.csv", hsr.problem.robot, odd, ["a comment"])
     again = hsr.problem.read(tmp_path / "w.csv")
     assert again.labels["plane"] == odd.labels["plane"]
     np.testing.assert_allclose(again.joints, odd.joints, atol=2e-9)

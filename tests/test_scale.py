@@ -8,8 +8,9 @@ import pytest
 from casacal import Face, Problem, Step, bind, gauge_block, ipopt, lm, simulate
 from casacal.errors import ProblemError
 from casacal.instruments import DialOnBody
-from casacal.metrics import bayesian_bound, workspace_joints
-from casacal.scale import conditional_scale_std, marginal_scale_std
+from casacal.uncertainty.bounds import bayesian_bound
+from casacal.uncertainty.scale import conditional_scale_std, marginal_scale_std
+from casacal.uncertainty.workspace import workspace_joints
 
 
 def exact(hsr, instrument, faces, travel, samples):

@@ -8,9 +8,9 @@ import pytest
 from oracles import dh_chain
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
-from casacal.cells import flatness_din_876, form_error
 from casacal.errors import SimulationError
-from casacal.simulation import default_cell
+from casacal.problem.cell import flatness_din_876, form_error
+from casacal.simulation.places import default_cell
 
 
 def true_tips(simulation, joints, readings, sign=1):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.errors import SamplesError
-from casacal.layout import Layout
-from casacal.samples import Samples
-from casacal.spreadsheets import joined_tables, read_workbook
-from casacal.tables import read_table
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.tables.text import read_table
+from casacal.tables.workbooks import joined_tables, read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]

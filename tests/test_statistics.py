@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta, wilcoxon
 
-from casacal.harness.statistics import holm, mean_interval, paired, quantiles, success_rate
+from casacal.study.statistics import holm, mean_interval, paired, quantiles, success_rate
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 20), (7, 20), (20, 20), (199, 200)])

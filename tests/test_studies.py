@@ -9,9 +9,9 @@ import sys
 import pytest
 from conftest import ROOT
 
-from casacal.cli import main
-from casacal.harness.study_file import load_study
-from casacal.study import RECORDS
+from casacal.cli.main import main
+from casacal.study.runs import RECORDS
+from casacal.study.study_file import load_study
 
 FILES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\ndef report(" in path.read_text(encoding="utf-8"))
 NAMES = [path.stem for path in FILES]

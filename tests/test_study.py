@@ -17,11 +17,11 @@ import tiny_study
 from conftest import ROOT
 
 from casacal import Method, Simulated, Study, lm, sckf, swarm
-from casacal.cli import main
+from casacal.cli.main import main
 from casacal.errors import StudyError
-from casacal.harness.records import appending, merged, read_records, records_digest, to_line
-from casacal.harness.trial import run_trial
-from casacal.study import RECORDS, merge, open_run, run
+from casacal.study.records import appending, merged, read_records, records_digest, to_line
+from casacal.study.runs import RECORDS, merge, open_run, run
+from casacal.study.trial import run_trial
 
 TINY = ROOT / "tests" / "tiny_study.py"
 
@@ -107,7 +107,7 @@ def test_a_cluster_of_two_workers_makes_the_same_records(serial, tmp_path, monke
 
 def test_no_scheduler_is_said(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr("casacal.harness.executors.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("casacal.study.executors.CONNECT_SECONDS", 1)
     with pytest.raises(StudyError, match="No Dask scheduler answers"):
         run(tiny_study.study, tmp_path, file=TINY, scheduler="tcp://127.0.0.1:9")
 
@@ -117,7 +117,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
     slow = tmp_path / "tiny_study.py"
     slow.write_text(TINY.read_text().replace("PAUSE = 0.0", "PAUSE = 0.02"))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    command = [sys.executable, "-m", "casacal.cli", "study", str(slow), "--out", str(tmp_path / "out"), "--resume"]
+    command = [sys.executable, "-m", "casacal", "study", str(slow), "--out", str(tmp_path / "out"), "--resume"]
     rng, seen = random.Random(5), []
     for _ in range(5):
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -137,7 +137,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
 
 def test_workers_end_with_the_process_that_is_killed(tmp_path):
     (tmp_path / "naps.py").write_text(
-        "import os, sys, time\nfrom pathlib import Path\nfrom casacal.harness.executors import in_processes\n"
+        "import os, sys, time\nfrom pathlib import Path\nfrom casacal.study.executors import in_processes\n"
         "def nap(path):\n    Path(path).write_text(str(os.getpid()))\n    time.sleep(60)\n"
         "if __name__ == '__main__':\n    list(in_processes(nap, sys.argv[1:], 2))\n"
     )

@@ -6,7 +6,7 @@ import numpy as np
 from linear import Matrix, random_linear
 
 from casacal import Method, Study, ekf, evolution, lm, sckf
-from casacal.metrics import residual_figures
+from casacal.uncertainty.figures import residual_figures
 
 PAUSE = 0.0
 

@@ -1,6 +1,9 @@
-"""The data doctor: what is wrong with samples, in words, before anyone trusts a fit."""
+"""The convention doctor: what a controller's joint values and poses mean to a model, from rows of its pendant.
 
-from casacal.doctor.check import check
-from casacal.doctor.finding import Finding
+The data doctor, `casacal.checks`, looks at samples instead.
+"""
 
-__all__ = ["Finding", "check"]
+from casacal.doctor.diagnosis import Diagnosis, diagnose
+from casacal.doctor.pendant_rows import PendantRows, read_pendant_rows
+
+__all__ = ["Diagnosis", "PendantRows", "diagnose", "read_pendant_rows"]

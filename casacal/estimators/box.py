@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.least_squares import LeastSquares
-from casacal.result import Result, Status
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -1,4 +1,7 @@
-"""Extended Kalman filter for constant parameters and scalar measurements (M3)."""
+"""Extended Kalman filter for constant parameters and scalar measurements (M3).
+
+The step as it is to be read; C takes the same one for all rows at once where casacal.kernels.steps says so.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import ExtendedPass, LeastSquares
-from casacal.result import Result, Status
+from casacal.least_squares.objective import ExtendedPass, LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

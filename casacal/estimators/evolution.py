@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.estimators.box import BUDGET, WIDTH, Search
-from casacal.least_squares import LeastSquares
-from casacal.result import Result
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -4,18 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.least_squares import LeastSquares
-from casacal.raw_graph import RawGraph
-from casacal.result import Result, Status
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+class RawRows(Protocol):
+    """Rows that see the same raw coordinates."""
+
+    columns: NDArray[np.intp]
+    """Which of v they see (z,)."""
+
+    def __call__(self, v: Array) -> tuple[float, Array, Array]:
+        """Cost of the rows at v (n,), its gradient (z,) and Hessian (z, z)."""
+
+
+class RawForm(Protocol):
+    """The symbolic form of a problem: its objective over raw coordinates v, and what makes them valid."""
+
+    blocks: Sequence[RawRows]
+    start: Array
+    """v of the nominal."""
+    constraints: ca.Function
+    """v -> g, zero where v is valid."""
+    local: ca.Function
+    """v -> x, the local coordinates of the other estimators."""
+    prior: Callable[..., Any]
+    """(v, information, x0) -> cost of the prior, gradient, Hessian."""
+    bend: Callable[..., Any]
+    """(v, multipliers) -> Hessian of the constraints times their multipliers."""
 
 
 def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-9, verbose: bool = False) -> Result:
@@ -33,9 +58,9 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
     Raises ProblemError when the problem has no symbolic form.
 
     """
-    if not isinstance(problem.graph, RawGraph):
+    if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
-    graph = problem.graph
+    graph: RawForm = problem.graph
     objective = Objective(graph, problem)
     program, options, kept = _program(graph, objective, max_steps, tolerance, verbose)
     solver = ca.nlpsol("reference", "ipopt", program, options)
@@ -67,7 +92,7 @@ class Objective:
     rounding. All three are found together, once for each y that IPOPT asks about.
     """
 
-    def __init__(self, graph: RawGraph, problem: LeastSquares) -> None:
+    def __init__(self, graph: RawForm, problem: LeastSquares) -> None:
         n = graph.start.size
         self._graph, self._problem = graph, problem
         self.start, self.scales, self.evaluations = graph.start, np.ones(n), 0
@@ -102,7 +127,7 @@ class Objective:
 
 
 def _program(
-    graph: RawGraph, objective: Objective, max_steps: int, tolerance: float, verbose: bool
+    graph: RawForm, objective: Objective, max_steps: int, tolerance: float, verbose: bool
 ) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
     """The nonlinear program in scaled raw coordinates, the solver's options, and what must outlive the solver."""
     n = graph.start.size

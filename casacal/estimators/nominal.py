@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from casacal.least_squares import LeastSquares
-from casacal.result import Result, Status
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
 
 
 def nominal(problem: LeastSquares) -> Result:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.estimators.lm import lm
-from casacal.least_squares import LeastSquares
-from casacal.result import Result
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result
 
 UNMOVED = 1.01
 """Residual RMS after the step, over that before it, beyond which the step is halved: the plane must not notice."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.estimators.lm import lm
-from casacal.least_squares import LeastSquares, Restricted
-from casacal.result import Result
+from casacal.least_squares.objective import LeastSquares, Restricted
+from casacal.least_squares.result import Result
 
 
 def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float = 1e-9) -> Result:

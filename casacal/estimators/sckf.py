@@ -1,4 +1,7 @@
-"""Square-root cubature Kalman filter for constant parameters and scalar measurements (M5)."""
+"""Square-root cubature Kalman filter for constant parameters and scalar measurements (M5).
+
+The step as it is to be read; C or MX takes the same one for many rows at once where casacal.kernels.steps says so.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.least_squares import LeastSquares
-from casacal.linalg import downdated, tria
-from casacal.result import Result, Status
+from casacal.least_squares.linalg import downdated, tria
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
 
 Array: TypeAlias = NDArray[np.float64]
 

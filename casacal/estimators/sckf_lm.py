@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from casacal.estimators.lm import lm
 from casacal.estimators.sckf import sckf
-from casacal.least_squares import LeastSquares
-from casacal.result import Result
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result
 
 
 def sckf_lm(

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from casacal.estimators.box import BUDGET, WIDTH, Search
-from casacal.least_squares import LeastSquares
-from casacal.result import Result
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result
 
 PARTICLES = 64
 INERTIA, ATTRACTION = 0.7298, 1.49618

@@ -7,9 +7,9 @@ import re
 import casadi as ca
 import numpy as np
 
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import remark
-from casacal.prediction import ResultFile, arm_values
 
 LEVER = 300.0
 """Millimetres that weigh as much as one radian in a step."""

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.arms.dh_csv import decode
-from casacal.arms.dh_file import dh_file_text, is_toml, read_dh_file
-from casacal.arms.dh_table import DHTable
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError, ProblemError
 from casacal.export.dh_layout import written_into_csv, written_into_toml
 from casacal.export.remark import MARK, remark
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.dh_csv import decode
+from casacal.robots.files.dh_file import dh_file_text, is_toml, read_dh_file
 
 SAME = {"alpha": 1e-8, "a": 1e-6, "d": 1e-6, "theta": 1e-8}
 """Difference, rad or mm, below which a file's number is the one that the calibration began with."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 
-from casacal.arms.decimals import plain
-from casacal.arms.dh_fields import UNITS
-from casacal.arms.dh_table import DHTable
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.decimals import plain
+from casacal.robots.files.dh_fields import UNITS
 
 TOML_TOKEN = re.compile(
     r"""(?P<text>"(?:\\.|[^"\\\n])*"|'[^'\n]*')|(?P<comment>\#[^\r\n]*)|"""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import casacal
-from casacal.prediction import ResultFile
+from casacal.compensation.predict import ResultFile
+from casacal.version import __version__
 
 MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
@@ -16,8 +16,8 @@ def remark(result: ResultFile) -> list[str]:
     document = result.document
     name = result.source.name
     if document.get("method") == "truth":
-        return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {casacal.__version__})"]
-    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {casacal.__version__}"]
+        return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {__version__})"]
+    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
     if not document.get("converged", True):
         lines.append(f"{MARK}WARNING, this is no minimum: {document.get('status')}")
     error = (document.get("tip") or {}).get("expected_rms_mm")

@@ -5,21 +5,20 @@ from __future__ import annotations
 import hashlib
 import math
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.arms.dh_table import NEARLY, DHTable
-from casacal.arms.urdf_chain import UrdfChain
-from casacal.conventions import Conventions
+from casacal.array_types import Array
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import MARK, remark
 from casacal.export.rotations import roll_pitch_yaw
 from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.conventions import Conventions
+from casacal.robots.dh_table import NEARLY, DHTable
+from casacal.robots.urdf_chain import UrdfChain
 
-Array: TypeAlias = NDArray[np.float64]
 JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 FIX = "Export it as dh, urdf, zeros or c"
 

@@ -6,19 +6,16 @@ import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.arms.decimals import plain
-from casacal.arms.urdf_chain import MM, UrdfChain, origin_matrix
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.errors import CasacalError
 from casacal.export.rotations import roll_pitch_yaw
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.files.decimals import plain
+from casacal.robots.urdf_chain import MM, UrdfChain, origin_matrix
 
-Array: TypeAlias = NDArray[np.float64]
 ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 

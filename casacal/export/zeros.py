@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.arms.decimals import plain
+from casacal.array_types import Array
+from casacal.compensation.predict import ResultFile, arm_values
 from casacal.export.remark import MARK, remark
-from casacal.metrics import workspace_joints
-from casacal.prediction import ResultFile, arm_values
+from casacal.robots.files.decimals import plain
+from casacal.uncertainty.workspace import workspace_joints
 
-Array: TypeAlias = NDArray[np.float64]
 LEVER = 100.0
 """Distance (mm) from the flange's origin of the points that stand for its orientation."""
 STEPS = 5
@@ -76,7 +74,7 @@ def zeros_text(result: ResultFile) -> str:
         "joint,correction_deg" + (",correction_mm" if slides else ""),
     ]
     for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
-        turns = joint.kind == "revolute"
+        turns = joint.turns
         cells = [str(i), f"{math.degrees(value) + 0.0:.6f}" if turns else ""]
         lines.append(",".join(cells + (["" if turns else plain(round(value, 6))] if slides else [])))
     return "\n".join(lines) + "\n"

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.dial_on_plane import DialOnPlane
-from casacal.instruments.instrument import Sight
+from casacal.instruments.instrument import Probe, Sight
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.unknown import Array, unit_vector
+from casacal.unknowns.unknown import unit_vector
+from casacal.values import FrozenMapping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,8 @@ class DialOnBody(DialOnPlane):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        triples = {label: tuple(float(value) for value in normal) for label, normal in self.normals.items()}
+        object.__setattr__(self, "normals", FrozenMapping(triples))
         directions = np.array([unit_vector(n, f"The normal of '{label}'") for label, n in self.normals.items()])
         if len(directions) < 2 or np.linalg.matrix_rank(directions, tol=1e-3) < 2:
             raise ProblemError("The body has fewer than two directions of faces", "Give normals that are not parallel")
@@ -58,6 +62,19 @@ class DialOnBody(DialOnPlane):
         """Components of the row's normal in the body's axes."""
         units = {label: unit_vector(n, "A normal") for label, n in self.normals.items()}
         return {f"n{axis}": {label: float(n[i]) for label, n in units.items()} for i, axis in enumerate("xyz")}
+
+    @property
+    def probe(self) -> Probe:
+        """The dial's, on faces whose angles are known."""
+        return replace(super().probe, label="plane", knows_angles=True)
+
+    def with_faces_by_label(self) -> None:
+        """None: a further face needs a certified angle."""
+        return
+
+    def with_step(self, label: str, on: str, height: float) -> None:
+        """None: the faces of a body have places of their own."""
+        del label, on, height
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Signed distance of the tip from its face, mm."""

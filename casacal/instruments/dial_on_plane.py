@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Instrument, Sight
-from casacal.kinematics import Expression, transform_point
+from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight, Suspect, Words
+from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
-from casacal.unknowns.unknown import Array, unit_vector
+from casacal.values import FrozenMapping
 
 
 def tool_point(
@@ -68,6 +69,7 @@ class DialOnPlane(Instrument):
     steps: Mapping[str, Step] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", FrozenMapping(self.steps))
         if not 0 < self.noise_std < math.inf:
             raise ProblemError(f"noise_std of the dial is {self.noise_std!r}", "Give a positive number of mm")
         if not 0 <= self.contact_std < math.inf:
@@ -129,6 +131,61 @@ class DialOnPlane(Instrument):
         """Noise along the normal, mm."""
         return self.contact_std if self.reading else math.hypot(self.noise_std, self.contact_std)
 
+    @property
+    def words(self) -> Words:
+        """Distances from planes."""
+        return Words("distance from the planes", "mm", "planes", "planes fitted alone")
+
+    @property
+    def groups(self) -> str | None:
+        """The label of the faces."""
+        return self.known_by
+
+    @property
+    def known_by(self) -> str:
+        """The label of the faces."""
+        return self.plane.per or "plane"
+
+    @property
+    def probe(self) -> Probe:
+        """The plunger, or the tool that simply touches."""
+        return Probe(
+            noise_std=self.noise_std,
+            contact_std=self.contact_std,
+            column="reading" if self.reading else None,
+            sign=self.sign,
+            travel=self.travel,
+            label=self.plane.per,
+            moves=("tool", "plunger"),
+            knows_length=bool(self.steps),
+        )
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """A wrong sign first, then units."""
+        if not self.reading:
+            return ()
+        sign = Suspect(
+            "wrong dial sign",
+            "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
+            "Turn the sign of the dial in the problem",
+            ("reading",),
+            -1.0,
+        )
+        return (sign, *super().suspects)
+
+    def with_faces_by_label(self) -> DialOnPlane | None:
+        """The same with a plane for each label."""
+        return self if self.plane.per is not None else replace(self, plane=replace(self.plane, per="plane"))
+
+    def with_step(self, label: str, on: str, height: float) -> DialOnPlane | None:
+        """The same with one more step."""
+        return replace(self, steps={**self.steps, label: Step(on, height)})
+
+    def plunger_direction(self, pose: Expression, p: Any) -> Expression:
+        """The plunger, turned into the base frame."""
+        return rotation(pose) @ p.plunger
+
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Tip of the plunger (3, mm): the tool point, plus sign * reading along the plunger."""
         reach = self.sign * getattr(row, "reading", 0.0)
@@ -160,5 +217,5 @@ class DialOnPlane(Instrument):
             raise ProblemError(
                 f"A plane was touched at {len(tips)} tips that lie on a line", "Spread the touches over the face"
             )
-        plunger = sight.poses[rows, :3, :3] @ unit_vector(self.plunger.vector, "The plunger")
-        return np.asarray(-axes[2] if float((plunger @ axes[2]).mean()) > 0 else axes[2])
+        assert sight.plungers is not None
+        return np.asarray(-axes[2] if float((sight.plungers[rows] @ axes[2]).mean()) > 0 else axes[2])

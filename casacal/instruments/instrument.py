@@ -1,4 +1,4 @@
-"""What every instrument provides."""
+"""What every instrument provides: a residual and columns; whatever else depends on its kind has a default."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
-from casacal.unknowns.unknown import Array
+from casacal.user_code import Portable
 
 Dimension = Literal["length", "angle", "number"]
 
@@ -25,18 +28,138 @@ class Sight:
     """Nominal tips, (N, 3), mm."""
     columns: Mapping[str, Array]
     """The rows' own columns and those known from labels, each (N,), in mm, rad or the user's unit."""
+    plungers: Array | None = None
+    """Nominal directions of the plunger, (N, 3), out of the tool; None for an instrument without one."""
 
 
-class Instrument(ABC):
+@dataclass(frozen=True)
+class Words:
+    """How people read what an instrument measures."""
+
+    residual: str = "residual"
+    """What its residual is, as in "distance from the planes"."""
+    unit: str = "mm"
+    """Unit of the residual."""
+    things: str = "samples"
+    """What was measured, as in "the arm misses the held-out planes"."""
+    before: str = "before"
+    """What the control M0 fits, as in "planes fitted alone"."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A tip that touches flat faces, as simulation, checks and pictures know it.
+
+    noise_std: of one measurement, mm. contact_std: of touch and form beside it, mm. column: what the reading along the
+    plunger is called, None for contact alone; sign: +1 where a larger reading lengthens the tool; travel: readings lie
+    in 0 ... travel, mm. label: the column that names the faces, None where there is one face for all. moves: keys of
+    the instrument's unknowns that tip and plunger depend on. knows_length, knows_angles: whether a
+    length among the faces, or their angles to one another, are certified.
+    """
+
+    noise_std: float
+    contact_std: float = 0.0
+    column: str | None = None
+    sign: int = 1
+    travel: float = 0.0
+    label: str | None = "plane"
+    moves: tuple[str, ...] = ()
+    knows_length: bool = False
+    knows_angles: bool = False
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A mistake that people make with columns: what it is called, seems to be, and needs; undone by the factor."""
+
+    about: str
+    cause: str
+    fix: str
+    columns: tuple[str, ...]
+    factor: float
+
+
+UNIT_MISTAKES = {
+    25.4: "inches, written as mm",
+    1 / 25.4: "mm, written as inches",
+    1000.0: "metres, written as mm, or mm, written as micrometres",
+    0.001: "micrometres, written as mm",
+}
+"""What readings may be by mistake, by the factor that mends it."""
+
+
+class Instrument(Portable, ABC):
     """A way of measuring: the columns it reads, its own unknowns, and a signed smooth residual.
 
-    A subclass gives `residual` and overrides what differs from the defaults below.
+    A subclass gives `residual`, mostly `columns`, `unknowns` and its noise (`residual_std` or `column_stds`), and
+    overrides what differs from the defaults below. A subclass that is a frozen dataclass can have its unknowns held or
+    given other priors by `Problem.fix` and `Problem.with_prior`.
     """
+
+    @abstractmethod
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Signed, smooth residual: a scalar or a column of scalars.
+
+        Args:
+            pose: 4x4 flange pose, mm.
+            p: values of the robot's parameters and of this instrument's unknowns, by name.
+            row: values of `columns`, by name.
+
+        """
 
     @property
     def columns(self) -> Mapping[str, Dimension]:
         """Columns it reads from a row, beside the joints: name to dimension."""
         return {}
+
+    @property
+    def refused_columns(self) -> Mapping[str, str]:
+        """Columns that contradict the declaration: name to the sentence that says why."""
+        return {}
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Its own unknowns: planes, tool, zero."""
+        return {}
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """Keys of the unknowns that only say where the touched or watching thing stands; the control M0 fits these.
+
+        By default the unknowns whose prior is flat: nobody knew beforehand where such a thing stands.
+        """
+        return tuple(key for key, u in self.unknowns.items() if u.size and not np.isfinite(u.prior_stds).any())
+
+    @property
+    def column_stds(self) -> Mapping[str, float]:
+        """Standard deviation of the error of each column, in mm, rad or the user's unit."""
+        return {}
+
+    @property
+    def residual_std(self) -> float:
+        """Standard deviation of what the residual sees beside errors of columns and joints, in its unit."""
+        return 0.0
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Where the instrument touches or is watched (3, mm); the flange's origin unless overridden."""
+        del p, row
+        return position(pose)
+
+    def plunger_direction(self, pose: Expression, p: Any) -> Expression | None:
+        """Direction (3) of a plunger in the base frame, out of the tool; None for an instrument without one."""
+        del pose, p
+        return None
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Nominal of an unknown that was declared without one, from what the nominal robot says.
+
+        Raises ProblemError when this instrument cannot propose it.
+        """
+        del sight
+        raise ProblemError(
+            f"Unknown '{key}' of {type(self).__name__} has no nominal value",
+            "Give it one, or override `propose`, which finds it from the samples",
+        )
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -54,50 +177,37 @@ class Instrument(ABC):
         return label
 
     @property
-    def refused_columns(self) -> Mapping[str, str]:
-        """Columns that contradict the declaration: name to the sentence that says why."""
-        return {}
+    def groups(self) -> str | None:
+        """The label column by which rows are drawn and listed; by default the first that its unknowns differ by."""
+        return next((unknown.per for unknown in self.unknowns.values() if unknown.per is not None), None)
 
     @property
-    def unknowns(self) -> Mapping[str, Unknown]:
-        """Its own unknowns: planes, tool, zero."""
-        return {}
+    def words(self) -> Words:
+        """How reports call what it measures."""
+        return Words(before=f"{' and '.join(self.datum)} fitted alone" if self.datum else "nothing fitted")
 
     @property
-    def datum(self) -> tuple[str, ...]:
-        """Keys of the unknowns that only say where the touched or watching thing stands; the control M0 fits these."""
-        return ()
+    def probe(self) -> Probe | None:
+        """What touches flat faces; None for an instrument that measures otherwise."""
+        return None
 
     @property
-    def column_stds(self) -> Mapping[str, float]:
-        """Standard deviation of the error of each column, in mm, rad or the user's unit."""
-        return {}
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Mistakes in its columns that `check` undoes one by one to see whether all fits then: units, by default."""
+        lengths = tuple(name for name, dimension in self.columns.items() if dimension == "length")
+        if not lengths:
+            return ()
+        fix = "Correct the unit in the column's name"
+        return tuple(
+            Suspect("unit of the readings", f"the readings seem to be {words}", fix, lengths, factor)
+            for factor, words in UNIT_MISTAKES.items()
+        )
 
-    @property
-    def residual_std(self) -> float:
-        """Standard deviation of what the residual sees beside errors of columns and joints, in its unit."""
-        return 0.0
+    def with_faces_by_label(self) -> Instrument | None:
+        """The same with a face of its own for each label, for `cures` that add one; None where that means nothing."""
+        return None
 
-    @abstractmethod
-    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Signed, smooth residual: a scalar or a column of scalars.
-
-        Args:
-            pose: 4x4 flange pose, mm.
-            p: values of the robot's parameters and of this instrument's unknowns, by name.
-            row: values of `columns`, by name.
-
-        """
-
-    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Where the instrument touches or is watched (3, mm); the flange itself unless overridden."""
-        del p, row
-        return position(pose)
-
-    def propose(self, key: str, sight: Sight) -> Array:
-        """Nominal of an unknown that was declared without one, from what the nominal robot says.
-
-        Raises ProblemError when this instrument cannot propose it.
-        """
-        del sight
-        raise ProblemError(f"Unknown '{key}' has no nominal value", "Declare one: this instrument cannot propose it")
+    def with_step(self, label: str, on: str, height: float) -> Instrument | None:
+        """The same with a face at a known height (mm) on another one; None where that means nothing."""
+        del label, on, height
+        return None

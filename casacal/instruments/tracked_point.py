@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.dial_on_plane import tool_point
-from casacal.instruments.instrument import Dimension, Instrument, Sight
+from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.unknown import Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +56,11 @@ class TrackedPoint(Instrument):
     def residual_std(self) -> float:
         """Noise of each coordinate, mm."""
         return self.noise_std
+
+    @property
+    def words(self) -> Words:
+        """Coordinates of points."""
+        return Words("residual of each coordinate", "mm", "points", "station fitted alone")
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Return the reflector in the base frame (3, mm)."""

@@ -1,4 +1,4 @@
-"""Which kernels a row model gets: C where it can be compiled, blocks where not, plain maps for unknown operations."""
+"""Which kernels a row model gets: C where it can be printed and compiled, blocks elsewhere."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.errors import ProblemError
-from casacal.kernels.blocks import BlockKernels
-from casacal.kernels.c_source import can_print
+from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.compiler import CompilerError
-from casacal.kernels.native import NativeKernels
-from casacal.kernels.operations import can_evaluate, evaluate
-from casacal.kernels.plain import PlainKernels
+from casacal.kernels.lanes import lane_data
+from casacal.kernels.native_rows import NativeKernels
 from casacal.kernels.program import Program, Role
 from casacal.kernels.reading import read_program
 
@@ -33,8 +31,6 @@ class Kernels(Protocol):
 
     name: str
     components: int
-    shareable: bool
-    """Whether several threads may use them at once."""
 
     def lanes(self, d: Array, w: Array) -> Any:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
@@ -63,7 +59,8 @@ class RowKernels:
         roles: "lane" for arguments that differ from row to row, "once" for the others, which form p.
         backend: a name of `BACKENDS`, or None for the environment's, or auto.
 
-    Raises ProblemError for a back end that does not exist, or that was asked for and cannot serve.
+    Raises ProblemError for a back end that does not exist, or that was asked for and cannot serve, and for a graph with
+    operations that are not elementary.
 
     """
 
@@ -73,26 +70,17 @@ class RowKernels:
             raise ProblemError(f"There is no back end '{asked}'", f"Known: {', '.join(BACKENDS)}")
         self._program, self._roles = read_program(slopes, roles), roles
         once = [slopes.numel_in(i) for i, role in enumerate(roles) if role == "once"]
-        self.kernels: Kernels
-        if can_evaluate(self._program):
-            self.kernels = _chosen(asked, self._program, sum(once))
-        else:
-            self.kernels = PlainKernels(slopes, once, roles)
+        self.kernels: Kernels = _chosen(asked, self._program, sum(once))
 
     def lanes(self, arguments: Sequence[Array], noise: Array) -> Any:
         """Rows in the form the kernels read: arguments of role "lane", each (n, size), and noise (n, m)."""
-        if isinstance(self.kernels, PlainKernels):
-            return self.kernels.lanes(np.hstack(arguments).T, 1.0 / noise.T)
         waiting = iter(arguments)
         given = [next(waiting).T if role == "lane" else np.zeros(0) for role in self._roles]
-        d = np.zeros((len(self._program.lanes), len(noise)))
-        if len(d):  # a residual may ignore its data
-            d += evaluate(self._program, self._program.lanes, given).reshape(len(d), -1)
-        return self.kernels.lanes(d, 1.0 / noise.T)
+        return self.kernels.lanes(lane_data(self._program, given, len(noise)), 1.0 / noise.T)
 
 
 def _chosen(asked: str, slopes: Program, parameters: int) -> Kernels:
-    if asked != "blocks" and can_print(slopes):
+    if asked != "blocks":
         try:
             return NativeKernels(slopes, parameters)
         except CompilerError as error:

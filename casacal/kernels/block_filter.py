@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, replayed
-from casacal.linalg import LEAST_LEFT
+from casacal.least_squares.linalg import LEAST_LEFT
 
 Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
 
 
-class BlockFilter:
-    """The filter's pass for a residual function of (z, c, d); called as `NativeFilter` is."""
+class BlockCubature:
+    """The filter's pass for a residual function of (z, c, d); called as `NativeCubature` is."""
 
     def __init__(self, residual: ca.Function) -> None:
         self.unknowns, self.components = residual.numel_in(0), residual.numel_out(0)
@@ -38,7 +38,7 @@ class BlockFilter:
         mean: Array,
         root: Array,
     ) -> tuple[int, Array, Array, Array]:
-        """Take in residuals from `first` on, changing mean and root in place; see `NativeFilter`."""
+        """Take in residuals from `first` on, changing mean and root in place; see `NativeCubature`."""
         n, rows = x0.size, weight.size
         means, trace = np.empty((rows, n)), np.empty((rows, 3))
         # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column
@@ -85,7 +85,7 @@ class BlockFilter:
             std = ca.sqrt(1 + ca.sumsqr(e - average) / (2 * n))
             u = (e[:n] - e[n:]) / (2 * math.sqrt(n) * std)
             left = 1 - ca.mtimes(ca.DM(np.tril(np.ones((n, n)))), u**2)
-            before = ca.vertcat(1, left[:-1])
+            before = ca.vertcat(1, left)[:n]
             split = (ca.vertsplit(each) for each in (u, ca.sqrt(left / before), u / ca.sqrt(left * before)))
             turned, beyond = [], ca.MX.zeros(n, 1)
             for column, part, up, down in zip(*map(reversed, (ca.horzsplit(root), *split)), strict=True):

@@ -1,23 +1,31 @@
-"""A program printed as C: straight lines over lanes, which any compiler vectorises; reductions inside the kernel."""
+"""A program printed as C: straight lines over lanes, which any compiler vectorises, in the loops of the folder c.
+
+What is the same for every program stands in that folder, as C that compilers and editors read as it is: c/program.h
+defines an example of what differs. Here the sizes are defined anew, and statements written out where they are named,
+for a compiler takes half as long again over macros of hundreds of lines.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+import re
 from collections.abc import Iterable, Sequence
+from importlib import resources
+from typing import TypeAlias
 
 import casadi as ca
 
-from casacal.kernels.c_filter import EXTENDED, FILTER
-from casacal.kernels.c_normal import NORMAL_EQUATIONS
-from casacal.kernels.c_templates import ERRORS, HEAD, KERNELS, PREPARE
-from casacal.kernels.operations import C
+from casacal.kernels.compiler import CompilerError
+from casacal.kernels.operations import C, name_of
 from casacal.kernels.program import TRIGONOMETRIC, Program
 
-
-def can_print(program: Program) -> bool:
-    """Whether every operation has a form in C."""
-    needed = (program.operations[value].op for value in program.needed(program.results))
-    return all(op in (ca.OP_CONST, ca.OP_INPUT) or op in C for op in needed)
+KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
+FILTER = ("cubature_filter.c",)
+Definitions: TypeAlias = dict[str, int | Sequence[str]]
+"""Numbers and statements by the names that C has for them."""
+PROGRAM = "program.h"
+"""The example, which a source has no need of."""
 
 
 def rows_of_normal(unknowns: int) -> int:
@@ -32,26 +40,17 @@ def kernel_source(slopes: Program, parameters: int) -> str:
         slopes: outputs e (m), and its derivative row by row (m * z).
         parameters: numbers in p: the arguments of role "once", one after the other.
 
+    Raises CompilerError for an operation that has no form in C.
+
     """
     components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
-    rows, e, s = rows_of_normal(unknowns), _Printer(slopes.only(0)), _Printer(slopes)
+    rows, printed = rows_of_normal(unknowns), _Printer(slopes)
     out = [f"const double w{m} = w[{m} * distance + i];" for m in range(components)]
     for m in range(components):
         values = [*slopes.outputs[1][m * unknowns : (m + 1) * unknowns], slopes.outputs[0][m]]
-        out += [f"a[{m * rows + r} * PART + i] = w{m} * {s.name(value)};" for r, value in enumerate(values)]
-    kernels = KERNELS.substitute(
-        prepared=s.prepared(),
-        lane=s.lane(),
-        out=_lines(out),
-        parameters=parameters,
-        components=components,
-        unknowns=unknowns,
-        rows=rows,
-        errors_values=max(len(e.once), 1),
-        slopes_values=max(len(s.once), 1),
-    )
-    own = (e.prepare("errors"), s.prepare("slopes"), e.errors(), kernels)
-    return "".join((HEAD, *own, NORMAL_EQUATIONS, EXTENDED))
+        out += [f"a[{m * rows + r} * PART + i] = w{m} * {printed.name(value)};" for r, value in enumerate(values)]
+    sizes: Definitions = {"PARAMETERS": parameters, "COMPONENTS": components, "UNKNOWNS": unknowns, "ROWS": rows}
+    return composed(KERNELS, sizes | _errors(_Printer(slopes.only(0))) | printed.definitions("SLOPES", out))
 
 
 def filter_source(residual: Program, unknowns: int, once: int) -> str:
@@ -62,11 +61,52 @@ def filter_source(residual: Program, unknowns: int, once: int) -> str:
         unknowns: z.
         once: numbers in p.
 
+    Raises CompilerError for an operation that has no form in C.
+
     """
-    printer = _Printer(residual)
-    printer.place = {value: residual.operations[value].element[1] for value in residual.lanes}
-    run = FILTER.substitute(z=unknowns, m=len(residual.outputs[0]), once=once, values=max(len(printer.once), 1))
-    return HEAD + printer.prepare("errors") + printer.errors() + run
+    printed = _Printer(residual)
+    printed.place = {value: residual.operations[value].element[1] for value in residual.lanes}
+    sizes: Definitions = {"PARAMETERS": once, "COMPONENTS": len(residual.outputs[0]), "UNKNOWNS": unknowns}
+    return composed(FILTER, sizes | _errors(printed))
+
+
+def composed(names: Iterable[str], definitions: Definitions) -> str:
+    """Files of the folder c as one source, each header where it is first included, with what c/program.h is to define.
+
+    Numbers are defined; statements are written out where a line of C is their name.
+    """
+    done: set[str] = set()
+    sizes = "".join(f"#define {name} {size}\n" for name, size in definitions.items() if isinstance(size, int))
+
+    def written(line: re.Match[str]) -> str:
+        statements = definitions.get(line[2])
+        return "".join(f"{line[1]}{each}\n" for each in statements) if isinstance(statements, Sequence) else line[0]
+
+    def text(name: str) -> str:
+        if name in done:
+            return ""
+        done.add(name)
+        if name == PROGRAM:
+            return sizes
+        return INCLUDE.sub(lambda found: text(found[1]), NAME.sub(written, c_file(name)))
+
+    return "".join(text(name) for name in names)
+
+
+INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
+NAME = re.compile(r"^( *)([A-Z_]+)\n", re.MULTILINE)
+
+
+@functools.cache
+def c_file(name: str) -> str:
+    """A file of the folder c."""
+    return (resources.files("casacal.kernels") / "c" / name).read_text(encoding="utf-8")
+
+
+def _errors(printed: _Printer) -> Definitions:
+    outputs = printed.program.outputs[0]
+    out = [f"e[{m} * distance + i] = {printed.name(value)};" for m, value in enumerate(outputs)]
+    return printed.definitions("ERRORS", out)
 
 
 class _Printer:
@@ -84,29 +124,28 @@ class _Printer:
             return _constant(operation.constant)
         return f"{'d' if self.program.kinds[value] == 'lane' else 'v'}{value}"
 
-    def prepare(self, name: str) -> str:
-        out = _lines(f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once))
+    def definitions(self, what: str, out: Sequence[str]) -> Definitions:
+        """What c/program.h defines for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
+        prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once)]
         wanted = [v for v in self.program.needed(self.once) if self.program.kinds[v] == "once"]
-        return PREPARE.substitute(name=name, once=self._printed(wanted), out=out)
-
-    def errors(self) -> str:
-        outputs = self.program.outputs[0]
-        out = _lines(f"e[{m} * distance + i] = {self.name(value)};" for m, value in enumerate(outputs))
-        return ERRORS.substitute(prepared=self.prepared(), lane=self.lane(), out=out)
-
-    def prepared(self) -> str:
-        return _lines(f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once))
-
-    def lane(self) -> str:
+        read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once)]
         used = set(self.needed)
-        loads = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
-        return _lines(loads) + "\n" + self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
+        lane = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
+        lane += self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
+        return {
+            f"{what}_PREPARED": max(len(self.once), 1),
+            f"PREPARE_{what}": [*self._printed(wanted), *prepared],
+            f"READ_{what}": read,
+            f"LANE_OF_{what}": [*lane, *out],
+        }
 
-    def _printed(self, values: Sequence[int]) -> str:
-        return _lines(f"const double v{v} = {self._expression(v)};" for v in values)
+    def _printed(self, values: Sequence[int]) -> list[str]:
+        return [f"const double v{v} = {self._expression(v)};" for v in values]
 
     def _expression(self, value: int) -> str:
         operation = self.program.operations[value]
+        if operation.op not in C and operation.op != ca.OP_INPUT:
+            raise CompilerError(f"the operation '{name_of(operation.op)}' has no form in C")
         if operation.op == ca.OP_INPUT:
             return f"p[{self.program.position(value)} * states + s]"
         called = "lane_" if operation.op in TRIGONOMETRIC else ""
@@ -118,7 +157,3 @@ def _constant(value: float) -> str:
     if math.isfinite(value):
         return f"({value!r})"
     return "NAN" if math.isnan(value) else "(INFINITY)" if value > 0 else "(-INFINITY)"
-
-
-def _lines(lines: Iterable[str]) -> str:
-    return "\n".join(f"        {line}" for line in lines)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.kernels.batch import Batch
+from casacal.kernels.lanes import WIDTHS
 from casacal.kernels.program import Program
 from casacal.kernels.reading import read_program
-from casacal.kernels.replay import WIDTHS, Buffered, replayed
+from casacal.kernels.replay import Buffered, replayed
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ SECONDS = 60
 
 
 class CompilerError(Exception):
-    """There is no working C compiler, or the cache cannot be used."""
+    """There is no working C compiler, the cache cannot be used, or there is nothing to compile."""
 
 
 @functools.cache

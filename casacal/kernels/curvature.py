@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.kernels.batch import Batch
-from casacal.kernels.operations import can_evaluate, evaluate
+from casacal.kernels.lanes import BlockLanes, lane_data
 from casacal.kernels.reading import read_program
-from casacal.kernels.replay import Buffered, blocked, product, replayed, width_for
+from casacal.kernels.replay import Buffered, product, replayed
 from casacal.threads import shared_out
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOGETHER = 16
 """Blocks that one thread sums up at a time."""
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """Data d (blocks, columns, width) and weights w (blocks, m, width) of rows; as they came where they are mapped."""
-
-    d: Array
-    w: Array
 
 
 class CurvatureKernel:
@@ -49,37 +39,26 @@ class CurvatureKernel:
         self._rows, self._columns = (np.array(index, dtype=np.intp) for index in pattern.get_triplet())
         bent = [ca.project(bend, pattern).nz[:] for bend in bends]
         outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
-        self._function = ca.Function("curved", [v, c, d], outputs)
-        program = read_program(self._function, ("once", "once", "lane"))
-        self._program = program if can_evaluate(program) else None
+        self._program = read_program(ca.Function("curved", [v, c, d], outputs), ("once", "once", "lane"))
         # one set a thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
-    def lanes(self, data: Array, noise: Array) -> Lanes:
+    def lanes(self, data: Array, noise: Array) -> BlockLanes:
         """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
-        if self._program is None:
-            return Lanes(data, 1.0 / noise)
-        lanes = self._program.lanes
-        d = np.zeros((len(lanes), len(data)))
-        if lanes:
-            empty = np.zeros(0)
-            d += evaluate(self._program, lanes, [empty, empty, data.T]).reshape(len(lanes), -1)
-        width = width_for(len(data))
-        return Lanes(blocked(d, width, "edge"), blocked(1.0 / noise.T, width, "constant"))
+        empty = np.zeros(0)
+        return BlockLanes.of(lane_data(self._program, [empty, empty, data.T], len(data)), 1.0 / noise.T)
 
-    def __call__(self, v: Array, constants: Array, lanes: Lanes, *, threads: int = 1) -> tuple[float, Array, Array]:
+    def __call__(
+        self, v: Array, constants: Array, lanes: BlockLanes, *, threads: int = 1
+    ) -> tuple[float, Array, Array]:
         """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c.
 
         Threads change no digit: blocks are summed up in groups, and the groups in order.
         """
-        z = self.unknowns
-        if self._program is None:
-            s, bent = self._mapped(v, constants, lanes)
-        else:
-            p = np.concatenate([v, constants])
-            groups = [slice(k, k + TOGETHER) for k in range(0, len(lanes.d), TOGETHER)]
-            parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some]), groups, threads)
-            s, bent = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
+        z, p = self.unknowns, np.concatenate([v, constants])
+        groups = [slice(k, k + TOGETHER) for k in range(0, len(lanes.d), TOGETHER)]
+        parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some]), groups, threads)
+        s, bent = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
         bend = np.zeros((z, z))
         bend[self._rows, self._columns] = bent
         return float(s[-1, -1]) / 2, s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
@@ -102,7 +81,6 @@ class CurvatureKernel:
 
     def _block(self, width: int) -> ca.Function:
         """(p, d, w) -> normal matrix of slopes and residual, entries of the bend; of one block."""
-        assert self._program is not None
         z, count = self.unknowns, self._rows.size
         p = ca.MX.sym("p", z + self._constants)
         d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
@@ -115,12 +93,3 @@ class CurvatureKernel:
             total += product(weighted.T, weighted)
             bend += product(bent[:, m * count : (m + 1) * count].T, w[:, m] ** 2)
         return ca.Function("block", [p, d, w], [total, bend])
-
-    def _mapped(self, v: Array, constants: Array, lanes: Lanes) -> tuple[Array, Array]:
-        """The same by CasADi's own map, for graphs with operations that NumPy does not know."""
-        e, j, bent = Batch(self._function)(v, constants, lanes.d)
-        rows = np.concatenate([j.reshape(*e.shape, -1), e[..., None]], axis=2) * lanes.w[..., None]
-        weights = np.repeat(lanes.w**2, self._rows.size, axis=1)
-        return np.einsum("nmi,nmj->ij", rows, rows), (weights * bent).sum(axis=0).reshape(self.components, -1).sum(
-            axis=0
-        )

@@ -1,4 +1,7 @@
-"""What each elementary operation is in NumPy and in C."""
+"""What each elementary operation of SX is in NumPy and in C, with CasADi's own answer for any number.
+
+Blocks know them all, for CasADi's machine does them there. One that has no form in C keeps a graph on blocks.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.errors import ProblemError
 from casacal.kernels.program import Program
 
 Array: TypeAlias = NDArray[np.float64]
@@ -18,6 +22,19 @@ def _erf(values: Any) -> Any:
     from scipy.special import erf  # a seventh of a second that few graphs need
 
     return erf(values)
+
+
+def _by_casadi(op: int) -> Callable[..., Any]:
+    """An operation that NumPy does not have, or has with other digits, by CasADi's machine."""
+
+    def evaluated(*values: Any) -> Any:
+        given = np.broadcast_arrays(*values)
+        symbols = [ca.MX.sym("a", each.size) for each in given]
+        value = ca.MX.unary(op, symbols[0]) if len(symbols) == 1 else ca.MX.binary(op, symbols[0], symbols[1])
+        found = ca.Function("f", symbols, [value])(*(ca.DM(each.ravel()) for each in given))
+        return np.asarray(found).reshape(given[0].shape)
+
+    return evaluated
 
 
 NUMPY: dict[int, Callable[..., Any]] = {
@@ -31,7 +48,9 @@ NUMPY: dict[int, Callable[..., Any]] = {
     ca.OP_COPYSIGN: np.copysign, ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0), ca.OP_ERF: _erf,
     ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax, ca.OP_INV: np.reciprocal, ca.OP_SINH: np.sinh, ca.OP_COSH: np.cosh,
     ca.OP_TANH: np.tanh, ca.OP_ASINH: np.arcsinh, ca.OP_ACOSH: np.arccosh, ca.OP_ATANH: np.arctanh,
-    ca.OP_HYPOT: np.hypot, ca.OP_EXPM1: np.expm1, ca.OP_LOG1P: np.log1p,
+    ca.OP_HYPOT: np.hypot, ca.OP_EXPM1: np.expm1, ca.OP_LOG1P: np.log1p, ca.OP_LIFT: lambda a, _: a,
+    ca.OP_ERFINV: _by_casadi(ca.OP_ERFINV), ca.OP_REMAINDER: _by_casadi(ca.OP_REMAINDER),
+    ca.OP_PRINTME: _by_casadi(ca.OP_PRINTME),
 }  # fmt: skip
 
 C: dict[int, str] = {
@@ -44,18 +63,30 @@ C: dict[int, str] = {
     ca.OP_NE: "(double)({0} != {1})", ca.OP_NOT: "(double)({0} == 0.0)",
     ca.OP_AND: "(double)({0} != 0.0 && {1} != 0.0)", ca.OP_OR: "(double)({0} != 0.0 || {1} != 0.0)",
     ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})", ca.OP_FABS: "fabs({0})",
-    ca.OP_SIGN: "(double)(({0} > 0.0) - ({0} < 0.0))", ca.OP_COPYSIGN: "copysign({0}, {1})",
+    ca.OP_SIGN: "({0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0})", ca.OP_COPYSIGN: "copysign({0}, {1})",
     ca.OP_IF_ELSE_ZERO: "({0} != 0.0 ? {1} : 0.0)", ca.OP_ERF: "erf({0})", ca.OP_FMIN: "fmin({0}, {1})",
     ca.OP_FMAX: "fmax({0}, {1})", ca.OP_INV: "1.0 / {0}", ca.OP_SINH: "sinh({0})", ca.OP_COSH: "cosh({0})",
     ca.OP_TANH: "tanh({0})", ca.OP_ASINH: "asinh({0})", ca.OP_ACOSH: "acosh({0})", ca.OP_ATANH: "atanh({0})",
     ca.OP_HYPOT: "hypot({0}, {1})", ca.OP_EXPM1: "expm1({0})", ca.OP_LOG1P: "log1p({0})",
+    ca.OP_REMAINDER: "remainder({0}, {1})", ca.OP_LIFT: "{0}",
 }  # fmt: skip
 
 
-def can_evaluate(program: Program) -> bool:
-    """Whether NumPy knows every operation on data alone."""
-    needed = (program.operations[value].op for value in program.needed(program.lanes))
-    return all(op in (ca.OP_CONST, ca.OP_INPUT) or op in NUMPY for op in needed)
+def name_of(op: int) -> str:
+    """CasADi's name of an operation."""
+    known = (name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op)
+    return next(known, f"OP_{op}").removeprefix("OP_").lower()
+
+
+def elementary(op: int) -> int:
+    """An operation that kernels evaluate, as it is; raises ProblemError for any other."""
+    if op not in NUMPY:
+        raise ProblemError(
+            f"The model holds the operation '{name_of(op)}', which is not elementary",
+            "Build pose and residual of CasADi's elementary operations; a function that they call must be one that"
+            " CasADi writes out: no table, no callback, nothing with never_inline",
+        )
+    return op
 
 
 def evaluate(program: Program, values: Sequence[int], arguments: Sequence[Array]) -> Array:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from casacal.kernels.operations import elementary
 from casacal.kernels.program import TRIGONOMETRIC, Kind, Operation, Program, Role
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
@@ -26,7 +27,7 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
     """Read an SX function whose arguments have the given roles.
 
     `ahead`: whether operations on data alone are done once for all calls; otherwise each call does them, for data that
-    differ from call to call, and lanes are elements of arguments.
+    differ from call to call, and lanes are elements of arguments. Raises ProblemError for what is not elementary.
     """
     builder = Builder(roles, ahead)
     work: dict[int, int] = {}
@@ -40,7 +41,7 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
         elif op == ca.OP_CONST:
             work[places[0]] = builder.constant(function.instruction_constant(k))
         else:
-            work[places[0]] = builder.apply(op, *(work[i] for i in inputs))
+            work[places[0]] = builder.apply(elementary(op), *(work[i] for i in inputs))
     outputs = _flattened(builder, outputs)
     sizes = [function.numel_in(i) if role == "once" else 0 for i, role in enumerate(roles)]
     starts = tuple(sum(sizes[:i]) for i in range(len(sizes)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -12,14 +12,6 @@ from numpy.typing import NDArray
 from casacal.kernels.program import Program
 
 Array: TypeAlias = NDArray[np.float64]
-
-WIDTHS = (128, 512)
-"""Samples a block: for few rows, and for many."""
-
-
-def width_for(rows: int) -> int:
-    """Samples a block for so many rows."""
-    return WIDTHS[0] if rows <= 4 * WIDTHS[0] else WIDTHS[1]
 
 
 class Buffered:
@@ -98,14 +90,3 @@ def product(one: ca.MX, other: ca.MX) -> ca.MX:
         return ca.mtimes(one, other, "classic")
     except (TypeError, NotImplementedError, RuntimeError):
         return ca.mtimes(one, other)
-
-
-def blocked(columns: Array, width: int, fill: Literal["edge", "constant"]) -> Array:
-    """Blocks (blocks, k, width) of columns (k, n), the last one filled up."""
-    padded = np.pad(columns, ((0, 0), (0, -columns.shape[1] % width)), mode=fill)
-    return np.ascontiguousarray(padded.reshape(len(columns), -1, width).transpose(1, 0, 2))
-
-
-def joined(blocks: Array, n: int) -> Array:
-    """Columns (k, n) from blocks (blocks, k, width)."""
-    return np.asarray(blocks.transpose(1, 0, 2).reshape(blocks.shape[1], -1)[:, :n])

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.unknowns.unknown import (
-    Array,
     Expression,
     Unknown,
     all_or_nothing,
@@ -22,6 +23,7 @@ from casacal.unknowns.unknown import (
     tangent_basis,
     unit_vector,
 )
+from casacal.values import plain
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Direction(Unknown):
     per: str | None = None
 
     def __post_init__(self) -> None:
+        for name in ("vector", "prior_std", "start_std"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
         unit_vector(self.vector, "A direction")
         check_stds(np.array([self.prior_std]), "prior_std of a direction")
 
@@ -94,6 +98,17 @@ class Direction(Unknown):
             return nominal[:3]
         along, across = stereographic(local)
         return along * nominal[:3] + across[0] * nominal[3:6] + across[1] * nominal[6:9]
+
+    def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
+        """Unit vector (3,)."""
+        return "directions", np.asarray(ca.DM(self.at(nominal, local))).ravel()
+
+    def placed(self, near: Array, normal: Array) -> Array:
+        """Its own: a direction is always declared."""
+        del near, normal
+        nominal = self.nominal
+        assert nominal is not None
+        return nominal
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the three components themselves."""

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import rotation_of_quaternion
 from casacal.unknowns.unknown import (
-    Array,
     Expression,
     Unknown,
     all_or_nothing,
@@ -23,6 +24,7 @@ from casacal.unknowns.unknown import (
     stereographic,
     stereographic_local,
 )
+from casacal.values import plain
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Frame(Unknown):
         prior_std: (rotation in rad, translation in mm) standard deviations; `math.inf` is flat.
         start_std: the same, where filters and populations start when the prior is flat.
         turns_only: True when only the three rotations are unknown.
-        free: False holds the frame.
+        free: False holds the frame, where it is declared, or else where the data propose it.
         per: name of a label column; one frame for each of its values.
 
     """
@@ -49,8 +51,8 @@ class Frame(Unknown):
     per: str | None = None
 
     def __post_init__(self) -> None:
-        if self.matrix is None and not self.free:
-            raise ProblemError("A frame is held but has no matrix", "Say where it is, or leave it free")
+        for name in ("matrix", "prior_std", "start_std"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
         check_stds(spread(self.prior_std, 2, "prior_std of a frame"), "prior_std of a frame")
         if self.matrix is not None:
             self.encode(np.asarray(self.matrix, dtype=np.float64))
@@ -115,6 +117,15 @@ class Frame(Unknown):
         # a rotation by angle phi is the unit quaternion at phi / 2 from the pole
         w, xyz = stereographic(local[:3] / 2)
         return self._assemble(nominal, rotation_of_quaternion(ca.vertcat(w, xyz)), self._shift(local[3:]))
+
+    def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
+        """4x4, mm."""
+        return "frames", np.asarray(ca.DM(self.at(nominal, local)))
+
+    def placed(self, near: Array, normal: Array) -> Array:
+        """The base frame itself."""
+        del near, normal
+        return self.encode(np.eye(4))
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""

@@ -11,8 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import PRIOR_STD, Array, Expression, Unknown, check_stds, spread, start_stds
+from casacal.unknowns.unknown import PRIOR_STD, Expression, Unknown, check_stds, spread, start_stds
+from casacal.values import plain
 
 
 @dataclass(frozen=True)
@@ -43,20 +45,20 @@ class Parameter(Unknown):
     per: str | None = None
 
     def __post_init__(self) -> None:
+        for name in ("values", "prior_std", "start_std", "free", "labels"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
         if self._all.ndim > 1 or self._all.size == 0 or not np.isfinite(self._all).all():
             raise ProblemError(f"A parameter has the nominal value {self.values!r}", "Give one finite number, or a row")
         if self.labels is not None and len(self.labels) != self._all.size:
             raise ProblemError(
                 f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label a value"
             )
-        if self.values is None and not self._free.all():
-            raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
         check_stds(self._prior, "prior_std of a parameter")
         start_stds(self.prior_stds, self._start, self.units, "a parameter")
 
     @cached_property
     def _all(self) -> Array:
-        return np.asarray(0.0 if self.values is None else self.values, dtype=np.float64)
+        return np.array(0.0 if self.values is None else self.values, dtype=np.float64)
 
     @cached_property
     def _free(self) -> NDArray[np.bool_]:
@@ -100,7 +102,7 @@ class Parameter(Unknown):
     @property
     def nominal(self) -> Array | None:
         """All components, free or held; None when the data must propose them."""
-        return None if self.values is None else np.atleast_1d(self._all)
+        return None if self.values is None else np.atleast_1d(self._all).copy()
 
     @property
     def nominal_size(self) -> int:
@@ -130,6 +132,11 @@ class Parameter(Unknown):
             entries.append(nominal[i] + local[free] if is_free else nominal[i])
             free += int(is_free)
         return entries[0] if self._all.ndim == 0 else ca.vertcat(*entries)
+
+    def placed(self, near: Array, normal: Array) -> Array:
+        """Zero."""
+        del near, normal
+        return np.zeros(self.nominal_size)
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the free components themselves."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.unknowns.unknown import (
-    Array,
     Expression,
     Unknown,
     all_or_nothing,
@@ -24,6 +25,7 @@ from casacal.unknowns.unknown import (
     tangent_basis,
     unit_vector,
 )
+from casacal.values import plain
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Plane(Unknown):
         normal, point: nominal plane, mm; both None when the data are to propose it (total least squares).
         prior_std: (tilt in rad, offset in mm) standard deviations; `math.inf` is flat.
         start_std: the same, where filters and populations start when the prior is flat.
-        free: False holds a plane that is known.
+        free: False holds the plane, where it is declared, or else where the data propose it.
         per: name of a label column; one plane for each of its values.
 
     """
@@ -67,10 +69,10 @@ class Plane(Unknown):
     per: str | None = None
 
     def __post_init__(self) -> None:
+        for name in ("normal", "point", "prior_std", "start_std"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
         if (self.normal is None) != (self.point is None):
             raise ProblemError("A plane has a normal or a point but not both", "Give both, or neither")
-        if self.normal is None and not self.free:
-            raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
         if self.normal is not None and self.point is not None:
             self.encode(self.normal, self.point)
@@ -134,6 +136,32 @@ class Plane(Unknown):
         along, across = stereographic(local[:2])
         normal = along * nominal[:3] + across[0] * nominal[3:6] + across[1] * nominal[6:9]
         return PlaneValue(normal, nominal[9:12], local[2])
+
+    def nominal_plane(self, nominal: Array) -> tuple[Array, Array]:
+        """Its normal and base point."""
+        return nominal[:3], nominal[9:12]
+
+    def growth(self, nominal: Array) -> Array:
+        """The offset grows with the distance from the origin; tilts stay."""
+        return np.array([0.0, 0.0, nominal[:3] @ nominal[9:12]][: self.size])
+
+    def packed(self, value: PlaneValue) -> Expression:
+        """Normal, base and offset of a plane, one below the other (7)."""
+        return ca.vertcat(value.normal, value.base, value.offset)
+
+    def unpacked(self, matrix: Expression) -> PlaneValue:
+        """The plane of such a column."""
+        return PlaneValue(matrix[:3], matrix[3:6], matrix[6])
+
+    def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
+        """Unit normal (3,), and the foot of the samples' centroid on the plane (3, mm)."""
+        value = self.at(nominal, local)
+        normal = np.asarray(ca.DM(value.normal)).ravel()
+        return "planes", {"normal": normal, "point_mm": nominal[9:12] - normal * float(value.distance(nominal[9:12]))}
+
+    def placed(self, near: Array, normal: Array) -> Array:
+        """The plane through the point with that normal."""
+        return self.encode(normal, near)
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the normal's three components, and offset 0."""

@@ -9,11 +9,10 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 
-Array: TypeAlias = NDArray[np.float64]
 Expression: TypeAlias = Any
 
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
@@ -75,6 +74,42 @@ class Unknown(ABC):
     @abstractmethod
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """Value at local coordinates (size,) about a nominal; symbols or floats."""
+
+    def nominal_plane(self, nominal: Array) -> tuple[Array, Array] | None:
+        """Unit normal (3,) and a point (3, mm) where the unknown is a plane; None otherwise."""
+        del nominal
+        return None
+
+    def growth(self, nominal: Array) -> Array:
+        """Change of the local coordinates (size,) where all that it says of places grows by a part of one; none here.
+
+        A `Parameter` is not asked: only its robot knows which of its numbers are lengths.
+        """
+        del nominal
+        return np.zeros(self.size)
+
+    def packed(self, value: Expression) -> Expression:
+        """A value as one matrix."""
+        return value
+
+    def unpacked(self, matrix: Expression) -> Expression:
+        """The value that such a matrix is of."""
+        return matrix
+
+    def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
+        """What result.json says of it at local coordinates (size,): under which heading, and the numbers.
+
+        No heading for numbers, which stand among the parameters.
+        """
+        del nominal, local
+        return "", None
+
+    @abstractmethod
+    def placed(self, near: Array, normal: Array) -> Array:
+        """Numbers of a nominal for a simulated thing of which nobody says where it stands.
+
+        Near a point (3, mm); where it is flat, it looks along `normal` (3).
+        """
 
     @abstractmethod
     def raw_start(self, nominal: Array) -> Array:

@@ -1,0 +1,263 @@
+"""A problem bound to samples: the least-squares problem that estimators see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.raw_graph import RawBlock, RawGraph
+from casacal.binding.row_groups import FEW, RowGroups, places
+from casacal.binding.slots import Block, Slot, make_block, make_slots
+from casacal.kernels.native_filter import extended_pass
+from casacal.kernels.native_normal import NativeNormal, PackedPieces
+from casacal.kernels.steps import all_rows_in_c
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.threads import thread_count
+from casacal.unknowns import Parameter
+from casacal.values import alike, read_only, short
+
+COMPACT = 50_000
+"""Rows beyond which no whole Jacobian is held."""
+
+
+def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
+    """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
+
+    Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
+    noise of each row is evaluated there and held.
+
+    Args:
+        problem: robot and instruments.
+        samples: rows of each instrument.
+        backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
+        threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
+            not depend on it.
+
+    Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
+
+    """
+    return BoundProblem(problem, make_slots(problem, samples), samples, backend, threads)
+
+
+class BoundProblem(LeastSquares):
+    """A `Problem` with its samples; see `bind`."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        slots: Sequence[Slot],
+        samples: Sequence[Samples],
+        backend: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
+        pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
+        self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
+        self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
+        self.x0 = read_only(np.zeros(len(pairs)))
+        self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
+        self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
+        self.datum = read_only(np.array([slot.datum for slot, _ in pairs], dtype=bool))
+        self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
+        self._asked, self._threads = backend, thread_count(threads)
+        self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
+        self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it was made of; kernels and sums are made again."""
+        return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads)
+
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, BoundProblem):
+            return self is other
+        return alike((self.problem, self.slots, self.samples), (other.problem, other.slots, other.samples))
+
+    def __hash__(self) -> int:
+        return hash((self.problem, self.names, self.rows))
+
+    def __deepcopy__(self, memo: object) -> BoundProblem:
+        return self
+
+    def __repr__(self) -> str:
+        return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
+
+    @property
+    def block(self) -> Block:
+        """The rows of the only instrument; raises ProblemError where there are several."""
+        _ = self.problem.instrument
+        return self.blocks[0]
+
+    @property
+    def rows(self) -> int:
+        """Scalar residuals of all instruments."""
+        return int(self._starts[-1])
+
+    def on(self, *samples: Samples) -> BoundProblem:
+        """Bind the same unknowns, about the same nominal values, to other rows, such as those held out.
+
+        Raises ProblemError when a row carries a label that these unknowns do not have.
+        """
+        return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads)
+
+    @property
+    def backend(self) -> str:
+        """Name of the back end that evaluates the rows: "c" or "blocks"."""
+        return self._groups[0].backend
+
+    def plain_residual(self, x: Array) -> Array:
+        """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
+        return np.concatenate([groups.residual(x).ravel() for groups in self._groups])
+
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,) at x (n,)."""
+        pairs = zip(self._groups, self.blocks, strict=True)
+        return np.concatenate([(groups.residual(x) / block.noise).ravel() for groups, block in pairs])
+
+    def jacobian(self, x: Array) -> Array:
+        """Whitened Jacobian (rows, n) at x (n,)."""
+        parts = []
+        for groups, block in zip(self._groups, self.blocks, strict=True):
+            whole = np.zeros((*block.noise.shape, self.unknowns))
+            for piece, _, slopes in groups.slopes(x):
+                whole[piece.rows[:, None, None], np.arange(slopes.shape[1])[:, None], piece.columns] = (
+                    slopes / block.noise[piece.rows][..., None]
+                )
+            parts.append(whole.reshape(-1, self.unknowns))
+        return np.vstack(parts)
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
+        if loss is None and self._native is not None:
+            return Normal(*self._native.sums(x))
+        parts = [groups.normal(x, loss) for groups in self._groups]
+        costs, gradients, informations = zip(*parts, strict=True)
+        return Normal(sum(costs), np.sum(gradients, axis=0), np.sum(informations, axis=0))
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+        """A damped Gauss-Newton step; in C where rows are evaluated in C."""
+        if self._native is None:
+            return super().damped_step(x, normal, damping)
+        found = self._native.step(x, normal.gradient, normal.information, damping)
+        return None if found is None else Step(*found)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
+        if self.rows <= COMPACT:
+            return self.jacobian(x)
+        triangles = [triangle for groups in self._groups for triangle in groups.triangles(x)]
+        return np.asarray(np.linalg.qr(np.vstack(triangles), mode="r"))
+
+    @cached_property
+    def _packed(self) -> PackedPieces | None:
+        return all_rows_in_c([groups.native_pieces for groups in self._groups])
+
+    @cached_property
+    def _native(self) -> NativeNormal | None:
+        """Sums over all rows in C; None where some instrument's rows are not evaluated in C."""
+        if self._packed is None:
+            return None
+        threads = self._threads if self.rows >= FEW else 1
+        return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
+
+    def costs(self, states: Array) -> Array:
+        """Objective at many states (m, n): (m,)."""
+        away = states - self.x0
+        away *= away
+        total = away @ (self.prior_information / 2)
+        for groups in self._groups:
+            total += groups.costs(states)
+        return np.asarray(total)
+
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
+        """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
+        i = int(np.searchsorted(self._starts, first, side="right")) - 1
+        start = int(self._starts[i])
+        done = self._groups[i].filter_pass(first - start, self.x0, self.start_std, mean, root)
+        return replace(done, stop=start + done.stop)
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """Let an extended filter take in all rows, in C where there is a compiler."""
+        if self._packed is None:
+            return None
+        mean, covariance = mean.copy(), np.ascontiguousarray(covariance.copy())
+        trace = extended_pass(self._packed, places(self._groups), self.x0, self.start_std, mean, covariance)
+        return ExtendedPass(mean, covariance, *trace)
+
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states (m, n): (m,)."""
+        block, sample, component = self._locate(k)
+        pattern = block.pattern[sample]
+        z = states[:, block.columns[pattern]]
+        (e,) = block.model.batch.residual(z, block.constants[pattern], block.data[sample])
+        return np.asarray(e[:, component] / block.noise[sample, component])
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient (n,) at x (n,)."""
+        block, sample, component = self._locate(k)
+        pattern, noise = block.pattern[sample], block.noise[sample, component]
+        columns = block.columns[pattern]
+        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
+        gradient = np.zeros(self.unknowns)
+        gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
+        return float(e[0, component] / noise), gradient
+
+    def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
+        return np.asarray(self._tip_inputs(self.blocks[instrument], x, joints, "tip")[0])
+
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Derivative (3 N, n) of those tips by x, in units of mm per unit of x."""
+        block = self.blocks[instrument]
+        _, slopes = self._tip_inputs(block, x, joints, "tip_jacobian")
+        columns = block.columns[0]
+        jacobian = np.zeros((3 * len(joints), self.unknowns))
+        jacobian[:, columns] = slopes.reshape(3 * len(joints), columns.size)
+        return jacobian
+
+    def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
+        (flat,) = self._tip_inputs(self.blocks[instrument], x, joints, "pose")
+        return np.asarray(flat.reshape(-1, 4, 4).transpose(0, 2, 1))
+
+    def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
+        """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
+        for slot in self.slots:
+            if isinstance(slot.unknown, Parameter):
+                free = dict(zip(slot.unknown.names(slot.name), slot.columns, strict=True))
+                names = slot.unknown.component_names(slot.name)
+                for name, nominal in zip(names, slot.nominal, strict=True):
+                    yield name, slot.unknown.unit, float(nominal), free.get(name)
+
+    @cached_property
+    def graph(self) -> RawGraph:
+        """The symbolic form in raw coordinates, for the IPOPT reference."""
+        starts = np.cumsum([0] + [slot.unknown.raw_size for slot in self.slots])
+        first = {slot.name: int(start) for slot, start in zip(self.slots, starts, strict=False)}
+        blocks = []
+        for block in self.blocks:
+            for i, slots in enumerate(block.slots):
+                rows = np.flatnonzero(block.pattern == i)
+                columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
+                position = np.array(columns, dtype=np.intp)
+                kernel, constants = block.model.curvature, block.constants[i]
+                blocks.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows], self._threads))
+        return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
+
+    def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
+        data = np.zeros((len(joints), joints.shape[1] + len(block.known)))
+        data[:, : joints.shape[1]] = joints
+        outputs: list[Array] = getattr(block.model.batch, name)(x[block.columns[0]], block.constants[0], data)
+        return outputs
+
+    def _locate(self, k: int) -> tuple[Block, int, int]:
+        i = int(np.searchsorted(self._starts, k, side="right")) - 1
+        sample, component = divmod(k - int(self._starts[i]), self.blocks[i].noise.shape[1])
+        return self.blocks[i], sample, component

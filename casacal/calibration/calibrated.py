@@ -1,0 +1,98 @@
+"""A calibration as one wants it at a prompt: figures as attributes, tables as frames, pictures on axes."""
+
+from __future__ import annotations
+
+import html
+import math
+from typing import TYPE_CHECKING, Any
+
+from casacal.array_types import Array
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
+from casacal.calibration.result_json import parameter_rows
+from casacal.calibration.summary import summary
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Calibrated(Calibration):
+    """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures."""
+
+    @property
+    def x(self) -> Array:
+        """Estimate (n,) of `fit.names`, deviations from nominal, mm and rad."""
+        return self.result.x
+
+    @property
+    def cost(self) -> float:
+        """The objective at x: half the sum of squares of whitened residuals and of the prior's."""
+        return self.result.cost
+
+    @property
+    def success(self) -> bool:
+        """Whether the method did all it promises and, where it promises the minimum, the reference agrees."""
+        return self.passed
+
+    @property
+    def message(self) -> str:
+        """How the method ended, as a sentence that says what to do next."""
+        return self.result.message
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of all residuals."""
+        return self.result.nfev
+
+    @property
+    def njev(self) -> int:
+        """Evaluations of the whole Jacobian."""
+        return self.result.njev
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """A row a number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
+
+        Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
+        """
+        import pandas as pd
+
+        table = pd.DataFrame(parameter_rows(self.fit, self.result)).set_index("name")
+        table.insert(3, "change", table["estimate"] - table["nominal"])
+        return table.rename(columns={"identifiable": "known_from"})
+
+    def summary(self) -> str:
+        """What the command line prints: residuals, expected accuracy, parameters, blind spots, reference."""
+        return summary(self, self.fit.problem.robot.name)
+
+    def plot_residuals(self, ax: Any = None) -> Any:
+        """Draw distances from the planes before and after on an axes, a new one unless given; returns it."""
+        return self._drawn(plot_residuals, ax, (10.0, 4.0))
+
+    def plot_convergence(self, ax: Any = None) -> Any:
+        """Draw the objective step by step; axes as for `plot_residuals`."""
+        return self._drawn(plot_convergence, ax, (6.0, 4.0))
+
+    def plot_tip_std(self, ax: Any = None) -> Any:
+        """Draw where in the workspace the tip is how uncertain; axes as for `plot_residuals`."""
+        return self._drawn(plot_tip_std, ax, (6.0, 5.0))
+
+    def __repr__(self) -> str:
+        before, now = self.tip_std
+        shown = "infinite" if math.isinf(now) else f"{now:.3g} mm"
+        return (
+            f"<casacal calibration of {self.fit.problem.robot.name} by {self.method}: {len(self.samples)} samples, "
+            f"expected tip error {before:.3g} to {shown} RMS, {'success' if self.success else 'no success'}>"
+        )
+
+    def _repr_html_(self) -> str:
+        table = self.parameters.drop(columns="note").to_html(float_format=lambda value: f"{value:.5g}")
+        return f"<p>{html.escape(repr(self).strip('<>'))}. {html.escape(self.message)}</p>{table}"
+
+    def _drawn(self, draw: Any, ax: Any, size: tuple[float, float]) -> Any:
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            _, ax = plt.subplots(figsize=size, layout="constrained")
+        draw(self, ax)
+        return ax

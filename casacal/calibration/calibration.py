@@ -1,0 +1,139 @@
+"""A calibration as a value: the fit, what it is compared with, and every figure that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.least_squares.result import Result
+from casacal.samples.samples import Samples
+from casacal.uncertainty.cures import cure_for, cures
+from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
+from casacal.uncertainty.figures import noise_interval, residual_figures
+from casacal.uncertainty.identifiability import (
+    Identifiability,
+    NullDirection,
+    WeakDirection,
+    identifiability,
+    natural_scale,
+)
+from casacal.uncertainty.workspace import workspace_joints
+
+MINIMISERS = ("lm", "sckf-lm", "ipopt")
+"""Methods that promise the minimum; filters and controls may honestly miss it."""
+
+HARMLESS = 0.01
+"""Tip motion (mm under the prior) below which an unseen direction needs no cure."""
+
+HALF_WEIGHT = 0.5
+"""Weight under a robust loss below which a row is reported as ignored."""
+
+NOT_NEEDED = "none needed"
+
+AGREEMENT = 1e-8
+"""Largest relative gap between the costs of two solvers that found the same minimum."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What an independent solver found on the same objective."""
+
+    solver: str
+    result: Result
+    cost: float
+    """The objective as that solver itself evaluated it."""
+    relative_gap: float
+    """(cost of the method - cost of the reference) / cost of the reference."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both found the same minimum."""
+        return self.result.converged and abs(self.relative_gap) <= AGREEMENT
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated robot: the fit, the rows held out, the arm before, the reference, and where the time went."""
+
+    method: str
+    seed: int
+    samples: Samples
+    fit: BoundProblem
+    heldout: BoundProblem | None
+    result: Result
+    before: Result
+    reference: Reference | None
+    seconds: Mapping[str, float]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the method converged and, where it promises the minimum, the reference agrees."""
+        if not self.result.converged:
+            return False
+        return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+
+    @cached_property
+    def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
+        """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
+        return {
+            when: {
+                "fit": residual_figures(self.fit.plain_residual(result.x)),
+                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(result.x)),
+            }
+            for when, result in (("before", self.before), ("after", self.result))
+        }
+
+    @cached_property
+    def workspace(self) -> tuple[Array, Array, Array]:
+        """Joint values, tips and tip Jacobian at the estimate over fixed workspace poses that no sample visited."""
+        joints = workspace_joints(self.fit.problem.robot)
+        return joints, self.fit.tips(self.result.x, joints), self.fit.tip_jacobian(self.result.x, joints)
+
+    @cached_property
+    def tip_std(self) -> tuple[float, float]:
+        """Expected tip error (mm RMS over the workspace, up to the base frame): from the prior alone, and now."""
+        return expected_accuracy(self.fit, self.result.x)
+
+    @cached_property
+    def tip_std_without_prior(self) -> tuple[float, int]:
+        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+        return classical_accuracy(self.fit, self.result.x)
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Rank, null and weak directions at the nominal."""
+        joints = workspace_joints(self.fit.problem.robot)
+        return identifiability(self.fit, self.fit.tip_jacobian(self.fit.x0, joints), self.fit.tips(self.fit.x0, joints))
+
+    @cached_property
+    def advice(self) -> tuple[str, ...]:
+        """The cheapest cure of each null, then each weak direction, in words; none needed where it moves no tip."""
+        found = self.identifiability
+        directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+        if all(direction.tip_mm < HARMLESS for direction in directions):
+            return (NOT_NEEDED,) * len(directions)
+        offers, scale = cures(self.fit), natural_scale(self.fit)
+        return tuple(
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.fit, offers, direction, scale)
+            for direction in directions
+        )
+
+    @cached_property
+    def down_weighted(self) -> tuple[int, ...]:
+        """Lines of the rows that a robust loss gave less than half of their weight."""
+        if self.result.loss is None:
+            return ()
+        samples = self.fit.block.samples
+        per_row = self.fit.rows // len(samples)
+        low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
+        return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
+
+    @cached_property
+    def noise(self) -> tuple[float, float, float]:
+        """Found over stated noise, with its 95 % interval."""
+        return noise_interval(self.fit, self.result.x, self.result.covariance, self.result.weights >= HALF_WEIGHT)

@@ -1,0 +1,63 @@
+"""The page: its sections in the order in which someone decides, checks and files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.page.markup import Markup, tag
+from casacal.calibration.page.sections.expected import expected_section
+from casacal.calibration.page.sections.measured import measured_section
+from casacal.calibration.page.sections.outliers import outliers_section
+from casacal.calibration.page.sections.parameters import parameters_section
+from casacal.calibration.page.sections.provenance import heading, provenance_section
+from casacal.calibration.page.sections.reference import reference_section
+from casacal.calibration.page.sections.residuals import residuals_section
+from casacal.calibration.page.sections.unseen import unseen_section
+from casacal.calibration.page.sections.verdict import verdict_section
+from casacal.calibration.page.style import STYLE
+from casacal.calibration.page.touches import Touches
+from casacal.uncertainty.expectation import Box
+
+
+def report_page(
+    calibration: Calibration, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
+) -> str:
+    """HTML of the report: one page that needs no other file, no network and no script.
+
+    Args:
+        calibration: whose rows and workspace are drawn.
+        document: its result.json, whose numbers the page shows; see `casacal.documents.calibration_document`.
+        command: the command line that makes it again, as typed; None when there was none.
+        box: where the arm will work, mm in the base frame, or None.
+
+    """
+    touches = Touches.of(calibration)
+    main = tag(
+        "main",
+        heading(calibration, document),
+        verdict_section(calibration, document),
+        measured_section(touches, document),
+        residuals_section(touches, document),
+        expected_section(touches, document, box),
+        parameters_section(calibration, document),
+        unseen_section(document),
+        reference_section(calibration, document),
+        outliers_section(touches, document),
+        provenance_section(document, command),
+    )
+    title = f"Calibration of {calibration.fit.problem.robot.name} ({document['problem']['name']})"
+    head = tag(
+        "head",
+        tag("meta", at={"charset": "utf-8"}),
+        tag("meta", at={"name": "viewport", "content": "width=device-width, initial-scale=1"}),
+        tag("meta", at={"name": "color-scheme", "content": "light"}),
+        tag("title", title),
+        tag("style", Markup(STYLE)),
+    )
+    page = tag("html", head, tag("body", main), at={"lang": "en"})
+    # one line a block, so that two reports can be compared line by line
+    for block in ("section", "table", "tr", "figure", "svg", "path", "p", "li", "div", "head", "style"):
+        page = Markup(page.replace(f"</{block}>", f"</{block}>\n"))
+    return f"<!DOCTYPE html>\n{page}\n"

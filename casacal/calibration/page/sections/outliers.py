@@ -1,0 +1,79 @@
+"""Rows that fit worst, and those that a robust loss gave less weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from casacal.calibration.page.markup import Markup, paragraph, section
+from casacal.calibration.page.numbers import count, fixed, shortened
+from casacal.calibration.page.table import NUMBER, WORDS, table
+from casacal.calibration.page.touches import Part, Touches
+
+SHOWN = 10
+"""Rows listed."""
+LINES = 60
+"""Line numbers of down-weighted rows that are named."""
+LARGE = 4.0
+"""Whitened residual beyond which fewer than one in ten thousand good rows lie."""
+
+
+def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
+    """The worst rows, most telling first; then those that the loss ignored."""
+    worst: list[tuple[float, int, list[object]]] = []
+    beyond = 0
+    for part in touches.parts:
+        white = np.abs(part.after / part.noise).max(axis=1)
+        beyond += int((white > LARGE).sum())
+        order = np.argsort(-white, kind="stable")[:SHOWN]
+        worst += [(-float(white[i]), int(part.lines[i]), _row(part, int(i), float(white[i]))) for i in order]
+    worst.sort(key=lambda entry: entry[:2])
+    columns = [("Line", WORDS), ("Face", WORDS), ("Rows", WORDS), ("Residual, mm", NUMBER), ("Times noise", NUMBER)]
+    if touches.calibration.result.loss is not None:
+        columns.append(("Weight", NUMBER))
+    rows = [row[: len(columns)] for _, _, row in worst[:SHOWN]]
+    return section(
+        "outliers",
+        "Rows that fit worst",
+        paragraph(_opening(touches, beyond)),
+        _ignored(touches, document["down_weighted_lines"]),
+        table("worst-rows", "Largest residuals, by line of the file", columns, rows),
+    )
+
+
+def _opening(touches: Touches, beyond: int) -> str:
+    if not beyond:
+        return f"No row stands more than {LARGE:g} times the stated noise off."
+    stands = "stands" if beyond == 1 else "stand"
+    words = f"{count(beyond, 'row')} {stands} more than {LARGE:g} times the stated noise off."
+    if touches.calibration.result.loss is None:
+        words += " casacal check names likely causes, and --method lm --loss huber keeps gross rows from pulling."
+    return words
+
+
+def _row(part: Part, i: int, white: float) -> list[object]:
+    component = int(np.argmax(np.abs(part.after[i] / part.noise[i])))
+    labels = part.labels
+    return [
+        str(part.lines[i]),
+        "–" if labels is None else shortened(labels[i], 40),
+        "held\N{NO-BREAK SPACE}out" if part.held else "fitted",
+        fixed(float(part.after[i, component]), signed=True),
+        fixed(white, 1),
+        "–" if part.held else fixed(float(part.weight[i]), 2),
+    ]
+
+
+def _ignored(touches: Touches, lines: tuple[int, ...]) -> Markup | None:
+    loss = touches.calibration.result.loss
+    if loss is None:
+        return None
+    if not lines:
+        return paragraph(f"The {loss.name} loss gave every row more than half of its weight.")
+    named = ", ".join(str(line) for line in lines[:LINES])
+    more = f" and {len(lines) - LINES:,} more" if len(lines) > LINES else ""
+    return paragraph(
+        f"The {loss.name} loss gave less than half of their weight to {count(len(lines), 'row')}: lines {named}{more}."
+    )

@@ -1,0 +1,51 @@
+"""Residuals before and after, on fitted and held-out rows: figures, histograms, row by row, over each face."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from casacal.calibration.page.markup import Markup, paragraph, section
+from casacal.calibration.page.numbers import fixed
+from casacal.calibration.page.sections.face_maps import face_maps
+from casacal.calibration.page.sections.histograms import histograms
+from casacal.calibration.page.sections.row_plots import row_plots
+from casacal.calibration.page.table import NUMBER, WORDS, table
+from casacal.calibration.page.touches import TITLES, Touches
+
+FIGURES = (("RMSE", "rmse_mm"), ("MAE", "mae_mm"), ("STD", "std_mm"), ("MAX", "max_mm"))
+
+
+def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
+    """Figures, histograms, rows and faces."""
+    said = touches.calibration.fit.problem.instrument.words
+    what, alone = f"{said.residual[:1].upper()}{said.residual[1:]}", f"{said.before}, the arm as drawn"
+    return section(
+        "residuals",
+        "Residuals before and after",
+        paragraph(
+            f"{what}. Before: {alone}. Small residuals are necessary but not sufficient: an arm can look perfect where "
+            "it touched and be wrong elsewhere."
+        ),
+        _table(document),
+        _noise(document["noise"]),
+        histograms(touches),
+        row_plots(touches),
+        face_maps(touches),
+    )
+
+
+def _table(document: Mapping[str, Any]) -> Markup:
+    rows = []
+    for when in TITLES:
+        for part, words in (("fit", "fitted rows"), ("heldout", "held-out rows")):
+            found = document["metrics"][when][part]
+            if found is not None:
+                rows.append([f"{TITLES[when]}, {words}", *(fixed(found[key]) for _, key in FIGURES)])
+    columns = [("Rows", WORDS), *((f"{name}, mm", NUMBER) for name, _ in FIGURES)]
+    return table("residual-figures", "Residuals, not accuracy", columns, rows)
+
+
+def _noise(noise: Mapping[str, float]) -> Markup:
+    ratio, low, high = (fixed(noise[key], 2) for key in ("ratio", "low", "high"))
+    return paragraph(f"Found over stated noise: {ratio} (95 % {low} to {high}); 1 where the noise was stated well.")

@@ -1,0 +1,66 @@
+"""What the samples cannot tell, what that costs at the tip, and the cheapest cure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from casacal.calibration.calibration import NOT_NEEDED
+from casacal.calibration.page.markup import Markup, paragraph, section, tag, together
+from casacal.calibration.page.numbers import count
+from casacal.calibration.page.table import NUMBER, WORDS, table
+
+SHOWN = 20
+"""Directions of each sort with a line of their own."""
+
+
+def unseen_section(document: Mapping[str, Any]) -> Markup:
+    """Null and weak directions in words, the costly ones first."""
+    found = document["identifiability"]
+    directions = [*found["null"], *({"kind": "weak", **each} for each in found["weak"])]
+    directions.sort(key=lambda each: -each["tip_mm"])
+    costly = [each for each in directions if each["cure"] != NOT_NEEDED]
+    harmless = [each for each in directions if each["cure"] == NOT_NEEDED]
+    opening = (
+        f"The samples fix {found['rank']} of {count(found['unknowns'], 'combination')} of unknowns; "
+        f"{len(found['null'])} they do not see at all (null), and {len(found['weak'])} less well than the prior (weak)."
+    )
+    return section(
+        "unseen",
+        "What the data cannot tell",
+        paragraph(opening),
+        _costly(costly) if costly else None,
+        _harmless(harmless) if harmless else None,
+    )
+
+
+def _costly(directions: Sequence[Mapping[str, Any]]) -> Markup:
+    rows = [
+        [each["words"], each["kind"], f"{each['tip_mm']:.2g}", each["cure"][:1].upper() + each["cure"][1:]]
+        for each in directions[:SHOWN]
+    ]
+    columns = [("What moves unseen", WORDS), ("Kind", WORDS), ("At the tip, mm", NUMBER), ("Cheapest cure", WORDS)]
+    return together(
+        paragraph(
+            "Along each of these the arm may still be off by what the prior allows: “at the tip” is what one prior "
+            "standard deviation does, RMS over the workspace. A cure is the cheapest change of the set-up, found by "
+            "simulating extra touches, that would let the samples see it."
+        ),
+        table("directions", "Directions that the samples do not fix", columns, rows, look="stacked"),
+        _more(directions),
+    )
+
+
+def _harmless(directions: Sequence[Mapping[str, Any]]) -> Markup:
+    items = [tag("li", f"{each['words']} ({each['kind']})") for each in directions[:SHOWN]]
+    return together(
+        tag("h3", "Without effect on the tip"),
+        paragraph("Up to the base frame these change nothing at the tip under the prior, and need no cure:"),
+        tag("ul", *items, at={"id": "harmless"}),
+        _more(directions),
+    )
+
+
+def _more(directions: Sequence[Mapping[str, Any]]) -> Markup | None:
+    left = len(directions) - SHOWN
+    return paragraph(f"{count(left, 'more direction')} in result.json.", style="note") if left > 0 else None

@@ -1,0 +1,182 @@
+"""The rows as pictures need them: residuals in file order, and where on its face each one touched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.calibration.calibration import Calibration
+from casacal.tables.labels import Labels
+
+Rows: TypeAlias = NDArray[np.intp]
+
+LOOKED_AT = 4096
+"""Rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block."""
+COORDINATES = "xyz"
+When: TypeAlias = Literal["before", "after"]
+TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Fitted or held-out rows: residuals before and after (N, m; mm), what noise explains of them, and their weight."""
+
+    bound: BoundProblem
+    held: bool
+    before: Array
+    after: Array
+    noise: Array
+    weight: Array
+    """Under a robust loss (N,), the smallest of a row's residuals; one without."""
+
+    def residuals(self, when: When) -> Array:
+        """Of one of the two arms (N, m), mm."""
+        return self.before if when == "before" else self.after
+
+    @property
+    def lines(self) -> NDArray[np.int64]:
+        """Line of each row in its file (N,)."""
+        return np.asarray(self.bound.block.samples.lines, dtype=np.int64)
+
+    @property
+    def labels(self) -> Labels | None:
+        """What the rows are grouped by (N,); None where nothing groups them."""
+        return self.bound.block.samples.labels.get(self.bound.problem.instrument.groups or "")
+
+    def rows_of(self, label: str) -> Rows:
+        """Rows of one face."""
+        labels = self.labels
+        if labels is None:
+            return np.arange(len(self.after))
+        return np.flatnonzero(labels.codes == labels.names.index(label)) if label in labels.names else np.zeros(0, int)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where some rows of a face touched."""
+
+    tips: Array
+    """In the base frame at the estimate, (k, 3), mm."""
+    tilts: Array
+    """Angle between plunger and normal (k,), deg; empty for instruments without a plunger."""
+    uv: Array
+    """On the face (k, 2), mm from the middle of the touches: v is up on an upright face, else u along the base's x."""
+    residuals: Array
+    """After, (k,), mm."""
+    held: NDArray[np.bool_]
+    upright: bool
+
+
+@dataclass(frozen=True)
+class Touches:
+    """All rows of a calibration, fitted and held out."""
+
+    calibration: Calibration
+    parts: tuple[Part, ...]
+
+    @staticmethod
+    def of(calibration: Calibration) -> Touches:
+        """Residuals of a calibration's rows, before and after."""
+        parts = [_part(calibration, calibration.fit, held=False)]
+        if calibration.heldout is not None:
+            parts.append(_part(calibration, calibration.heldout, held=True))
+        return Touches(calibration, tuple(parts))
+
+    @property
+    def has_faces(self) -> bool:
+        """Whether rows carry the label of a face."""
+        return self.calibration.fit.problem.instrument.groups in self.calibration.samples.labels
+
+    @cached_property
+    def faces(self) -> tuple[str, ...]:
+        """Labels of the faces in file order; one for all rows where there are none."""
+        column = self.calibration.fit.problem.instrument.groups
+        return self.calibration.samples.labels[column].names if column is not None and self.has_faces else ("all rows",)
+
+    @property
+    def series(self) -> tuple[str, ...]:
+        """What residuals are drawn beside one another: faces, or coordinates where a row has several residuals."""
+        count = self.parts[0].after.shape[1]
+        return self.faces if count == 1 else tuple(COORDINATES[:count]) if count <= 3 else tuple(map(str, range(count)))
+
+    def of_series(self, part: Part, k: int) -> tuple[Rows, int]:
+        """Rows of one series in file order, and which of their residuals."""
+        if part.after.shape[1] > 1:
+            rows, component = np.arange(len(part.after)), k
+        else:
+            rows, component = part.rows_of(self.faces[k]), 0
+        return rows[np.argsort(part.lines[rows], kind="stable")], component
+
+    def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
+        """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
+        chosen = [thinned(part.rows_of(label), most) for part in self.parts]
+        seen = [
+            _seen(part.bound, self.calibration.result.x, rows) for part, rows in zip(self.parts, chosen, strict=True)
+        ]
+        tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
+        middle = tips.mean(axis=0)
+        _, sizes, directions = np.linalg.svd(tips - middle, full_matrices=False)
+        if len(tips) < 3 or sizes[1] <= 1e-9 * max(float(sizes[0]), 1.0):
+            return None
+        normal = directions[2]
+        upright = bool(abs(normal[2]) < 0.7)
+        tilts = np.degrees(np.arccos(np.clip(np.abs(plungers @ normal), 0, 1))) if plungers.any() else np.zeros(0)
+        return Places(
+            tips=tips,
+            tilts=tilts,
+            uv=(tips - middle) @ _across_face(normal, plungers, upright).T,
+            residuals=np.concatenate([p.after[rows, 0] for p, rows in zip(self.parts, chosen, strict=True)]),
+            held=np.concatenate([np.full(len(rows), p.held) for p, rows in zip(self.parts, chosen, strict=True)]),
+            upright=upright,
+        )
+
+
+def spread(values: Array) -> float:
+    """Robust standard deviation about zero of values (N,): 1.4826 times the median size."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
+def thinned(rows: Rows, most: int) -> Rows:
+    """At most so many of the rows, evenly spread, the first and the last among them."""
+    if len(rows) <= most:
+        return rows
+    return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]
+
+
+def _part(calibration: Calibration, bound: BoundProblem, *, held: bool) -> Part:
+    count = len(bound.block.samples)
+    before, after = (bound.plain_residual(r.x).reshape(count, -1) for r in (calibration.before, calibration.result))
+    weight = np.ones(count) if held else calibration.result.weights.reshape(count, -1).min(axis=1)
+    return Part(bound, held, before, after, bound.block.noise, weight)
+
+
+def _seen(bound: BoundProblem, x: Array, rows: Rows) -> tuple[Array, Array]:
+    """Tips (k, 3; mm) of some rows at x (n,), and directions of the plunger (k, 3), zero where there is none."""
+    block = bound.block
+    pattern = block.pattern[rows]
+    inputs = x[block.columns[pattern]], block.constants[pattern], block.rows(rows)
+    (tips,) = block.model.batch.tip(*inputs)
+    if block.model.plunger is None:
+        return tips, np.zeros_like(tips)
+    (plungers,) = block.model.batch.plunger(*inputs)
+    return tips, plungers
+
+
+def _across_face(normal: Array, plungers: Array, upright: bool) -> Array:
+    """Directions u and v (2, 3) on a face, as it looks from where the tool stands."""
+    if plungers.any() and float((plungers @ normal).mean()) > 0:
+        normal = -normal
+    if upright:
+        v = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+        v /= np.linalg.norm(v)
+        return np.array([np.cross(v, normal), v])
+    u = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(normal, u)])

@@ -1,0 +1,114 @@
+"""Pictures of a calibration; each function draws on an axes that is passed in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.calibration.calibration import Calibration
+from casacal.files import place_whole
+from casacal.uncertainty.workspace import tip_stds, without_rigid
+
+FILTER_POINTS = 60
+"""Rows at which a filter's objective is drawn."""
+
+FLOOR = 1e-9
+"""Added so that the lowest value itself can stand on a logarithmic axis; below rounding."""
+
+LONGEST = 24
+"""Characters of a label in a picture."""
+
+BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
+
+
+def plot_residuals(calibration: Calibration, axes: Any) -> None:
+    """Distances of the tips from their planes (mm), before and after, row by row, plane by plane."""
+    offset = 0
+    ticks = []
+    parts = [("", calibration.fit, AFTER)]
+    if calibration.heldout is not None:
+        parts.append((" (held out)", calibration.heldout, HELD))
+    for suffix, bound, colour in parts:
+        faces = bound.block.samples.faces(bound.problem.instrument.groups)
+        per_row = bound.rows // len(faces)
+        before, after = bound.plain_residual(calibration.before.x), bound.plain_residual(calibration.result.x)
+        for k, label in enumerate(faces.names):
+            rows = np.flatnonzero(np.repeat(faces.codes == k, per_row))
+            places = offset + np.arange(len(rows))
+            axes.plot(places, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
+            axes.plot(places, after[rows], "o", ms=3, color=colour, zorder=2)
+            ticks.append((offset + len(rows) / 2, f"{_short(label)}{suffix}"))
+            offset += len(rows) + 4
+            axes.axvline(offset - 2.5, color="0.9", lw=0.8, zorder=0)
+    axes.axhline(0, color="0.5", lw=0.8, zorder=0)
+    axes.set_xticks([place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8)
+    said = calibration.fit.problem.instrument.words
+    axes.set_ylabel(f"{said.residual}, {said.unit}")
+    axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label=f"before: {said.before}")
+    axes.plot([], [], "o", ms=4, color=AFTER, label="after, fitted rows")
+    if calibration.heldout is not None:
+        axes.plot([], [], "o", ms=4, color=HELD, label="after, held-out rows")
+    axes.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
+    axes.set_title("Residuals, which are not accuracy", fontsize=10, loc="right")
+
+
+def plot_convergence(calibration: Calibration, axes: Any) -> None:
+    """The objective above its lowest value, step by step; a filter's pass over the rows stands before step 0."""
+    trace, problem = calibration.result.trace, calibration.fit
+    curves: list[tuple[Any, Any, str, str]] = []
+    path = trace.get("filter_x", trace.get("x"))
+    if path is not None:
+        rows = np.unique(np.linspace(0, len(path) - 1, FILTER_POINTS).astype(int))
+        costs = np.array([problem.cost(path[row]) for row in rows])
+        curves.append((rows / max(len(path) - 1, 1) - 1, costs, "-", "filter, one pass over the rows"))
+    if "cost" in trace:
+        curves.append((np.arange(trace["cost"].size), trace["cost"], "o-", calibration.method))
+    lowest = min(float(costs.min()) for _, costs, _, _ in curves)
+    for (places, costs, style, label), colour in zip(curves, (HELD, AFTER)[-len(curves) :], strict=True):
+        axes.plot(places, costs - lowest + FLOOR, style, ms=4, color=colour, label=label)
+    axes.set_yscale("log")
+    axes.set_xlabel("step")
+    axes.set_ylabel("objective above its lowest value")
+    axes.legend(fontsize=8, frameon=False)
+    axes.set_title(f"Convergence of {calibration.method}", fontsize=10)
+
+
+def plot_tip_std(calibration: Calibration, axes: Any) -> None:
+    """Standard deviation of the tip (mm, all axes, up to the base frame) over radius and height in the workspace."""
+    _, tips, slopes = calibration.workspace
+    spread = np.linalg.norm(tip_stds(calibration.result.covariance, without_rigid(slopes, tips)), axis=1)
+    radius = np.hypot(tips[:, 0], tips[:, 1])
+    order = np.argsort(spread)  # the worst on top
+    shown = axes.scatter(radius[order], tips[order, 2], c=spread[order], s=18, cmap="viridis")
+    axes.figure.colorbar(shown, ax=axes, label="standard deviation of the tip, mm")
+    axes.set_xlabel("distance from the first axis, mm")
+    axes.set_ylabel("height, mm")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("Where the tip is how uncertain, up to the base frame", fontsize=10)
+
+
+def _short(label: str) -> str:
+    """Label that leaves room for the picture, and of which Matplotlib makes no formula."""
+    return (label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…").replace("$", r"\$")
+
+
+def save_plots(calibration: Calibration, folder: Path) -> list[Path]:
+    """Write residuals.png and convergence.png into a folder; returns their paths."""
+    return [
+        _save(folder / "residuals.png", plot_residuals, calibration, (10.0, 4.0)),
+        _save(folder / "convergence.png", plot_convergence, calibration, (6.0, 4.0)),
+    ]
+
+
+def _save(path: Path, draw: Any, calibration: Calibration, size: tuple[float, float]) -> Path:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    draw(calibration, figure.subplots())
+    # no software or date in the file: the same input gives the same bytes
+    place_whole(path, lambda place: figure.savefig(place, dpi=150, metadata={"Software": None}))
+    return path

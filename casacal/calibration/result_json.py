@@ -1,0 +1,224 @@
+"""result.json and its parts: what other tools read of a calibration or of a simulated truth."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.calibration.calibration import Calibration, Reference
+from casacal.calibration.warnings import warnings
+from casacal.files import write_json, write_text
+from casacal.least_squares.result import Result, Status
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.write import write_samples
+from casacal.simulation.simulate import Simulation
+from casacal.uncertainty.expectation import Box
+from casacal.uncertainty.identifiability import correlated_pairs, verdict
+from casacal.version import __version__
+
+NOTES = {
+    "data": "determined by the samples",
+    "prior": "partly determined by the samples, partly by the prior",
+    "no": "not determined: the prior's value and spread stand",
+    "held": "held at nominal",
+}
+
+
+def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[str, Any]:
+    """The whole of result.json for a calibration."""
+    result, fit = calibration.result, calibration.fit
+    prior_tip, tip = calibration.tip_std
+    without = calibration.tip_std_without_prior
+    return {
+        **_head(source, result, calibration.seed, fit.backend),
+        "data": {
+            "file": calibration.samples.file,
+            "sha256": calibration.samples.sha256,
+            "samples": len(calibration.samples),
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
+        },
+        "cost": result.cost,
+        "parameters": parameter_rows(fit, result),
+        **_geometry(fit, result),
+        "metrics": calibration.metrics,
+        "tip": {
+            "expected_rms_mm": tip,
+            "prior_rms_mm": prior_tip,
+            "without_prior_rms_mm": without[0],
+            "unseen": without[1],
+        },
+        "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
+        "identifiability": _identifiability(calibration),
+        "correlations": [
+            {"names": [one, two], "value": value} for one, two, value in correlated_pairs(result.covariance, fit.names)
+        ],
+        "covariance": result.covariance,
+        "warnings": warnings(calibration),
+        "down_weighted_lines": calibration.down_weighted,
+        "reference": _reference(calibration.reference),
+        **_tail(result, calibration.seconds),
+    }
+
+
+def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed: int) -> dict[str, Any]:
+    """The truth behind simulated samples, in the shape of result.json."""
+    samples = bound.block.samples
+    rows = [{**row, "std": 0.0, "note": "true value of the simulated arm"} for row in parameter_rows(bound, truth)]
+    return {
+        **_head(source, truth, seed, bound.backend),
+        "data": {"file": samples.file, "sha256": samples.sha256, "samples": len(samples), "heldout": 0},
+        "cost": truth.cost,
+        "parameters": rows,
+        **_geometry(bound, truth),
+        "metrics": None,
+        "identifiability": None,
+        "covariance": truth.covariance,
+        "reference": None,
+        **_tail(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
+    }
+
+
+def parameter_rows(bound: BoundProblem, result: Result) -> list[dict[str, Any]]:
+    """One entry a number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
+    rows = []
+    for name, unit, nominal, j in bound.parameters():
+        if j is None:
+            row = {"estimate": nominal, "std": 0.0, "identifiable": "no", "note": NOTES["held"]}
+        else:
+            std = float(np.sqrt(result.covariance[j, j]))
+            word = verdict(std, float(bound.prior_std[j]))
+            row = {"estimate": nominal + float(result.x[j]), "std": std, "identifiable": word, "note": NOTES[word]}
+        rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
+    return rows
+
+
+def _identifiability(calibration: Calibration) -> dict[str, Any]:
+    found, cures = calibration.identifiability, iter(calibration.advice)
+    return {
+        "unknowns": found.unknowns,
+        "rank": found.rank,
+        "condition": found.condition,
+        "singular_values": found.singular_values,
+        "null": [
+            {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": next(cures)}
+            for d in found.null
+        ],
+        "weak": [
+            {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": next(cures)}
+            for d in found.weak
+        ],
+    }
+
+
+def _reference(reference: Reference | None) -> dict[str, Any] | None:
+    if reference is None:
+        return None
+    return {
+        "solver": reference.solver,
+        "cost": reference.cost,
+        "relative_gap": reference.relative_gap,
+        "kkt": reference.result.kkt,
+        "iterations": reference.result.steps,
+    }
+
+
+def _head(source: ProblemFile, result: Result, seed: int, backend: str) -> dict[str, Any]:
+    return {
+        "problem": {"name": source.name, "path": source.path, "sha256": source.sha256},
+        "method": result.method,
+        "status": result.message,
+        "converged": result.converged,
+        "seed": seed,
+        "backend": backend,
+    }
+
+
+def _geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
+    """Planes, directions and frames at the estimate, and x itself."""
+    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
+    for slot in bound.slots:
+        kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
+        if kind in found:
+            name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
+            found[kind][name] = shown
+    unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
+    return {**found, "unknowns": unknowns}
+
+
+def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
+    return {
+        "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
+        "seconds": dict(seconds),
+        "versions": {
+            "casacal": __version__,
+            "casadi": metadata.version("casadi"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def write_calibration(
+    calibration: Calibration,
+    source: ProblemFile,
+    folder: Path,
+    *,
+    command: str | None = None,
+    box: Box | None = None,
+) -> list[Path]:
+    """Write report.html, result.json, parameters.csv, residuals.png and convergence.png into a folder.
+
+    Args:
+        calibration: what was found.
+        source: the problem it answers.
+        folder: made where it does not exist.
+        command: the command line that makes it again, for the report; None when there was none.
+        box: where the arm will work, mm in the base frame, for the report.
+
+    Returns their paths.
+
+    """
+    from casacal.calibration.page import report_page
+    from casacal.calibration.pictures import save_plots
+
+    rows = parameter_rows(calibration.fit, calibration.result)
+    table = folder / "parameters.csv"
+    lines = ["name,unit,nominal,estimate,change,std,identifiable,note"] + [
+        f"{row['name']},{row['unit']},{row['nominal']:.12g},{row['estimate']:.12g},"
+        f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
+        for row in rows
+    ]
+    document, page = calibration_document(calibration, source), folder / "report.html"
+    write_json(folder / "result.json", document)
+    write_text(table, "\n".join(lines) + "\n")
+    write_text(page, report_page(calibration, document, command=command, box=box))
+    return [page, folder / "result.json", table, *save_plots(calibration, folder)]
+
+
+def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
+    """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
+    samples = simulation.samples
+    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
+    write_samples(path, source.problem.robot, samples, comments)
+    written = source.problem.read(path)
+    bound = bind(source.problem, written)
+    truth = Result(
+        method="truth",
+        problem=bound,
+        x=simulation.truth(bound),
+        belief=np.zeros((bound.unknowns, bound.unknowns)),
+        status=Status.TRUTH,
+        trace={},
+        steps=0,
+        residual_rows=0,
+        jacobian_rows=0,
+    )
+    truth_path = path.with_suffix(".truth.json")
+    write_json(truth_path, truth_document(bound, truth, source, simulation.seed))
+    return [path, truth_path]

@@ -1,0 +1,143 @@
+"""A calibration as text that a person reads at a glance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from casacal.calibration.calibration import AGREEMENT, NOT_NEEDED, Calibration
+from casacal.calibration.result_json import parameter_rows
+from casacal.calibration.warnings import warnings
+from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
+from casacal.version import __version__
+
+SHOWN_DIRECTIONS = 6
+SHOWN_PAIRS = 4
+
+
+def summary(calibration: Calibration, name: str) -> str:
+    """Before and after, parameters with standard deviation and verdict, blind spots, reference; plain text."""
+    parts = [
+        _opening(calibration, name),
+        _residuals(calibration),
+        _accuracy(calibration),
+        parameter_table(calibration),
+        _blind_spots(calibration),
+        _reference(calibration),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def parameter_table(calibration: Calibration) -> str:
+    """Nominal, change, estimate and standard deviation of each free parameter, with what determined it.
+
+    Angles are shown in degrees, lengths in mm.
+    """
+    lines = [f"{'parameter':<12}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
+    held = []
+    for row in parameter_rows(calibration.fit, calibration.result):
+        if row["note"] == "held at nominal":
+            held.append(row["name"])
+            continue
+        unit, factor = ("deg", 180 / math.pi) if row["unit"] == "rad" else (row["unit"], 1.0)
+        nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
+        lines.append(
+            f"{row['name']:<12}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}{std:>10.4f}"
+            f"  {KNOWN_FROM[row['identifiable']]}"
+        )
+    if held:
+        lines.append(f"held at nominal: {', '.join(held)}")
+    return "\n".join(lines)
+
+
+def _opening(calibration: Calibration, name: str) -> str:
+    fit, held = calibration.fit, calibration.heldout
+    column = fit.problem.instrument.groups or ""
+    groups = len(calibration.samples.labels[column].names) if column in calibration.samples.labels else 0
+    counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
+    rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
+    return (
+        f"casacal {__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
+        f"{calibration.result.message}\n"
+        f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
+        f"{counted}{fit.unknowns} unknowns"
+    )
+
+
+def _residuals(calibration: Calibration) -> str:
+    said = calibration.fit.problem.instrument.words
+    title = f"{said.residual}, {said.unit}"
+    lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
+    words = {"before": f"before ({said.before})", "after": "after"}
+    for when, parts in calibration.metrics.items():
+        for part, figures in parts.items():
+            if figures is not None:
+                label = f"  {words[when] if part == 'fit' else when + ', held out'}"
+                lines.append(f"{label:<32}" + _figures(figures))
+    return "\n".join(lines)
+
+
+def _figures(figures: Mapping[str, Any]) -> str:
+    return "".join(f"{figures[key]:>9.4f}" for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm"))
+
+
+def _accuracy(calibration: Calibration) -> str:
+    before, after = calibration.tip_std
+    alone, unseen = calibration.tip_std_without_prior
+    samples_alone = f"unbounded; directions that move the tip unseen: {unseen}" if unseen else f"{_mm(alone)} RMS"
+    lines = [
+        "The residuals above are not accuracy: a fit can look perfect where it touched and the arm be wrong elsewhere.",
+        f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
+        "if the stated noise and priors are right and nothing else bends the arm.",
+        f"From the samples alone, without any prior: {samples_alone}.",
+    ]
+    lines += [f"Warning: {sentence}" for sentence in warnings(calibration)]
+    return "\n".join(lines)
+
+
+def _blind_spots(calibration: Calibration) -> str:
+    found = calibration.identifiability
+    lines = [
+        f"What these samples can tell: rank {found.rank} of {found.unknowns} unknowns "
+        f"(condition {found.condition:.1e}); {len(found.null)} null and {len(found.weak)} weak directions"
+    ]
+    named: list[tuple[float, str]] = []
+    directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+    for direction, cure in zip(directions, calibration.advice, strict=True):
+        kind = direction.kind if isinstance(direction, NullDirection) else "weak"
+        text = f"  {kind + ':':<11}{direction.words}"
+        if cure != NOT_NEEDED:
+            text += f"\n{'':<13}{direction.tip_mm:.2g} mm at the tip under the prior; cure: {cure}"
+        named.append((direction.tip_mm, text))
+    named.sort(key=lambda entry: -entry[0])  # the costly ones first
+    lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
+    if len(named) > SHOWN_DIRECTIONS:
+        lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight, all in result.json")
+    arm = np.flatnonzero(~calibration.fit.datum)  # planes are always correlated with each other and with the base
+    names = [calibration.fit.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.result.covariance[np.ix_(arm, arm)], names)
+    if pairs:
+        shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
+        more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        lines.append(f"  correlated above 0.95: {shown}{more}")
+    return "\n".join(lines)
+
+
+def _reference(calibration: Calibration) -> str:
+    reference = calibration.reference
+    if reference is None:
+        return "Reference: not run" + (", IPOPT knows no robust loss." if calibration.result.loss else ".")
+    verdict = "agrees" if reference.agrees else "DIFFERS"
+    words = (
+        f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.10g}, its cost {reference.cost:.10g} "
+        f"(relative gap {reference.relative_gap:.1e}, agreement within {AGREEMENT:.0e}), KKT residual "
+        f"{reference.result.kkt:.1e}, {reference.result.steps} iterations."
+    )
+    return words if reference.result.converged else f"{words}\n{reference.solver}: {reference.result.message}"
+
+
+def _mm(value: float) -> str:
+    return f"{value:.3f} mm" if math.isfinite(value) else "unbounded"

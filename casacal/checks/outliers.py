@@ -1,0 +1,145 @@
+"""Single rows that do not belong: gross ones before a fit, studentised residuals after it, exchanged labels."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.slots import nominal_tips
+from casacal.checks.finding import Finding
+from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+SUBSETS = 300
+"""Random planes through three tips tried for the least median of squares."""
+JUDGES = 5_000
+"""Tips, drawn at random, whose median judges them."""
+TOGETHER = 16_384
+"""Rows whose Jacobian is held at a time."""
+GROSS = 8.0
+"""Times the robust scatter beyond which a nominal tip is not on its plane at all."""
+CHANCE = 1e-4
+"""Chance that a clean set has any row called an outlier (Bonferroni)."""
+
+
+def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+    """Rows (N,) whose nominal tip lies far off its plane, and a robust plane (n, c) of each label.
+
+    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.
+
+    Args:
+        problem: with a touched plane.
+        samples: its rows.
+        scatter: distance (mm) that prior errors of the arm explain.
+
+    """
+    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
+    bad, planes = np.zeros(len(samples), dtype=bool), {}
+    for k, label in enumerate(faces.names):
+        rows = np.flatnonzero(faces.codes == k)
+        if len(rows) < 8:
+            continue
+        plane, size = _median_plane(tips[rows])
+        planes[label] = plane
+        bad[rows] = np.abs(tips[rows] @ plane[:3] - plane[3]) > GROSS * max(size, scatter)
+    return bad, planes
+
+
+def exchanged_labels(
+    problem: Problem, samples: Samples, bad: NDArray[np.bool_], planes: dict[str, Array], scatter: float
+) -> list[Finding]:
+    """Gross rows that lie on another label's plane, and gross rows that lie on none."""
+    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
+    home: dict[tuple[str, str], list[int]] = defaultdict(list)
+    lost = []
+    for i in np.flatnonzero(bad).tolist():
+        label = faces[i]
+        fits = [name for name, plane in planes.items() if abs(tips[i] @ plane[:3] - plane[3]) < GROSS * scatter]
+        if fits and label not in fits:
+            home[label, fits[0]].append(samples.lines[i])
+        else:
+            lost.append(samples.lines[i])
+    findings = [
+        Finding(
+            "error", "labels exchanged", f"{len(lines)} rows are labelled '{label}' and lie on '{fits}'",
+            "Correct the labels", tuple(lines),
+        )
+        for (label, fits), lines in home.items()
+    ]  # fmt: skip
+    if lost:
+        findings.append(
+            Finding(
+                "error", "outliers", "their tips lie far off every plane even with the arm as drawn",
+                "Check joints and readings of these rows, or remove them", tuple(lost),
+            )
+        )  # fmt: skip
+    return findings
+
+
+def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
+    """Rows whose deleted residual is larger than chance allows, at a robust fit.
+
+    Externally studentised: r_k over its own standard deviation with the row's leverage taken out, the noise from the
+    other rows (Cook and Weisberg 1982). The robust scale keeps several outliers from hiding each other.
+    """
+    r = bound.residual(result.x)
+    leverage = np.clip(_spreads(bound, result) * result.weights, 0.0, 0.999)
+    free = max(float(bound.rows - leverage.sum()), 1.0)
+    scale = max(1.4826 * float(np.median(np.abs(r))) * math.sqrt(bound.rows / free), 1e-12)
+    size = np.abs(r) / (scale * np.sqrt(1 - leverage))
+    limit = float(student.ppf(1 - CHANCE / (2 * bound.rows), free))
+    bad = np.flatnonzero(size > limit)
+    if not bad.size:
+        return []
+    samples = bound.block.samples
+    per_row = bound.rows // len(samples)
+    lines = tuple(dict.fromkeys(samples.lines[k // per_row] for k in bad[np.argsort(-size[bad])]))
+    return [
+        Finding(
+            "error",
+            "outliers",
+            f"{len(lines)} rows lie up to {size.max():.0f} standard deviations off (beyond {limit:.1f} is not chance)",
+            "Measure them again or remove them, or fit with --loss huber",
+            tuple(sorted(lines)),
+        )
+    ]
+
+
+def _spreads(bound: BoundProblem, result: Result) -> Array:
+    """Variance (rows,) of each predicted residual under the result's covariance, some rows at a time."""
+    covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
+    samples = bound.block.samples
+    found = []
+    for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
+        jacobian = bound.on(samples.take(rows)).jacobian(result.x)
+        found.append(((jacobian @ covariance) * jacobian).sum(axis=1))
+    return np.concatenate(found)
+
+
+def _median_plane(tips: Array) -> tuple[Array, float]:
+    """Plane (n, c) with the smallest median distance of the tips, and their robust scatter."""
+    rng = np.random.default_rng(0)
+    best, plane = math.inf, np.array([0.0, 0.0, 1.0, 0.0])
+    judges = tips if len(tips) <= JUDGES else tips[rng.choice(len(tips), JUDGES, replace=False)]
+    for _ in range(SUBSETS):
+        a, b, c = judges[rng.choice(len(judges), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            continue
+        normal = normal / length
+        middle = float(np.median(np.abs((judges - a) @ normal)))
+        if middle < best:
+            best, plane = middle, np.array([*normal, normal @ a])
+    near = np.abs(tips @ plane[:3] - plane[3]) <= 2.5 * 1.4826 * best + 1e-9
+    centre = tips[near].mean(axis=0)
+    normal = np.linalg.svd(tips[near] - centre, full_matrices=False)[2][2]
+    refined = np.array([*normal, normal @ centre])
+    return refined, 1.4826 * float(np.median(np.abs(tips @ normal - refined[3])))

@@ -1,0 +1,140 @@
+"""What rows say of themselves: repeats, readings outside travel, joints outside limits, coarse rounding."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.checks.finding import Finding
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+ENOUGH_ROWS = 12
+"""Rows from which a common grid of values cannot be chance."""
+
+
+def repeated(samples: Samples) -> list[Finding]:
+    """Rows that hold the same joints and columns as an earlier one."""
+    columns = [*samples.joints.T, *samples.columns.values()]
+    order = np.lexsort(columns)  # stable: of rows alike, the first comes first
+    alike = np.ones(len(order) - 1, dtype=bool)
+    for values in columns:
+        alike &= values[order[1:]] == values[order[:-1]]
+    again = sorted(samples.lines[i] for i in order[1:][alike].tolist())
+    if not again:
+        return []
+    return [
+        Finding(
+            "warning",
+            "repeated rows",
+            f"{len(again)} rows hold the same joints and readings as an earlier row and would count its noise again",
+            "Remove them, unless the arm really went there twice and the dial read the same",
+            tuple(again),
+        )
+    ]
+
+
+def outside(problem: Problem, samples: Samples) -> list[Finding]:
+    """Readings outside the dial's travel, joints outside their limits, angles that no joint turns to."""
+    findings = []
+    probe = problem.instrument.probe
+    if probe is not None and probe.column is not None:
+        reading = samples.columns[probe.column]
+        bad = (reading < 0) | (reading > probe.travel)
+        if bad.any():
+            findings.append(
+                Finding(
+                    "error",
+                    "readings outside travel",
+                    f"{int(bad.sum())} readings lie outside 0 to {probe.travel:g} mm "
+                    f"(from {reading.min():g} to {reading.max():g} mm)",
+                    "Check the unit of the column and the dial's zero, or declare its travel",
+                    _lines(samples, bad),
+                )
+            )
+    for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
+        bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
+        if bad.any():
+            findings.append(
+                Finding(
+                    "warning",
+                    f"joint {i + 1} outside its limits",
+                    f"{int(bad.sum())} values lie outside the limits that the problem declares",
+                    "Check the order, signs and units of the joint columns, or the limits",
+                    _lines(samples, bad),
+                )
+            )
+    return findings
+
+
+def rounded(bound: BoundProblem) -> list[Finding]:
+    """Joint values or readings written so coarsely that rounding outweighs the stated noise."""
+    samples, findings = bound.block.samples, []
+    noise = float(np.median(bound.block.noise))
+    for kind, grids in (("revolute", np.radians(GRIDS_DEG)), ("prismatic", np.array(GRIDS_MM))):
+        joints = [i for i, joint in enumerate(bound.problem.robot.axes) if joint.kind == kind]
+        steps = {i: _grid(samples.joints[:, i], grids) for i in joints}
+        coarse = [i for i, step in steps.items() if step]
+        effect = _blur(bound, {i: steps[i] for i in coarse}) if coarse else 0.0
+        if effect > 0.5 * noise:
+            step = max(steps[i] for i in coarse)
+            shown = f"{math.degrees(step):g} degrees" if kind == "revolute" else f"{step:g} mm"
+            findings.append(
+                Finding(
+                    "error" if effect > 2 * noise else "warning",
+                    "joints rounded",
+                    f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which blurs the "
+                    f"tip by {effect:.2g} mm; the stated noise is {noise:.2g} mm",
+                    "Log the joints with more digits, or declare the joints' repeatability",
+                )
+            )
+    lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
+    step = max((_grid(samples.columns[name], np.array(GRIDS_MM)) for name in lengths), default=0.0)
+    if step / math.sqrt(12) > noise:
+        findings.append(
+            Finding(
+                "warning",
+                "readings rounded",
+                f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm",
+                "Read the dial more finely, or declare a larger noise_std",
+            )
+        )
+    return findings
+
+
+def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
+    """RMS residual (mm) that joints rounded to steps (rad, mm) cause: the noise model with that much repeatability."""
+    problem = bound.problem
+    joints = [
+        replace(joint, repeatability_std=steps.get(i, 0.0) / math.sqrt(12))
+        for i, joint in enumerate(problem.robot.axes)
+    ]
+    exact = [replace(joint, repeatability_std=0.0) for joint in problem.robot.axes]
+    noise = [
+        BoundProblem(
+            Problem(replace(problem.robot, joints=kind), *problem.instruments), bound.slots, bound.samples
+        ).block.noise
+        for kind in (joints, exact)
+    ]
+    return math.sqrt(max(float((noise[0] ** 2 - noise[1] ** 2).mean()), 0.0))
+
+
+def _grid(values: Array, grids: Array) -> float:
+    """The coarsest grid that holds all values, or zero; the finest of the list tells nothing."""
+    if len(values) < ENOUGH_ROWS or np.ptp(values) == 0:
+        return 0.0
+    for step in grids:
+        if np.abs(values / step - np.round(values / step)).max() < 1e-4:
+            return float(step)
+    return 0.0
+
+
+def _lines(samples: Samples, bad: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(samples.lines[i] for i in np.flatnonzero(bad).tolist())

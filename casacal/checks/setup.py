@@ -1,0 +1,102 @@
+"""What the set-up can show at all: tilts, faces, directions, lengths, number of rows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.slots import nominal_sight
+from casacal.checks.finding import Finding
+from casacal.instruments.instrument import Probe
+
+SMALLEST_TILT = 5.0
+"""Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
+SMALLEST_FACE = 0.05
+"""Part of the arm's reach that touches of a face should span."""
+SMALLEST_ANGLE = 20.0
+"""Degrees between faces below which they count as parallel."""
+ROWS_PER_UNKNOWN = 2.0
+
+
+def setup_findings(bound: BoundProblem) -> list[Finding]:
+    """Set-ups that leave the arm blind or weak, however good the readings."""
+    probe, samples = bound.problem.instrument.probe, bound.block.samples
+    findings = _enough_rows(bound)
+    if probe is None:
+        return findings
+    sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
+    assert sight.plungers is not None
+    reach = float(np.median(np.linalg.norm(sight.tips, axis=1)))
+    tilts, normals, small = [], [], []
+    for k, label in enumerate(faces.names):
+        rows = faces.codes == k
+        tips = sight.tips[rows] - sight.tips[rows].mean(axis=0)
+        axes = np.linalg.svd(tips, full_matrices=False)[2]
+        normals.append(axes[2])
+        tilts.append(np.degrees(np.arccos(np.clip(np.abs(sight.plungers[rows] @ axes[2]), 0, 1))))
+        span = float(np.ptp(tips @ axes[1]))
+        if span < SMALLEST_FACE * reach:
+            small.append(f"'{label}' {span:.0f} mm")
+    tilt = float(np.concatenate(tilts).max())
+    if tilt < SMALLEST_TILT:
+        findings.append(
+            Finding(
+                "warning",
+                "tilt too small",
+                f"the tool stands within {tilt:.1f} degrees of the normal in every touch, which leaves combinations of "
+                "parameters that move the tip elsewhere unseen",
+                "Tilt the tool by 10 degrees or more, in several directions",
+            )
+        )
+    if small:
+        findings.append(
+            Finding(
+                "warning",
+                "faces too small",
+                f"touches span little of the arm's reach of {reach:.0f} mm: {', '.join(small)}",
+                "Use larger faces, or spread the touches over them",
+            )
+        )
+    return findings + _directions(probe, np.array(normals))
+
+
+def _enough_rows(bound: BoundProblem) -> list[Finding]:
+    ratio = bound.rows / max(bound.unknowns, 1)
+    if ratio >= ROWS_PER_UNKNOWN:
+        return []
+    return [
+        Finding(
+            "error" if ratio < 1 else "warning",
+            "few rows",
+            f"{bound.rows} rows for {bound.unknowns} unknowns",
+            f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)}, or hold parameters",
+        )
+    ]
+
+
+def _directions(probe: Probe, normals: Array) -> list[Finding]:
+    findings = []
+    angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
+    if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
+        findings.append(
+            Finding(
+                "warning",
+                "faces nearly parallel",
+                f"all {len(normals)} faces look the same way to {angles.max():.0f} degrees",
+                "Add a face at an angle, best three at right angles",
+            )
+        )
+    if not probe.knows_length:
+        findings.append(
+            Finding(
+                "remark",
+                "no length was measured",
+                "faces fix angles; the size of the arm comes from the prior"
+                + (" and a few millimetres of dial travel" if probe.column is not None else ""),
+                "Measure one known length: a gauge block's step, declared with steps=...",
+            )
+        )
+    return findings

@@ -1,0 +1,33 @@
+"""`casacal check`: what is wrong with samples, before anyone trusts a fit."""
+
+from __future__ import annotations
+
+import argparse
+
+from casacal.cli.common import DONE, FAILED, add_problem, add_samples, samples_of
+
+HELP = "what is wrong with samples, before anyone trusts a fit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal check` takes."""
+    parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
+    add_problem(parser)
+    add_samples(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check as the options say; returns 0, or 1 when a result would be wrong."""
+    from casacal.checks import check
+    from casacal.problem.problem_file import load_problem
+
+    source = load_problem(options.problem)
+    place = samples_of(source, options.samples)
+    samples = source.problem.read(place, readings=options.readings, key=options.id, absurd=True)
+    findings = check(source.problem, samples)
+    for finding in findings:
+        print(finding)
+    counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
+    said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
+    print(f"{len(samples)} samples of {samples.file}: {said}")
+    return FAILED if counts["error"] else DONE

@@ -1,0 +1,44 @@
+"""What several commands share: how problems, samples and results are named, and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.problem.problem_file import ProblemFile
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def add_problem(parser: argparse.ArgumentParser) -> None:
+    """The problem a command is about."""
+    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+
+
+def add_result(parser: argparse.ArgumentParser) -> None:
+    """The result a command is about."""
+    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
+
+
+def add_samples(parser: argparse.ArgumentParser) -> None:
+    """The samples a command reads, and readings that come apart from them."""
+    parser.add_argument(
+        "samples",
+        metavar="SAMPLES",
+        nargs="?",
+        help="CSV, .xlsx, .npy, .npz; default: samples.csv beside the problem",
+    )
+    parser.add_argument("--readings", metavar="FILE", help="readings in a file of their own, CSV or .xlsx")
+    parser.add_argument(
+        "--id", default="pose", metavar="COLUMN", help="column by which they find their pose; default: pose"
+    )
+
+
+def samples_of(source: ProblemFile, given: str | None) -> str:
+    """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
+    if given is None and not source.samples.is_file():
+        raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
+    return given or source.samples.as_posix()

@@ -1,0 +1,64 @@
+"""`casacal export`: a calibrated arm as DH table, URDF, zero offsets or C."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from casacal.cli.common import DONE, add_result
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.compensation.predict import ResultFile
+
+
+HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal export` takes."""
+    parser.description = "Write a calibrated arm in a form that others read."
+    add_result(parser)
+    parser.add_argument(
+        "--to",
+        required=True,
+        choices=("dh", "urdf", "zeros", "ur", "c"),
+        help="DH table (CSV, or TOML by --out), URDF, zero corrections (CSV), ur_description kinematics (YAML), C99",
+    )
+    parser.add_argument("--out", required=True, metavar="FILE")
+    parser.add_argument("--source", metavar="FILE", help="dh, urdf: file written back with only its numbers changed")
+    parser.add_argument("--prefix", metavar="WORD", help="c: what functions' names begin with; default: the problem's")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write a calibrated arm in the form that --to names; returns 0."""
+    from casacal.compensation.predict import read_result
+    from casacal.export import remark
+    from casacal.files import write_text
+
+    if options.source is not None and options.to not in ("dh", "urdf"):
+        raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
+    result = read_result(options.result)
+    write_text(options.out, _exported(result, options))
+    print(f"Written: {options.out}")
+    for line in remark(result):
+        print(line)
+    return DONE
+
+
+def _exported(result: ResultFile, options: argparse.Namespace) -> str:
+    """The text that is asked for."""
+    from casacal.export import c_text, dh_text, ur_kinematics_text, urdf_text, zeros_text
+    from casacal.robots.files.dh_file import is_toml
+
+    if options.to == "dh":
+        if options.source is not None and is_toml(options.source) != is_toml(options.out):
+            raise CasacalError(
+                f"'{options.out}' would hold what '{options.source}' holds", "End both names alike, in .csv or .toml"
+            )
+        return dh_text(result, options.source, toml=is_toml(options.out))
+    if options.to == "urdf":
+        return urdf_text(result, options.source)
+    if options.to == "c":
+        return c_text(result, prefix=options.prefix)
+    return {"zeros": zeros_text, "ur": ur_kinematics_text}[options.to](result)

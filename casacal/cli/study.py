@@ -1,0 +1,149 @@
+"""`casacal study`: many trials of many methods: run, resume, share out, merge, report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.cli.common import DONE, INTERRUPTED
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.study import Run, Study
+    from casacal.study.study_file import StudyFile
+
+HELP = "many trials of many methods, recorded and reported"
+SAID_EVERY = {True: 0.5, False: 20.0}
+"""Seconds between progress lines, where someone looks (they overwrite one another) and in a log."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal study` takes."""
+    parser.description = "Run a study file and write its report; trials are recorded one by one and can be resumed."
+    parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
+    parser.add_argument("--quick", action="store_true", help="the study's small form, under a minute")
+    parser.add_argument("--trials", type=int, metavar="N", help="trials a setting; default: what the study says")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
+    parser.add_argument("--shard", metavar="I/N", help="only the I-th of N parts of the trials, to merge later")
+    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing: put the records of shards together")
+    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and make the missing ones")
+    parser.add_argument("--report", action="store_true", help="run nothing: write the report from the records in DIR")
+    parser.add_argument("--out", metavar="DIR", help="records and report; default: out/NAME")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
+    try:
+        return _study(options)
+    except KeyboardInterrupt:
+        print("casacal: Interrupted. What is recorded stays; --resume goes on from there.", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _study(options: argparse.Namespace) -> int:
+    from casacal.study import Run
+    from casacal.study.report import machine, note_machines, write_report
+    from casacal.study.study_file import load_study
+
+    source = load_study(options.study)
+    if source.skipped:
+        print(f"Skipped: {source.skipped}")
+        return DONE
+    study = source.form(quick=options.quick, trials=options.trials)
+    out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
+    if study is None:
+        run = Run(None, (), out, options.quick)
+        note_machines(out, [machine()])
+    else:
+        run = _made(source, study, out, options)
+        print(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+        if options.shard is not None:
+            print(
+                f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
+            )
+            return DONE
+    print(f"Written: {write_report(source, run, _options(options)).as_posix()}")
+    return DONE
+
+
+def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
+    """Records that exist, that others made, or that are made now."""
+    from casacal.study import runs
+    from casacal.study.report import machine, note_machines, read_machines
+
+    if options.report:
+        return runs.open_run(study, out, quick=options.quick)
+    if options.merge:
+        parts = [Path(part) for part in options.merge]
+        found = runs.merge(study, parts, out, quick=options.quick)
+        note_machines(out, [made for part in parts for made in read_machines(part)])
+        if runs.missing(study, found):
+            print(f"{runs.missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
+        return found
+    made_here = machine(options.workers, cluster=options.scheduler is not None)
+    with _Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+        return runs.run(
+            study,
+            out,
+            file=source.path,
+            quick=options.quick,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            shard=_shard(options.shard),
+            resume=options.resume,
+            progress=progress,
+        )
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    if text is None:
+        return 1, 1
+    part, _, parts = text.partition("/")
+    try:
+        number, count = int(part), int(parts)
+    except ValueError:
+        number = count = 0
+    if not 1 <= number <= count:
+        raise CasacalError(f"--shard {text} is not I/N", "Give the part and their number, such as 2/3")
+    return number, count
+
+
+def _options(options: argparse.Namespace) -> str:
+    """The options that decide what is in the report."""
+    return (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
+
+
+class _Progress:
+    """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
+
+    def __init__(self, name: str, started: Callable[[], None]) -> None:
+        self.name, self.started = name, started
+        self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        now, looked_at = time.monotonic(), sys.stderr.isatty()
+        if not self.shown:
+            self.began, self.shown, self.at_first = now, now, done
+            self.started()  # the run is accepted; who makes it is known even if it is killed
+            if done:
+                print(f"{self.name}: {done} of {total} records exist", file=sys.stderr)
+            return
+        if now - self.shown < SAID_EVERY[looked_at] and done < total:
+            return
+        self.shown = now
+        rate = (done - self.at_first) / max(now - self.began, 1e-9)
+        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+        line = f"{self.name}: {done} of {total} records, {rate:.1f} a second, {left}"
+        print(f"\r{line}   " if looked_at else line, end="" if looked_at else "\n", file=sys.stderr, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown and sys.stderr.isatty():
+            print(file=sys.stderr)

@@ -1,0 +1,186 @@
+"""Joint targets for which the calibrated robot reaches the poses that the nominal one was meant to reach.
+
+The calibrated robot is the estimate of a result. Under a finite prior it holds every direction that the samples did not
+see at nominal by itself, because the objective has its minimum there; with flat priors nothing does, and such a result
+is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is up to the base
+frame, which a user teaches.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from casacal.array_types import Array, Rows
+from casacal.compensation.inverse_kinematics import PosedArm, turning
+from casacal.compensation.outcome import Compensation, Outcome, Rounding
+from casacal.compensation.postures import postures
+from casacal.compensation.predict import ResultFile, infinite_variances, local_coordinates, predict
+from casacal.compensation.targets import Targets
+from casacal.errors import CasacalError
+from casacal.samples.samples import Samples
+
+TOLERANCE = 5e-3, 5e-6
+"""Position (mm) and orientation (rad) within which the written joints must bring the calibrated robot to a pose."""
+LARGEST = math.radians(10)
+"""Joint motion (rad, or its weight in mm) beyond which a correction is a jump."""
+ROUNDED = 1e-6
+"""How far (rad, mm) the rounding of a file may put joint values beyond a limit."""
+STEPS = 150
+"""At most, for rows that creep along a singularity."""
+RETRIES, SCATTER = 3, 0.1
+"""Further starts, and how far they lie from the first (rad), for rows where the first one stuck."""
+
+
+def compensate(
+    result: ResultFile,
+    targets: Targets,
+    *,
+    frame: Literal["flange", "tip"] = "flange",
+    largest: float = LARGEST,
+    rounding: Rounding | None = None,
+) -> Compensation:
+    """Correct targets for a calibrated robot, all rows at once.
+
+    Each row starts at its nominal joint values (for poses: those of the branch it names, else a posture found from many
+    starts) and takes damped Newton steps on the calibrated kinematics, inside the joint limits. An arm with fewer than
+    six joints keeps the position and takes the orientation as near as it goes; with more than six the joints move as
+    little as the pose allows.
+
+    Args:
+        result: a calibration, or a truth.
+        targets: joint values or poses.
+        frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
+        largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+        rounding: how the joint values will be written; the proof is about these.
+
+    Raises CasacalError for a result that did not converge, or whose arm has directions that nothing holds.
+
+    """
+    _trusted(result, frame)
+    rounding = rounding or Rounding()
+    nominal = PosedArm.of(result.source.problem, local_coordinates(result, nominal=True), frame)
+    arm = replace(nominal, local=local_coordinates(result))
+    start, positions, rotations = _meant(nominal, targets)
+    found: Rows = np.asarray(np.isfinite(start).all(axis=1))
+    began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
+    joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
+    joints[found], elsewhere[found] = _solved(arm, positions[found], rotations[found], start[found], largest)
+    moved = np.abs((joints - began) / arm.joint_units).max(axis=1)
+    jumps: Rows = np.asarray(moved > largest)
+    limited = arm.at_limit(joints, positions, rotations) & ~jumps
+    joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
+    place, turn, expected = _proof(result, arm, joints, positions, rotations)
+    outcomes = _judged(
+        (~found, Outcome.UNREACHABLE),
+        (~np.isfinite(place + turn), Outcome.NOT_FINITE),
+        (_outside(arm, targets), Outcome.OUTSIDE),
+        (_within(arm, place, turn) & ~jumps, Outcome.REACHED),
+        (limited, Outcome.LIMIT),
+        (jumps | elsewhere, Outcome.SINGULAR),
+        (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
+    )
+    before, moved = _length(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
+    return Compensation(targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected)
+
+
+def _trusted(result: ResultFile, frame: str) -> None:
+    """Refuse a result that is no calibrated robot."""
+    if not result.document.get("converged", False):
+        raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
+    keys = list(result.source.problem.robot.parameters)
+    if frame == "tip":
+        keys += list(result.source.problem.instrument.unknowns)
+    lost = infinite_variances(result, keys)
+    if lost:
+        raise CasacalError(
+            f"{result.file}: neither samples nor prior hold {', '.join(lost[:6])}{', ...' if len(lost) > 6 else ''}, "
+            "so the estimate is arbitrary there",
+            f"Calibrate with a prior, such as --prior {lost[0]}=0.7 or 0.001, or hold it with --fix {lost[0]}",
+        )
+
+
+def _meant(nominal: PosedArm, targets: Targets) -> tuple[Array, Array, Array]:
+    """Nominal joint values (NaN where none were found) and the poses that were meant."""
+    if targets.poses is None:
+        assert targets.joints is not None
+        place, turn, _ = nominal(targets.joints)
+        return targets.joints, place, turn
+    positions, rotations = targets.poses
+    if targets.joints is None:
+        return postures(nominal, positions, rotations, TOLERANCE), positions, rotations
+    start = nominal.reach(positions, rotations, targets.joints)
+    return np.where(_outside(nominal, targets)[:, None], targets.joints, start), positions, rotations
+
+
+def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, largest: float) -> tuple[Array, Rows]:
+    """Joint values near the start that take the poses as well as they can, and rows where only others far away do.
+
+    Rows that stuck, as at a singularity, are tried again from beside their start.
+    """
+    joints = arm.reach(positions, rotations, start, steps=STEPS)
+    elsewhere = np.zeros(len(joints), dtype=bool)
+    rng = np.random.default_rng(0)
+    for _ in range(RETRIES):
+        place, turn, _ = arm.miss(joints, positions, rotations)
+        jumped = np.abs((joints - start) / arm.joint_units).max(axis=1) > largest
+        stuck = np.flatnonzero(~_within(arm, _length(place), _length(turn)) & ~jumped)
+        if not stuck.size:
+            break
+        beside = start[stuck] + SCATTER * arm.joint_units * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
+        again = arm.reach(positions[stuck], rotations[stuck], beside, steps=STEPS)
+        place, turn, _ = arm.miss(again, positions[stuck], rotations[stuck])
+        arrived = _within(arm, _length(place), _length(turn))
+        near = np.abs((again - start[stuck]) / arm.joint_units).max(axis=1) <= largest
+        joints[stuck[arrived & near]] = again[arrived & near]
+        elsewhere[stuck[arrived & ~near]] = True
+    return joints, elsewhere
+
+
+def _proof(
+    result: ResultFile, arm: PosedArm, joints: Array, positions: Array, rotations: Array
+) -> tuple[Array, Array, Array]:
+    """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
+    from scipy.spatial.transform import Rotation
+
+    place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
+    sound = np.flatnonzero(_finite(arm, joints, positions, rotations))
+    if sound.size:
+        samples = Samples(joints[sound], {}, {}, tuple(range(1, sound.size + 1)), {}, "joints", "")
+        prediction = predict(result, samples, frame=arm.frame, std=True)
+        turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
+        place[sound] = _length(prediction.positions - positions[sound])
+        turn[sound] = _length(turning(turns @ rotations[sound].transpose(0, 2, 1)))
+        spread[sound] = prediction.std
+    return place, turn, spread
+
+
+def _finite(arm: PosedArm, joints: Array, positions: Array, rotations: Array) -> Rows:
+    place, turn, _ = arm.miss(joints, positions, rotations)
+    return np.asarray(np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1))
+
+
+def _within(arm: PosedArm, place: Array, turn: Array) -> Rows:
+    """Rows whose miss (mm; rad) counts as none; an arm with few joints owes the position alone."""
+    return np.asarray((place <= TOLERANCE[0]) & ((turn <= TOLERANCE[1]) | (len(arm.robot.axes) < 6)))
+
+
+def _outside(arm: PosedArm, targets: Targets) -> Rows:
+    """Rows whose own joint values lie outside the limits."""
+    if targets.joints is None:
+        return np.zeros(len(targets), dtype=bool)
+    lower, upper = arm.robot.limits
+    return np.asarray(((targets.joints < lower - ROUNDED) | (targets.joints > upper + ROUNDED)).any(axis=1))
+
+
+def _judged(*cases: tuple[Rows, Outcome]) -> tuple[Outcome, ...]:
+    """For each row the outcome of the first case that holds."""
+    first = np.argmax([rows for rows, _ in cases], axis=0)
+    return tuple(cases[i][1] for i in first)
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=1))

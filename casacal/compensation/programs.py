@@ -1,0 +1,179 @@
+"""Compensated targets as text: CSV, or joint moves in RAPID (ABB), KRL (KUKA) and URScript (Universal Robots).
+
+A move is written for a target that is reached; the others are comments with the reason, never moves. Whatever comes
+from a user's file goes into comments as plain ASCII on one line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.compensation.outcome import Compensation, Outcome, Rounding
+from casacal.compensation.postures import torn
+from casacal.compensation.predict import ResultFile
+from casacal.errors import CasacalError
+from casacal.robots.robot import Robot
+
+LONGEST = 300
+"""Letters that a comment keeps."""
+
+
+@dataclass(frozen=True)
+class Language:
+    """What a controller reads: its comment mark, how joint values are rounded, and the lines around the moves."""
+
+    name: str
+    comment: str
+    rounding: Rounding
+    head: str
+    begin: tuple[str, ...]
+    move: str
+    end: tuple[str, ...]
+
+    def program(self, compensation: Compensation, notes: list[str]) -> str:
+        """The whole program, the notes and each source row as comments."""
+        lines = [self.head, *(f"  {self.comment} {printable(note)}" for note in notes), *self.begin]
+        factor = 180 / math.pi if self.rounding.degrees else 1.0
+        for i, outcome in enumerate(compensation.outcomes):
+            source = printable(compensation.targets.text[i])
+            lines.append(f"  {self.comment} line {compensation.targets.lines[i]}: {source}")
+            if outcome is Outcome.REACHED:
+                values = [f"{value:.{self.rounding.decimals}f}" for value in compensation.joints[i] * factor]
+                lines.append("  " + self.move.format(*values))
+            else:
+                left = f"{compensation.residual_mm[i]:.3f} mm, {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
+                lines.append(f"  {self.comment} no move: {outcome.value}: {outcome.meaning}; {left}")
+        return "\n".join([*lines, *self.end]) + "\n"
+
+
+# RAPID's num and KRL's REAL have seven digits, so more decimals of a degree would be lost in the controller
+RAPID = Language(
+    "RAPID",
+    "!",
+    Rounding(decimals=5),
+    "MODULE casacal_targets",
+    ("PROC take_targets()",),
+    "MoveAbsJ [[{},{},{},{},{},{}],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs, v100, fine, tool0;",
+    ("ENDPROC", "ENDMODULE"),
+)
+KRL = Language(
+    "KRL",
+    ";",
+    Rounding(decimals=5),
+    "DEF casacal_targets()",
+    ("  BAS(#INITMOV, 0)",),
+    "PTP {{A1 {}, A2 {}, A3 {}, A4 {}, A5 {}, A6 {}}}",
+    ("END",),
+)
+URSCRIPT = Language(
+    "URScript",
+    "#",
+    Rounding(degrees=False, decimals=9),
+    "def casacal_targets():",
+    (),
+    "movej([{}, {}, {}, {}, {}, {}])",
+    ("end",),
+)
+LANGUAGES: Mapping[str, Language] = MappingProxyType({"rapid": RAPID, "krl": KRL, "urscript": URSCRIPT})
+CSV = "csv"
+
+
+def rounding_of(form: str, robot: Robot) -> Rounding:
+    """How a form writes joint values; raises CasacalError for a robot whose joints its language does not hold."""
+    if form == CSV:
+        return Rounding()
+    language = LANGUAGES[form]
+    kinds = "".join(joint.kind[0].upper() for joint in robot.axes)
+    if kinds != "RRRRRR":
+        raise CasacalError(
+            f"'{robot.name}' has {len(kinds)} joints ({kinds}), and a joint move in {language.name} has six that turn",
+            "Use --format csv",
+        )
+    return language.rounding
+
+
+def text_of(compensation: Compensation, form: str, result: ResultFile) -> str:
+    """The file: notes on what it is and what to expect, then one entry a target."""
+    what = notes(compensation, result)
+    if form == CSV:
+        return "".join(
+            f"{line}\n" for line in [*(f"# {printable(note)}" for note in what), *_table(compensation, result)]
+        )
+    return LANGUAGES[form].program(compensation, what)
+
+
+def notes(compensation: Compensation, result: ResultFile) -> list[str]:
+    """What the file is, how it was proved, and what accuracy to expect; one sentence a line."""
+    reached, targets = compensation.reached, compensation.targets
+    counts = Counter(outcome.value for outcome in compensation.outcomes)
+    arm = result.source.problem.robot.parameters
+    names = {name for key, unknown in arm.items() for name in unknown.names(key)}
+    held = [
+        row["name"] for row in result.document["parameters"] if row["identifiable"] == "no" and row["name"] in names
+    ]
+    lines = [
+        f"casacal compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
+        f"{result.source.problem.robot.name}",
+        "joint values are those that the problem's robot.pose takes",
+        f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
+    ]
+    if reached.any():
+        lines += [
+            f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
+            f"{_figures(compensation.residual_mm[reached], 'mm')} and "
+            f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}; reached rows",
+            f"what the correction removes: {_figures(compensation.correction_mm[reached], 'mm')}",
+            f"position error to expect: {_figures(compensation.expected_mm[reached], 'mm')}; standard deviation up to "
+            "the base frame, which must be taught",
+        ]
+    if len(result.source.problem.robot.axes) < 6:
+        lines.append("fewer than six joints: position first, the orientation as near as the position allows")
+    if targets.poses is not None and targets.joints is None:
+        jumps = [targets.lines[i] for i in torn(result.source.problem.robot, compensation.joints, *targets.poses)]
+        if jumps:
+            shown = ", ".join(map(str, jumps[:10])) + (", ..." if len(jumps) > 10 else "")
+            lines.append(f"the branch changes, so the joints swing, before line {shown}; joint columns would choose it")
+    if held:
+        lines.append(f"known from the prior alone, so at or near nominal: {', '.join(held)}")
+    return lines
+
+
+def _figures(values: Array, unit: str) -> str:
+    return f"{math.sqrt(float((values**2).mean())):.2g} {unit} RMS ({float(values.max()):.2g} {unit} at worst)"
+
+
+def _table(compensation: Compensation, result: ResultFile) -> Iterator[str]:
+    """Header and rows of the CSV."""
+    turns = result.source.problem.robot.revolute
+    names = [f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1)]
+    yield ",".join(
+        ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]
+    )
+    written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
+    figures = np.column_stack(
+        [
+            compensation.residual_mm,
+            1e3 * compensation.residual_rad,
+            compensation.correction_mm,
+            np.degrees(compensation.correction),
+            compensation.expected_mm,
+        ]
+    )
+    for line, joints, outcome, row in zip(
+        compensation.targets.lines, written, compensation.outcomes, figures, strict=True
+    ):
+        cells = [f"{value:.{compensation.rounding.decimals}f}" for value in joints]
+        yield ",".join([str(line), *cells, outcome.value, *(f"{value:.6f}" for value in row)])
+
+
+def printable(text: str) -> str:
+    """Text for a comment of any language: ASCII on one line, cut to a sensible length."""
+    plain = text.encode("unicode_escape").decode("ascii")
+    return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]}..."

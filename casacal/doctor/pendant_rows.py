@@ -1,0 +1,140 @@
+"""Rows copied from a controller's pendant: joint values and the Cartesian pose it shows for them, as shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import SamplesError
+from casacal.tables.text import Table, read_table
+
+ANGLES = {"deg": np.pi / 180, "rad": 1.0}
+LENGTHS = {"mm": 1.0, "m": 1000.0}
+"""Units that are tried, with their factor to rad and mm."""
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+TRIPLES = (("rx", "ry", "rz"), ("a", "b", "c"), ("w", "p", "r"), ("o", "a", "t"))
+"""Names that three columns of an orientation may have, in the order of the pendant; what they mean is found."""
+
+
+@dataclass(frozen=True)
+class PendantRows:
+    """Numbers as shown: joints (N, n), positions (N, 3), orientations (N, 4; w, x, y, z) or (N, 3).
+
+    joint_unit, length_unit, angle_unit: what the column names state, "" where they state nothing.
+    """
+
+    joints: Array
+    positions: Array
+    orientations: Array
+    joint_unit: str = ""
+    length_unit: str = ""
+    angle_unit: str = ""
+    lines: tuple[int, ...] = ()
+    file: str = "rows"
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def without(self, row: int) -> PendantRows:
+        """All rows but one."""
+        keep = [i for i in range(len(self)) if i != row]
+        return PendantRows(
+            self.joints[keep],
+            self.positions[keep],
+            self.orientations[keep],
+            self.joint_unit,
+            self.length_unit,
+            self.angle_unit,
+            tuple(self.lines[i] for i in keep),
+            self.file,
+        )
+
+
+def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
+    """Read pendant rows of a robot whose joints turn or slide.
+
+    Columns: q1, q2, ... with _deg or _rad (sliding: _mm, _m) or bare; x, y, z with _mm or _m or bare; an orientation as
+    qw, qx, qy, qz, or as three columns rx, ry, rz or a, b, c or w, p, r or o, a, t with _deg or _rad or bare.
+
+    Raises SamplesError.
+    """
+    table = read_table(path)
+    turning = [_column(table, f"q{i}", ANGLES) for i, turn in enumerate(turns, 1) if turn]
+    sliding = [_column(table, f"q{i}", LENGTHS) for i, turn in enumerate(turns, 1) if not turn]
+    for name in table.header:
+        stem = name.split("_")[0]
+        if stem[:1] == "q" and stem[1:].isdigit() and not 1 <= int(stem[1:]) <= len(turns):
+            raise SamplesError(
+                table.file, f"the robot has {len(turns)} joints", "Use the rows of this robot", column=name
+            )
+    place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
+    turn = [(name, "") for name in QUATERNION] if set(QUATERNION) <= set(table.header) else _angles(table)
+    in_order, slides = iter(turning), iter(sliding)
+    joints = [next(in_order) if turn_ else next(slides) for turn_ in turns]
+    orientations = _numbers(table, turn)
+    if len(turn) == 4:
+        _check_quaternions(table, orientations)
+    return PendantRows(
+        _numbers(table, joints),
+        _numbers(table, place),
+        orientations,
+        _one_unit(table, turning),
+        _one_unit(table, [*place, *sliding]),
+        _one_unit(table, turn),
+        table.lines,
+        table.file,
+    )
+
+
+def _angles(table: Table) -> list[tuple[str, str]]:
+    """The three columns of an orientation, with the unit that each states."""
+    stems = {name.split("_")[0] for name in table.header}
+    for triple in TRIPLES:
+        if stems.issuperset(triple):
+            return [_column(table, name, ANGLES) for name in triple]
+    raise SamplesError(
+        table.file,
+        f"there is no orientation: the columns are {', '.join(table.header[:20])}",
+        "Add qw,qx,qy,qz or three of rx,ry,rz or a,b,c or w,p,r or o,a,t, with _deg or _rad",
+        line=table.header_line,
+    )
+
+
+def _column(table: Table, name: str, units: dict[str, float]) -> tuple[str, str]:
+    """A quantity's column and the unit that its name states; raises SamplesError when there is not exactly one."""
+    spellings = {name: "", **{f"{name}_{unit}": unit for unit in units}}
+    present = [column for column in table.header if column in spellings]
+    if len(present) != 1:
+        what = f"'{present[0]}' and '{present[1]}' both give {name}" if present else f"there is no column for {name}"
+        raise SamplesError(table.file, what, f"Give one of {', '.join(spellings)}", line=table.header_line)
+    return present[0], spellings[present[0]]
+
+
+def _numbers(table: Table, columns: Sequence[tuple[str, str]]) -> Array:
+    return np.column_stack([table.numbers(name) for name, _ in columns])
+
+
+def _one_unit(table: Table, columns: Sequence[tuple[str, str]]) -> str:
+    units = sorted({unit for _, unit in columns})
+    if len(units) > 1:
+        shown = ", ".join(name for name, _ in columns)
+        raise SamplesError(
+            table.file, f"the columns {shown} state different units", "Use one unit for all", line=table.header_line
+        )
+    return units[0] if units else ""
+
+
+def _check_quaternions(table: Table, quaternions: Array) -> None:
+    lengths = np.linalg.norm(quaternions, axis=1)
+    for i in np.flatnonzero(np.abs(lengths - 1) > 1e-2)[:1]:
+        raise SamplesError(
+            table.file,
+            f"the quaternion has the length {lengths[i]:.4g}",
+            "Give a unit quaternion qw,qx,qy,qz",
+            line=table.lines[i],
+        )

@@ -1,1 +1,0 @@
-"""What a study needs besides its description: counting, keys, records, executors, statistics."""

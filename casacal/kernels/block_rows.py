@@ -1,0 +1,115 @@
+"""Kernels without a compiler: the program replayed on columns of some hundred samples by CasADi's machine."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.kernels.lanes import BlockLanes
+from casacal.kernels.program import Program
+from casacal.kernels.replay import Buffered, prepared, product, replayed
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class BlockKernels:
+    """The four kernels of a row model on CasADi's virtual machine."""
+
+    name = "blocks"
+
+    def __init__(self, slopes: Program, parameters: int) -> None:
+        self.components = len(slopes.outputs[0])
+        self.unknowns = len(slopes.outputs[1]) // self.components
+        self._slopes, self._residual, self._parameters = slopes, slopes.only(0), parameters
+        # one set a thread: CasADi's machine works in memory of its function's own
+        self._local = threading.local()
+
+    def lanes(self, d: Array, w: Array) -> BlockLanes:
+        """Data (columns, n) and weights (m, n) as the kernels read them."""
+        return BlockLanes.of(d, w)
+
+    def reweighted(self, lanes: BlockLanes, w: Array) -> BlockLanes:
+        """The same rows with other weights (m, n)."""
+        return lanes.reweighted(w)
+
+    def residual(self, p: Array, lanes: BlockLanes) -> Array:
+        """Plain residuals (m, n)."""
+        function, o = self._function("residual", lanes), self._prepared("residual", p)
+        e = np.empty((len(lanes.d), self.components, lanes.width))
+        for d, out in zip(lanes.d, e, strict=True):
+            function((o, d), (out,))
+        return lanes.joined(e)
+
+    def slopes(self, p: Array, lanes: BlockLanes) -> tuple[Array, Array]:
+        """Plain residuals (m, n) and slopes (m, z, n)."""
+        function, blocks, width = self._function("slopes", lanes), len(lanes.d), lanes.width
+        m, z = self.components, self.unknowns
+        some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
+        evaluate = function.bound((self._prepared("slopes", p), lanes.d[0]), tuple(some))
+        for k, d in enumerate(lanes.d):
+            function.feed(1, d)
+            evaluate()
+            values[:, k * width : (k + 1) * width] = some
+        return values[:m, : lanes.n], values[m:].reshape(m, z, -1)[:, :, : lanes.n]
+
+    def costs(self, states: Array, lanes: BlockLanes) -> Array:
+        """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
+        function, out, cost = self._function("cost", lanes), np.empty(1), np.zeros(len(states))
+        states = np.ascontiguousarray(states)
+        for k, p in enumerate(states):
+            o = self._prepared("residual", p)
+            for d, w in zip(lanes.d, lanes.w, strict=True):
+                function((o, d, w), (out,))
+                cost[k] += out[0]
+        return cost
+
+    def normal(self, p: Array, lanes: BlockLanes) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
+        function, o = self._function("normal", lanes), self._prepared("slopes", p)
+        out, s = np.empty((2, self.unknowns + 1, self.unknowns + 1))
+        s[...] = 0.0
+        for d, w in zip(lanes.d, lanes.w, strict=True):
+            function((o, d, w), (out,))
+            s += out
+        return s
+
+    def _prepared(self, name: str, p: Array) -> Array:
+        """What depends on parameters alone, of the residual or of all, once for all blocks."""
+        program = self._residual if name == "residual" else self._slopes
+        o = np.empty(len(program.once))
+        self._kept(f"prepared {name}", 0, lambda: prepared(program, self._parameters))((p,), (o,))
+        return o
+
+    def _function(self, name: str, lanes: BlockLanes) -> Buffered:
+        return self._kept(name, lanes.width, lambda: self._built(name, lanes.width))
+
+    def _kept(self, name: str, width: int, build: Callable[[], ca.Function]) -> Buffered:
+        if not hasattr(self._local, "functions"):
+            self._local.functions = {}
+        functions: dict[tuple[str, int], Buffered] = self._local.functions
+        if (name, width) not in functions:
+            functions[name, width] = Buffered(build())
+        return functions[name, width]
+
+    def _built(self, name: str, width: int) -> ca.Function:
+        program = self._residual if name in ("residual", "cost") else self._slopes
+        o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
+        w = ca.MX.sym("w", width, self.components)
+        columns = replayed(program, program.results, o, d, is_prepared=True)
+        e, j = columns[: self.components], columns[self.components :]
+        if name == "residual":
+            return ca.Function(name, [o, d], [ca.horzcat(*e)])
+        if name == "cost":
+            return ca.Function(name, [o, d, w], [ca.sumsqr(w * ca.horzcat(*e)) / 2])
+        if name == "slopes":  # column by column, so that nothing is put together only to be taken apart
+            return ca.Function(name, [o, d], columns)
+        total = ca.MX.zeros(self.unknowns + 1, self.unknowns + 1)
+        for m in range(self.components):
+            weighted = ca.horzcat(*j[m * self.unknowns : (m + 1) * self.unknowns], e[m]) * w[:, m]
+            total += product(weighted.T, weighted)
+        return ca.Function(name, [o, d, w], [total])

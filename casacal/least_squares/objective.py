@@ -1,0 +1,237 @@
+"""The seam between models and estimators: one objective, NumPy only.
+
+Every estimator minimises, or filters towards the minimum of, the negative log posterior
+
+    f(x) = 1/2 sum_k r_k(x)^2 + 1/2 sum_j ((x_j - x0_j) / s_j)^2,        r_k = e_k / w_k,
+
+with e_k the residual of row k, w_k its standard deviation and s_j the prior standard deviation of unknown j
+(infinite: flat). Whitened means divided by w_k.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.least_squares.linalg import damped_solution
+from casacal.least_squares.losses import Loss
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The data's part of the normal equations at one x: cost r'r/2, gradient J'r (n,), information J'J (n, n)."""
+
+    cost: float
+    gradient: Array
+    information: Array
+
+
+def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss | None = None) -> Normal:
+    """Normal equations of rows that come in parts of residuals (m,) and Jacobian (m, n).
+
+    With a loss the gradient is J'Wr and the information J'WJ, W the loss's weights at r: Gauss-Newton on sum rho(r).
+    """
+    cost, gradient, information = 0.0, np.zeros(unknowns), np.zeros((unknowns, unknowns))
+    for r, jacobian in parts:
+        weighted = jacobian if loss is None else jacobian * loss.weight(r)[:, None]
+        cost += float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())
+        gradient += weighted.T @ r
+        information += weighted.T @ jacobian
+    return Normal(cost, gradient, information)
+
+
+class Step(NamedTuple):
+    """A damped Gauss-Newton step: the x (n,) it leads to, its squared length s'Hs, and the fall of cost it predicts."""
+
+    x: Array
+    squared_length: float
+    predicted: float
+
+    @property
+    def finite(self) -> bool:
+        """Whether it leads anywhere."""
+        return math.isfinite(self.squared_length) and math.isfinite(self.predicted)
+
+
+@dataclass(frozen=True)
+class FilterPass:
+    """What a fused filter did: rows first ... stop - 1, the belief after them, and its trace.
+
+    mean: (n,); root: (n, n), lower triangular. means: (rows done, n); innovations, stds: (rows done,).
+    """
+
+    stop: int
+    mean: Array
+    root: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+@dataclass(frozen=True)
+class ExtendedPass:
+    """What a fused extended filter did: the belief after all rows, and its trace.
+
+    mean: (n,); covariance: (n, n). means: (rows, n); innovations, stds: (rows,).
+    """
+
+    mean: Array
+    covariance: Array
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+class LeastSquares(ABC):
+    """A least-squares problem with a Gaussian prior.
+
+    A concrete problem sets the attributes and gives `residual`, `jacobian`, `row` and `row_jacobian`; what follows
+    from these is here. `graph` is the symbolic form for the IPOPT reference, None where there is none.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    x0: Array
+    prior_std: Array
+    start_std: Array
+    datum: NDArray[np.bool_]
+    """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
+    graph: Any = None
+
+    @property
+    @abstractmethod
+    def rows(self) -> int:
+        """Number of scalar residuals."""
+
+    @abstractmethod
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,) at x (n,)."""
+
+    @abstractmethod
+    def jacobian(self, x: Array) -> Array:
+        """Whitened Jacobian (rows, n) at x (n,)."""
+
+    @abstractmethod
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states (m, n): (m,)."""
+
+    @abstractmethod
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient (n,) at x (n,)."""
+
+    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
+        """Let a cubature filter take in rows from `first` on; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row` and the filter's own step, row by row. It may stop early.
+        """
+        del first, mean, root
+        return None
+
+    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
+        """Let an extended filter take in all rows; None where it cannot. Beliefs: (x - x0) / start_std.
+
+        What a fused kernel does in place of `row_jacobian` and the filter's own step, row by row.
+        """
+        del mean, covariance
+        return None
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Cost, gradient and information of the data at x (n,), without the prior; rows weighted by a loss."""
+        return accumulate([(self.residual(x), self.jacobian(x))], self.unknowns, loss)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
+        return self.jacobian(x)
+
+    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
+        """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
+
+        None when that matrix is not positive definite. `normal` is the data's part of H and g at x.
+        """
+        scale = self.start_std
+        information = scale[:, None] * normal.information * scale
+        information.flat[:: scale.size + 1] += scale**2 * self.prior_information
+        gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
+        step = damped_solution(information, gradient, damping)
+        if step is None:
+            return None
+        return Step(x + scale * step, float(step @ information @ step), float(step @ (damping * step - gradient)) / 2)
+
+    def costs(self, states: Array) -> Array:
+        """Objective at many states (m, n): (m,)."""
+        return np.array([self.cost(x) for x in states])
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return len(self.names)
+
+    @cached_property
+    def prior_information(self) -> Array:
+        """Lambda: 1 / s^2 of each unknown (n,), zero where the prior is flat."""
+        return np.where(np.isfinite(self.prior_std), 1.0 / self.prior_std**2, 0.0)
+
+    def prior_cost(self, x: Array) -> float:
+        """The prior's part of the objective at x (n,)."""
+        return float(self.prior_information @ (x - self.x0) ** 2) / 2
+
+    def cost(self, x: Array) -> float:
+        """The objective f at x (n,)."""
+        r = self.residual(x)
+        return float(r @ r) / 2 + self.prior_cost(x)
+
+
+class Restricted(LeastSquares):
+    """A problem in some of its unknowns, the others held at a given x."""
+
+    def __init__(self, whole: LeastSquares, free: NDArray[np.bool_], held_at: Array) -> None:
+        self.whole, self.free, self.held_at = whole, np.flatnonzero(free), held_at.copy()
+        self.names = tuple(whole.names[j] for j in self.free)
+        self.units = tuple(whole.units[j] for j in self.free)
+        self.x0, self.prior_std = whole.x0[self.free], whole.prior_std[self.free]
+        self.start_std, self.datum = whole.start_std[self.free], whole.datum[self.free]
+
+    def expand(self, x: Array) -> Array:
+        """All unknowns (..., n) of the whole problem at the free ones (..., m)."""
+        full = np.broadcast_to(self.held_at, (*x.shape[:-1], self.held_at.size)).copy()
+        full[..., self.free] = x
+        return full
+
+    @property
+    def rows(self) -> int:
+        """Rows of the whole problem."""
+        return self.whole.rows
+
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,)."""
+        return self.whole.residual(self.expand(x))
+
+    def jacobian(self, x: Array) -> Array:
+        """Columns of the free unknowns (rows, m)."""
+        return self.whole.jacobian(self.expand(x))[:, self.free]
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, m) with the J'J of the free columns."""
+        return self.whole.compact_jacobian(self.expand(x))[:, self.free]
+
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states."""
+        return self.whole.row(k, self.expand(states))
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient in the free unknowns."""
+        r, gradient = self.whole.row_jacobian(k, self.expand(x))
+        return r, gradient[self.free]
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Normal equations of the free unknowns."""
+        whole = self.whole.normal(self.expand(x), loss)
+        return Normal(whole.cost, whole.gradient[self.free], whole.information[np.ix_(self.free, self.free)])

@@ -1,0 +1,130 @@
+"""What an estimator returns: the estimate, and the problem from which every quality figure is recomputed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.least_squares.linalg import column_scales, posterior_covariance
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import LeastSquares
+from casacal.values import FrozenMapping, Value, read_only, short
+
+
+class Status(Enum):
+    """How an estimator ended: a closed set of sentences that say what to do next."""
+
+    CONVERGED = "Converged: the step fell below a negligible part of a posterior standard deviation."
+    PRECISION = "Converged: the cost cannot be lowered further in double precision."
+    ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
+    BUDGET = "Spent its budget; such a method gives no sign of having arrived. Compare with lm, or raise the budget."
+    TRUTH = "The truth of a simulation; nothing was estimated."
+    NOMINAL = "The arm as drawn; nothing was estimated."
+    UNSAID = "An estimate came back without a word on convergence. Compare with lm."
+    MAX_STEPS = "Ran out of steps before converging. Raise max_steps, or start nearer."
+    STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
+    NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
+    SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
+
+    @property
+    def ok(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self not in (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.SOLVER)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Value):
+    """An estimate and how it came about.
+
+    x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array a quantity, one entry a
+    step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data at x,
+    from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
+    """
+
+    method: str
+    problem: LeastSquares
+    x: Array
+    status: Status
+    trace: Mapping[str, Array]
+    steps: int
+    residual_rows: int
+    jacobian_rows: int
+    loss: Loss | None = None
+    information: Array | None = None
+    belief: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("x", "information", "belief"):
+            given = getattr(self, name)
+            object.__setattr__(self, name, None if given is None else read_only(given))
+        trace = {name: read_only(values) for name, values in self.trace.items()}
+        object.__setattr__(self, "trace", FrozenMapping(trace))
+
+    def __repr__(self) -> str:
+        numbers = [f"{name} {value:.6g}" for name, value in zip(self.problem.names, self.x, strict=True)]
+        return f"<Result of {self.method}: cost {self.cost:.6g}; {short(numbers, 4)}. {self.message}>"
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
+        if self.belief is not None:
+            return self.belief
+        information = (
+            self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        )
+        return posterior_covariance(information, self.problem.prior_std)
+
+    @cached_property
+    def cost(self) -> float:
+        """The objective at x, recomputed from the problem; with the loss where there is one."""
+        if self.loss is None:
+            return self.problem.cost(self.x)
+        return float(self.loss.cost(self.problem.residual(self.x)).sum()) + self.problem.prior_cost(self.x)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weight of each row (rows,) under the loss: one keeps its full pull, zero is ignored."""
+        r = self.problem.residual(self.x)
+        return np.ones_like(r) if self.loss is None else self.loss.weight(r)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self.status.ok
+
+    @property
+    def success(self) -> bool:
+        """The same, by SciPy's name."""
+        return self.converged
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence."""
+        return self.status.value
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of all residuals, or as many rows."""
+        return self.residual_rows // max(self.problem.rows, 1)
+
+    @property
+    def njev(self) -> int:
+        """Evaluations of the whole Jacobian, or as many rows."""
+        return self.jacobian_rows // max(self.problem.rows, 1)
+
+    @property
+    def std(self) -> Array:
+        """Posterior standard deviations (n,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+    @cached_property
+    def kkt(self) -> float:
+        """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
+        normal = self.problem.normal(self.x, self.loss)
+        gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
+        return float(np.abs(column_scales(normal.information, self.problem.prior_std) * gradient).max(initial=0.0))

@@ -1,0 +1,204 @@
+"""A problem: a robot with one or more instruments; bound to samples it becomes a least-squares problem."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from casacal.errors import ProblemError, UnknownNameError
+from casacal.instruments import Instrument
+from casacal.problem.compile import RowModel, compile_rows
+from casacal.robots.robot import Robot
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.tables.workbooks import KEY, joined_tables, read_any_table
+from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value, alike
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Problem(Value):
+    """A robot and the instruments that measured it; a value, without state of its own.
+
+    Raises ProblemError when names collide or an instrument declares no noise.
+    """
+
+    robot: Robot
+    instruments: tuple[Instrument, ...]
+
+    def __init__(self, robot: Robot, *instruments: Instrument) -> None:
+        object.__setattr__(self, "robot", robot)
+        object.__setattr__(self, "instruments", tuple(instruments))
+        if not instruments:
+            raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
+        for instrument in instruments:
+            name = type(instrument).__name__
+            twice = set(robot.parameters) & set(instrument.unknowns)
+            if twice:
+                raise ProblemError(f"Robot and {name} both name '{sorted(twice)[0]}'", "Rename one of them")
+            noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
+            if instrument.residual_std <= 0 and not any(s > 0 for s in instrument.column_stds.values()):
+                if noisy_joints:
+                    continue
+                raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instruments, to the last operation of their residuals."""
+        if self is other or not isinstance(other, Problem):
+            return self is other
+        if self.robot != other.robot or len(self.instruments) != len(other.instruments):
+            return False
+        return all(
+            one == two or (_declared_alike(one, two) and self.models[i].same_as(other.models[i]))
+            for i, (one, two) in enumerate(zip(self.instruments, other.instruments, strict=True))
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
+
+    def __repr__(self) -> str:
+        names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
+        return f"<Problem: {self.robot!r} measured by {names}>"
+
+    @property
+    def instrument(self) -> Instrument:
+        """The only instrument; raises ProblemError where there are several."""
+        if len(self.instruments) > 1:
+            names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
+            raise ProblemError(
+                f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({names}), and this takes one",
+                "Make a problem with one of them, or use bind and lm, which take several",
+            )
+        return self.instruments[0]
+
+    @property
+    def model(self) -> RowModel:
+        """Compiled functions of the only instrument; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self.models[0]
+
+    @cached_property
+    def models(self) -> tuple[RowModel, ...]:
+        """Compiled functions, one set an instrument; built on first use."""
+        return tuple(compile_rows(self.robot, instrument) for instrument in self.instruments)
+
+    def layout(self, instrument: int = 0) -> Layout:
+        """Columns a samples file of one instrument must have."""
+        chosen = self.instruments[instrument]
+        labels = dict.fromkeys(unknown.per for unknown in chosen.unknowns.values() if unknown.per is not None)
+        return Layout(
+            joints=tuple("angle" if joint.turns else "length" for joint in self.robot.axes),
+            columns=FrozenMapping(dict(chosen.columns)),
+            labels=tuple(labels),
+            refused=FrozenMapping(dict(chosen.refused_columns)),
+        )
+
+    def read(
+        self,
+        path: str | Path,
+        instrument: int = 0,
+        *,
+        readings: str | Path | None = None,
+        key: str = KEY,
+        absurd: bool = False,
+    ) -> Samples:
+        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass.
+
+        Args:
+            path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
+            instrument: whose samples these are.
+            readings: a second file, with a reading for each pose of the first.
+            key: column of both that says which reading belongs to which pose.
+            absurd: whether values pass that no robot has.
+
+        """
+        layout = self.layout(instrument)
+        if readings is None:
+            return Samples.from_file(path, layout, absurd=absurd)
+        together = joined_tables(read_any_table(path), read_any_table(readings), key=key)
+        return Samples.from_table(together, layout, absurd=absurd)
+
+    def prefix(self, instrument: int) -> str:
+        """What the names of an instrument's unknowns begin with: nothing when there is only one."""
+        return "" if len(self.instruments) == 1 else f"instrument{instrument + 1}."
+
+    def fix(self, *names: str) -> Problem:
+        """Copy with unknowns held at nominal: a key ("alpha") or a component ("a3", "tool_x").
+
+        Raises UnknownNameError for a name that does not exist or is held already.
+        """
+        changed = self
+        for name in names:
+            changed = changed._edit(name, lambda unknown, chosen: unknown.with_free([not hit for hit in chosen]))
+        return changed
+
+    def with_prior(self, stds: Mapping[str, float]) -> Problem:
+        """Copy with other prior standard deviations, mm or rad, by key or component; `math.inf` is flat.
+
+        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units.
+        """
+        changed = self
+        for name, std in stds.items():
+
+            def edit(unknown: Unknown, chosen: list[bool], name: str = name, std: float = std) -> Unknown:
+                units = sorted({unit for unit, hit in zip(unknown.units, chosen, strict=True) if hit})
+                if len(units) > 1:
+                    raise ProblemError(
+                        f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
+                        f"Name a component: {', '.join(unknown.names(name))}",
+                    )
+                present = unknown.prior_stds
+                return unknown.with_prior([std if hit else float(present[i]) for i, hit in enumerate(chosen)])
+
+            changed = changed._edit(name, edit)
+        return changed
+
+    def free_names(self) -> list[str]:
+        """Keys and components that `fix` and `with_prior` understand."""
+        result: list[str] = []
+        for key, unknown in self._all_unknowns():
+            result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
+        return list(dict.fromkeys(result))
+
+    def _all_unknowns(self) -> Iterable[tuple[str, Unknown]]:
+        yield from self.robot.parameters.items()
+        for i, instrument in enumerate(self.instruments):
+            for key, unknown in instrument.unknowns.items():
+                yield self.prefix(i) + key, unknown
+
+    def _edit(self, name: str, edit: Any) -> Problem:
+        for key, unknown in self.robot.parameters.items():
+            chosen = _chosen(name, key, unknown)
+            if any(chosen):
+                parameters = {**self.robot.parameters, key: edit(unknown, chosen)}
+                return Problem(dataclasses.replace(self.robot, parameters=parameters), *self.instruments)
+        for i, instrument in enumerate(self.instruments):
+            for key, unknown in instrument.unknowns.items():
+                chosen = _chosen(name, self.prefix(i) + key, unknown)
+                if any(chosen):
+                    instruments = list(self.instruments)
+                    instruments[i] = _replace_unknown(instrument, key, edit(unknown, chosen))
+                    return Problem(self.robot, *instruments)
+        raise UnknownNameError("free unknown", name, self.free_names())
+
+
+def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
+    return [name in (key, component) for component in unknown.names(key)]
+
+
+def _declared_alike(one: Instrument, two: Instrument) -> bool:
+    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
+    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
+
+
+def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:
+    if not dataclasses.is_dataclass(instrument) or key not in {field.name for field in dataclasses.fields(instrument)}:
+        raise ProblemError(
+            f"'{key}' of {type(instrument).__name__} cannot be replaced",
+            "Make the instrument a dataclass with that field",
+        )
+    return dataclasses.replace(instrument, **{key: unknown})

@@ -1,0 +1,74 @@
+"""Problem files: a problem.py is run, and gives a problem and perhaps a cell."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from casacal.errors import CasacalError, ProblemError
+from casacal.problem.cell import Cell
+from casacal.problem.problem import Problem
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem read from a problem.py, with where it came from; `cell` is None when the file defines none."""
+
+    name: str
+    path: str
+    sha256: str
+    problem: Problem
+    cell: Cell | None
+
+    @property
+    def samples(self) -> Path:
+        """The samples file beside it."""
+        return Path(self.path).parent / "samples.csv"
+
+
+def load_problem(path: str | Path) -> ProblemFile:
+    """Read a problem folder (with a problem.py) or a problem file, which defines `problem` and may define `cell`.
+
+    Raises ProblemError when there is none, when it raises, or when it defines something else.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / "problem.py"
+    if not file.is_file():
+        near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
+        known = f"; known here: {', '.join(near)}" if near else ""
+        raise ProblemError(
+            f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
+        )
+    source = file.read_bytes()
+    values = _execute(file)
+    problem, cell = values.get("problem"), values.get("cell")
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"{file} does not define `problem`", "Add problem = Problem(robot, DialOnPlane(...))")
+    if cell is not None and not isinstance(cell, Cell):
+        raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
+    digest = hashlib.sha256(source).hexdigest()
+    name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
+    return ProblemFile(name, file.as_posix(), digest, problem, cell)
+
+
+def _execute(file: Path) -> dict[str, Any]:
+    spec = importlib.util.spec_from_file_location(f"casacal_problem_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise ProblemError(f"{file} is not a Python file", "Name it problem.py")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
+        line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else (places or [None])[-1]
+        where = f"{file}, line {line}" if line else str(file)
+        if isinstance(error, CasacalError):
+            raise ProblemError(f"{where}: {error.what}", error.fix) from error
+        said = " ".join(str(error).split()) or "no message"
+        raise ProblemError(f"{where}: {type(error).__name__}: {said}", "Mend the problem file") from error
+    return vars(module)

@@ -1,0 +1,49 @@
+"""The joints of an arm: kind, limits, repeatability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from casacal.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint: its kind, its limits and its repeatability, in rad (revolute) or mm (prismatic)."""
+
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    lower: float = -math.pi
+    upper: float = math.pi
+    repeatability_std: float = 0.0
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns; otherwise it slides."""
+        return self.kind == "revolute"
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("revolute", "prismatic"):
+            raise ProblemError(f"A joint is '{self.kind}'", "Joints are 'revolute' or 'prismatic'")
+        if not self.lower < self.upper or not math.isfinite(self.upper - self.lower):
+            raise ProblemError(
+                f"A joint has the limits {self.lower!r} to {self.upper!r}", "Give finite limits, lower below upper"
+            )
+        if not 0 <= self.repeatability_std < math.inf:
+            raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
+
+
+def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
+    """Joints from a count (all revolute), a word like "RRPR", or a sequence of `Joint`.
+
+    Limits that are not given are +-pi rad and +-1000 mm.
+    """
+    if isinstance(joints, int):
+        joints = "R" * joints
+    if isinstance(joints, str):
+        if set(joints) - set("RP"):
+            raise ProblemError(f"joints is '{joints}'", "Use R for revolute and P for prismatic, such as 'RRPR'")
+        return tuple(Joint() if letter == "R" else Joint("prismatic", -1000.0, 1000.0) for letter in joints)
+    return tuple(joints)

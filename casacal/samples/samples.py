@@ -1,0 +1,247 @@
+"""Samples: validated, read-only rows of joint values and readings, in millimetres and radians."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.errors import SamplesError
+from casacal.samples.layout import LARGEST, Layout, match_columns, numeric_columns
+from casacal.tables.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays
+from casacal.tables.labels import Labels
+from casacal.tables.large_csv import read_large_csv
+from casacal.tables.text import Table, read_table
+from casacal.tables.workbooks import WORKBOOKS, read_workbook
+from casacal.values import FrozenMapping, Value, short
+
+MANY = 100_000
+"""Rows from which lines are numbers in an array rather than Python objects."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples(Value):
+    """Rows of measurements.
+
+    joints: (N, n), rad or mm. columns: the instrument's own, each (N,), mm or rad. labels: label columns, each (N,) of
+    str. lines: line of each row in its file (N,). extra: further columns, kept as text; those of large files and of
+    arrays are left where they are. All arrays are read-only.
+    """
+
+    joints: Array
+    columns: Mapping[str, Array]
+    labels: Mapping[str, Labels]
+    lines: Sequence[int]
+    extra: Mapping[str, tuple[str, ...]]
+    file: str
+    sha256: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", _frozen(self.joints))
+        columns = {name: _frozen(values) for name, values in self.columns.items()}
+        object.__setattr__(self, "columns", FrozenMapping(columns))
+        labels = {name: Labels.of(values) for name, values in self.labels.items()}
+        object.__setattr__(self, "labels", FrozenMapping(labels))
+        object.__setattr__(self, "extra", FrozenMapping(self.extra))
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def faces(self, column: str | None = "plane") -> Labels:
+        """Labels of the rows in one column, or where they have none, one label for all: "plane"."""
+        if column is not None and column in self.labels:
+            return self.labels[column]
+        return Labels(("plane",), np.zeros(len(self), dtype=np.int32))
+
+    def __repr__(self) -> str:
+        read = [*self.columns, *self.labels]
+        beside = f", {short(read)}" if read else ""
+        return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
+
+    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Samples:
+        """Return the given rows, in the given order, with the same provenance."""
+        index = np.asarray(rows, dtype=np.intp)
+        return Samples(
+            self.joints[index],
+            {name: values[index] for name, values in self.columns.items()},
+            {name: values.take(index) for name, values in self.labels.items()},
+            _lines(self.lines, index),
+            {name: tuple(values[i] for i in index) for name, values in self.extra.items()},
+            self.file,
+            self.sha256,
+        )
+
+    @staticmethod
+    def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else CSV."""
+        kind = Path(path).suffix.lower()
+        if kind in ARRAYS:
+            return Samples.from_columns(read_arrays(Path(path)), layout, absurd=absurd)
+        if kind in WORKBOOKS:
+            return Samples.from_table(read_workbook(path), layout, absurd=absurd)
+        return Samples.from_csv(path, layout, absurd=absurd)
+
+    @staticmethod
+    def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Read delimited text; `absurd` lets values pass that no robot has, for those who look for their cause.
+
+        Raises SamplesError that names file, line, column, what is wrong and the fix.
+        """
+        columns = read_large_csv(Path(path), lambda header: numeric_columns(header, layout), layout.labels)
+        if columns is not None:
+            return Samples.from_columns(columns, layout, absurd=absurd)
+        return Samples.from_table(read_table(path), layout, absurd=absurd)
+
+    @staticmethod
+    def from_columns(columns: Columns, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Samples from columns of numbers and labels; raises SamplesError."""
+        found = match_columns(columns, layout)
+        count = len(columns.lines)
+
+        def fill(name: str, place: Array) -> Array:
+            column, factor = found[name]
+            np.multiply(columns.number(column), factor, out=place)
+            _check_size(columns, column, place, math.inf if absurd else LARGEST[layout.quantities[name]])
+            place.setflags(write=False)
+            return place
+
+        joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
+        for i in range(len(layout.joints)):
+            fill(f"q{i + 1}", joints[:, i])
+        joints.setflags(write=False)
+        labels = {
+            name: _filled(columns, name, columns.text(name))
+            if name in columns.header
+            else Labels((name,), np.zeros(count, dtype=np.int32))
+            for name in layout.labels
+        }
+        read = {name: fill(name, np.empty(count)) for name in layout.columns}
+        return Samples(joints, read, labels, columns.lines, {}, columns.file, columns.sha256)
+
+    @staticmethod
+    def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
+        """Samples from a pandas DataFrame with the columns of a samples file.
+
+        Raises SamplesError as `from_csv` does; "line" is then the row of the frame, counted from 1.
+        """
+        header = tuple(str(name) for name in frame.columns)
+        numbers = numeric_columns(header, layout)
+        if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
+            used = {name: frame[name].to_numpy() for name in numbers}
+            used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
+            columns = columns_of_arrays(used, source, digest_of(used))
+            return Samples.from_columns(dataclasses.replace(columns, header=header), layout)
+        rows = tuple(tuple(_cell(value) for value in row) for row in frame.itertuples(index=False, name=None))
+        digest = hashlib.sha256(repr((header, rows)).encode()).hexdigest()
+        table = Table(source, digest, header, 0, rows, tuple(range(1, len(rows) + 1)), decimal_comma=False)
+        return Samples.from_table(table, layout)
+
+    @staticmethod
+    def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Samples from the text cells of a table; raises SamplesError."""
+        found = match_columns(table, layout)
+        values = {
+            name: _quantity(table, column, factor, math.inf if absurd else LARGEST[layout.quantities[name]])
+            for name, (column, factor) in found.items()
+        }
+        joint_names = [f"q{i + 1}" for i in range(len(layout.joints))]
+        labels = {name: Labels.of(_labels(table, name)) for name in layout.labels}
+        used = {column for column, _ in found.values()} | set(layout.labels)
+        return Samples(
+            np.column_stack([values[name] for name in joint_names]),
+            {name: values[name] for name in layout.columns},
+            labels,
+            table.lines,
+            {name: tuple(table.column(name)) for name in table.header if name not in used},
+            table.file,
+            table.sha256,
+        )
+
+
+def _quantity(table: Table, column: str, factor: float, largest: float) -> Array:
+    values = np.array(table.numbers(column)) * factor
+    _check_size(table, column, values, largest)
+    return values
+
+
+def _check_size(table: Table | Columns, column: str, values: Array, largest: float) -> None:
+    if math.isinf(largest) or not len(values) or max(values.max(), -values.min()) <= largest:
+        return
+    for i in np.flatnonzero(np.abs(values) > largest)[:1]:
+        limit = "100 m" if largest == LARGEST["length"] else "10 turns"
+        written = table.column(column)[i] if isinstance(table, Table) else f"{table.number(column)[i]:g}"
+        raise SamplesError(
+            table.file,
+            f"{written} is absurd (beyond {limit})",
+            "Check the value and the unit in the column's name",
+            line=table.lines[i],
+            column=column,
+        )
+
+
+def _filled(columns: Columns, name: str, labels: Labels) -> Labels:
+    if "" in labels.names:
+        row = int(np.flatnonzero(labels.codes == labels.names.index(""))[0])
+        raise SamplesError(
+            columns.file, "the label is empty", "Give the row its label", line=columns.lines[row], column=name
+        )
+    return labels
+
+
+def _labels(table: Table, name: str) -> tuple[str, ...]:
+    if name not in table.header:
+        return (name,) * len(table.rows)
+    cells = table.column(name)
+    for cell, line in zip(cells, table.lines, strict=True):
+        if not cell:
+            raise SamplesError(table.file, "the label is empty", "Give the row its label", line=line, column=name)
+    return tuple(cells)
+
+
+def _cell(value: Any) -> str:
+    return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()
+
+
+def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
+    """Lines of some rows: a tuple of few, an array of many."""
+    known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
+    chosen = known[index]
+    return tuple(chosen.tolist()) if len(index) < MANY else cast(Sequence[int], chosen)
+
+
+def _frozen(values: Array) -> Array:
+    """The values as a read-only array of its own; one that is read-only already is kept."""
+    if values.flags.writeable:
+        values = np.array(values, order="C")
+        values.setflags(write=False)
+    return values
+
+
+def joined(first: Samples, second: Samples) -> Samples:
+    """Rows of two sets after each other, with the provenance of the first."""
+    labels = {
+        name: Labels.of((*values, *second.labels.get(name, (name,) * len(second))))
+        for name, values in first.labels.items()
+    }
+    return Samples(
+        np.vstack([first.joints, second.joints]),
+        {k: np.concatenate([v, second.columns[k]]) for k, v in first.columns.items()},
+        labels,
+        (*first.lines, *second.lines),
+        {},
+        first.file,
+        first.sha256,
+    )
+
+
+def ordered_labels(labels: Iterable[str]) -> tuple[str, ...]:
+    """Different labels, in order of first appearance."""
+    return tuple(dict.fromkeys(labels))

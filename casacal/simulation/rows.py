@@ -1,0 +1,249 @@
+"""Rows that any residual fits: random postures, and readings at which the residual vanishes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array, Index, Rows
+from casacal.errors import SimulationError
+from casacal.kernels.batch import Batch
+from casacal.problem.cell import Cell, Disturbances, Face
+from casacal.problem.problem import Problem
+from casacal.robots.joint_space import random_joints
+from casacal.samples.samples import Samples
+from casacal.simulation.true_arm import lag
+from casacal.tables.labels import Labels
+
+LABELS = ("1", "2", "3")
+"""Labels of simulated rows where neither the instrument nor a cell names any."""
+CANDIDATES = 80
+"""Random postures for each row; the one that fits best is where its search begins."""
+ROUNDS, STEPS = 30, 40
+"""Times that rows are tried afresh, and Gauss-Newton steps of each."""
+FITS = 1e-9
+"""Residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits."""
+SLOW = 1e-3
+"""What a reading costs in the step that is sought, where a radian costs one: readings move before joints do."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings."""
+
+    problem: Problem
+    evaluate: Batch
+    z: Array
+    """True local coordinates by row (N, nz)."""
+    c: Array
+    """Nominals that differ by label by row (N, nc)."""
+    known: Array
+    """Columns known from labels by row (N, k)."""
+    faces: tuple[Face, ...]
+    """The face of each row (N,); none where nothing flat is touched."""
+
+    @property
+    def read(self) -> int:
+        """How many columns are read."""
+        return len(self.problem.instrument.columns)
+
+    def residual(self, free: Array, rows: Index) -> tuple[Array, Array]:
+        """Residuals (k, m) of some rows at joints and readings (k, n), and their slopes (k, m, n)."""
+        data = np.hstack([free, self.known[rows]])
+        e, slopes = self.evaluate(self.z[rows], self.c[rows], data)
+        return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
+
+    def beyond(self, free: Array, rows: Index) -> Array:
+        """How far (k,; mm) the tips of some rows lie outside their faces."""
+        if not self.faces:
+            return np.zeros(len(rows))
+        (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
+        axes, centres, sizes = (
+            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
+        )
+        along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
+        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
+
+
+def fitting_rows(problem: Problem, cell: Disturbances, samples: int, seed: int) -> tuple[Samples, dict[str, Array]]:
+    """Samples of an instrument that touches no faces it could be shown, and the true local coordinates by name.
+
+    Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
+    """
+    _check(problem, cell)
+    truth_rng, pose_rng, noise_rng, _ = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
+    labels = _labels(problem, cell, samples)
+    bench, local = _bench(problem, cell, labels, truth_rng, samples)
+    instrument, robot = problem.instrument, problem.robot
+    gross = noise_rng.random(samples) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
+    own = instrument.residual_std if cell.repeatability is None else cell.repeatability
+    target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
+    free = _found(bench, target, pose_rng)
+    joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
+    recorded = joints - noise_rng.normal(size=joints.shape) * cell.joint_std + lag(joints, cell.backlash)
+    columns = {}
+    for k, (name, dimension) in enumerate(instrument.columns.items()):
+        shown = readings[:, k] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
+        step = cell.resolution if dimension == "length" else 0.0
+        columns[name] = np.round(shown / step) * step if step > 0 else shown
+    name = f"simulated-{seed}"
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name), local
+
+
+def _check(problem: Problem, cell: Disturbances) -> None:
+    if isinstance(cell, Cell) and (cell.flatness > 0 or cell.compliance > 0):
+        raise SimulationError(
+            f"{type(problem.instrument).__name__} touches no faces that the simulator knows, and the cell has "
+            "flatness or compliance",
+            "Leave them out, or give the instrument a `probe`",
+        )
+
+
+def _labels(problem: Problem, cell: Disturbances, samples: int) -> dict[str, Labels]:
+    """Labels of the rows, in turn: those that the instrument knows, the cell's faces, or 1, 2, 3."""
+    instrument, found = problem.instrument, {}
+    for column in problem.layout().labels:
+        known = instrument.known_columns.values() if instrument.known_by == column else ()
+        names = tuple(dict.fromkeys(label for values in known for label in values))
+        if isinstance(cell, Cell):
+            names = names or tuple(face.label for face in cell.faces)
+        names = names or LABELS
+        found[column] = Labels(names, np.arange(samples) % len(names))
+    return found
+
+
+def _bench(
+    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, samples: int
+) -> tuple[Bench, dict[str, Array]]:
+    """The true arm before its true instrument, and the local coordinates of all that is unknown, by name."""
+    model, instrument, robot = problem.model, problem.instrument, problem.robot
+    middle = np.median(_tips(problem), axis=0)
+    local: dict[str, Array] = {}
+    nominals: dict[str, Array] = {}
+    z, c = [], []
+    for key, unknown in model.unknowns.items():
+        names = [key] * samples
+        if unknown.per is not None:
+            names = [f"{key}.{instrument.instance(key, label)}" for label in labels[unknown.per]]
+        for name, label in dict(zip(names, labels.get(unknown.per or "", names), strict=True)).items():
+            local[name] = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            nominals[name] = _nominal(unknown.nominal, unknown.placed(*_near(cell, label, middle)))
+        z.append(np.array([local[name] for name in names]).reshape(samples, -1))
+        if key in model.constants:
+            c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
+    known = []
+    for values in instrument.known_columns.values():
+        known.append([values.get(label, 0.0) for label in labels[instrument.known_by]])
+    symbols = [ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate(("z", "c", "d"))]
+    e = model.residual(*symbols)
+    evaluate = Batch(ca.Function("bench", symbols, [e, ca.densify(ca.jacobian(e, symbols[2]))]))
+    free = len(robot.axes) + len(instrument.columns)
+    assert model.residual.numel_in(2) == free + len(known)
+    return Bench(
+        problem,
+        evaluate,
+        np.hstack(z) if z else np.zeros((samples, 0)),
+        np.hstack(c) if c else np.zeros((samples, 0)),
+        np.array(known, dtype=np.float64).T.reshape(samples, -1),
+        _faces(problem, cell, labels, samples),
+    ), local
+
+
+def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
+    """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
+    planes = [u for u in problem.instrument.unknowns.values() if u.nominal_plane(np.zeros(u.nominal_size)) is not None]
+    if not isinstance(cell, Cell) or not planes:
+        return ()
+    column = planes[0].per
+    return tuple(
+        next((face for face in cell.faces if face.label == label), cell.faces[0])
+        for label in (labels[column] if column is not None else ("",) * samples)
+    )
+
+
+def _nominal(declared: Array | None, placed: Array) -> Array:
+    return placed if declared is None else declared
+
+
+def _near(cell: Disturbances, label: str, middle: Array) -> tuple[Array, Array]:
+    """Where a thing stands of which nobody says where: the face of that name, or the middle of the workspace."""
+    if isinstance(cell, Cell):
+        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        return np.asarray(face.centre), face.axes[0]
+    return middle, np.array([0.0, 0.0, 1.0])
+
+
+def _tips(problem: Problem) -> Array:
+    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
+    model, robot = problem.model, problem.robot
+    joints = random_joints(robot, 400, np.random.default_rng(0))
+    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
+    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
+    (pose,) = model.batch.pose(z, c, data)
+    return np.asarray(pose.reshape(-1, 4, 4)[:, 3, :3])
+
+
+def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits."""
+    robot, count = bench.problem.robot, len(target)
+    n = len(robot.axes)
+    free = np.full((count, n + bench.read), np.nan)
+    waiting = np.arange(count)
+    for _ in range(ROUNDS):
+        start = _starts(bench, target, waiting, rng)
+        found, met = _met(bench, start, target[waiting], waiting)
+        lower, upper = robot.limits
+        inside = ((found[:, :n] >= lower) & (found[:, :n] <= upper)).all(axis=1)
+        inside &= bench.beyond(found, waiting) < 1e-6
+        free[waiting[met & inside]] = found[met & inside]
+        waiting = waiting[~(met & inside)]
+        if not waiting.size:
+            return free
+    raise SimulationError(
+        f"No posture inside the joint limits of '{robot.name}' makes the residual of "
+        f"{type(bench.problem.instrument).__name__} vanish in {len(waiting)} of {count} rows",
+        "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
+    )
+
+
+def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
+    """For each row the random posture, readings at zero, that comes nearest."""
+    robot = bench.problem.robot
+    tried = random_joints(robot, len(rows) * CANDIDATES, rng)
+    free = np.hstack([tried, np.zeros((len(tried), bench.read))])
+    if bench.read:  # readings follow from any posture
+        return free[::CANDIDATES]
+    e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))
+    miss = ((e - np.repeat(target[rows], CANDIDATES, axis=0)) ** 2).sum(axis=1)
+    miss = (miss + bench.beyond(free, np.repeat(rows, CANDIDATES)) ** 2).reshape(len(rows), CANDIDATES)
+    # one of the nearest few, so that touches do not crowd where the random postures do
+    order = np.argsort(miss, axis=1)[:, : CANDIDATES // 8]
+    pick = order[np.arange(len(rows)), rng.integers(order.shape[1], size=len(rows))]
+    return np.asarray(free.reshape(len(rows), CANDIDATES, -1)[np.arange(len(rows)), pick])
+
+
+def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array, Rows]:
+    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive."""
+    free = start.copy()
+    n = len(bench.problem.robot.axes)
+    ease = np.concatenate([np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW), np.full(bench.read, 1.0 / SLOW)])
+    size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
+    e, slopes = bench.residual(free, rows)
+    for _ in range(STEPS):
+        miss = e - target
+        if (np.abs(miss) <= FITS * size).all():
+            break
+        eased = slopes * ease
+        gram = eased @ eased.transpose(0, 2, 1)
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * np.eye(gram.shape[1]) + 1e-300 * np.eye(
+            gram.shape[1]
+        )
+        step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
+        largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
+        free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]
+        e, slopes = bench.residual(free, rows)
+    return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))

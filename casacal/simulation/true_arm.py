@@ -1,0 +1,25 @@
+"""What is true of a simulated arm: unknowns drawn from the prior, joints that lag behind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.instruments.instrument import Probe
+from casacal.problem.problem import Problem
+
+
+def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Local coordinates of what moves the tip, drawn from the prior (flat: `start_std`) times `error_scale`."""
+    own = problem.instrument.unknowns
+    unknowns = {**problem.robot.parameters, **{key: own[key] for key in probe.moves}}
+    return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
+
+
+def lag(joints: Array, backlash: float) -> Array:
+    """How far joints (N, n) stand behind what they were sent to: half the backlash against each joint's last move.
+
+    The arm moves from row to row as they come, to the first one from all joints at zero.
+    """
+    moves = np.diff(joints, axis=0, prepend=np.zeros((1, joints.shape[1])))
+    return np.asarray(np.sign(moves) * backlash / 2)

@@ -1,0 +1,181 @@
+"""A study, run: what is not yet recorded is made, here, in processes or on a cluster; records stay in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import StudyError
+from casacal.study import executors, records
+from casacal.study.description import Study
+from casacal.study.records import Key, Record
+from casacal.study.tasks import Errand, Task, perform, perform_errand, tasks_of
+
+Progress = Callable[[int, int], None]
+
+RECORDS = "records.jsonl"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a report is made from: the study, its records in order, and the folder for its pictures."""
+
+    study: Study | None
+    records: tuple[Record, ...]
+    out: Path
+    quick: bool = False
+
+    def of(self, setting: str, method: str) -> list[Record]:
+        """Records of a method in a setting, by trial."""
+        return list(self._sorted.get((setting, method), []))
+
+    @cached_property
+    def _sorted(self) -> dict[tuple[str, str], list[Record]]:
+        found: dict[tuple[str, str], list[Record]] = {}
+        for record in self.records:
+            found.setdefault((record["setting"], record["method"]), []).append(record)
+        return found
+
+    def values(self, setting: str, method: str, name: str, *, group: str = "figures") -> Array:
+        """One figure (trials,) by trial; not a number where the method failed or has no such figure.
+
+        group: "figures", "counts" or "seconds".
+        """
+        found = (record[group].get(name) for record in self.of(setting, method))
+        return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
+
+    def failures(self, setting: str, method: str) -> list[str]:
+        """What the failures of a method in a setting said."""
+        return [record["error"] for record in self.of(setting, method) if record["error"] is not None]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the records, timings aside: the same wherever and in whatever order they were made."""
+        return records.records_digest(self.records)
+
+
+def run(
+    study: Study,
+    out: Path,
+    *,
+    file: str | Path | None = None,
+    quick: bool = False,
+    workers: int = 1,
+    scheduler: str | None = None,
+    shard: tuple[int, int] = (1, 1),
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Run:
+    """Run what is not yet recorded in `out`; returns all its records, in the study's order.
+
+    Args:
+        study: what to run.
+        out: folder of records.jsonl, appended to trial by trial, and put in order at the end.
+        file: the study's file, which workers read themselves; None for a study that lives in this process alone.
+        quick: whether `study` is the file's quick form.
+        workers: local processes; 1 runs here.
+        scheduler: address of a Dask scheduler, in place of local processes.
+        shard: (i, n), the i-th of n parts of the trials.
+        resume: keep the records that exist, and make only those that are missing; else there must be none.
+        progress: called with (records done, of how many) at first and after each trial.
+
+    Raises StudyError when records exist and `resume` is not set, when they were made by another version of the study
+    or of casacal, or when workers cannot do as asked.
+
+    """
+    if file is None and (workers > 1 or scheduler is not None):
+        raise StudyError("A study that no file defines cannot be given to workers", "Write it to a file, or run here")
+    if workers < 1 or not 1 <= shard[0] <= shard[1]:
+        raise StudyError(f"{workers} workers and shard {shard[0]}/{shard[1]} were asked for", "Count both from one")
+    path, everything = out / RECORDS, tasks_of(study)
+    mine = everything[shard[0] - 1 :: shard[1]]
+    with records.appending(path) as appender:
+        found = records.read_records(path)
+        done = _kept(study, out, everything, found, resume)
+        missing = [task for task in (task.without(done) for task in mine) if task.methods]
+        total = sum(len(task.methods) for task in mine)
+        count = total - sum(len(task.methods) for task in missing)
+        if progress is not None:
+            progress(count, total)
+        for made in _performed(study, missing, file, quick, workers, scheduler):
+            appender.append(made)
+            count += len(made)
+            if progress is not None:
+                progress(count, total)
+        ordered = _ordered(everything, records.read_records(path))
+        records.write_records(path, ordered)
+    asked = {key for task in everything for key in task.keys}
+    return Run(study, tuple(r for r in ordered if records.key_of(r) in asked), out, quick)
+
+
+def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
+    """The records of a folder, without running anything; raises StudyError when there are none.
+
+    Which version of casacal made them does not matter here: a report can be made again long after.
+    """
+    names = {(s, m, k) for s in study.settings for m in study.methods for k in range(study.trials_of(m))}
+    found = [r for r in records.read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]
+    if not found:
+        raise StudyError(f"'{out}' holds no record of the study '{study.name}'", "Run it first")
+    return Run(study, tuple(found), out, quick)
+
+
+def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False) -> Run:
+    """Put the records of several folders together in `out`, in the study's order.
+
+    Raises StudyError when a folder has none, when two disagree, or when `out` has records already.
+    """
+    for part in parts:
+        if not (part / RECORDS).is_file():
+            raise StudyError(f"'{part}' holds no records", "Name folders that `casacal study` wrote")
+    everything = tasks_of(study)
+    with records.appending(out / RECORDS):
+        _kept(study, out, everything, records.read_records(out / RECORDS), False)
+        found = records.merged([records.read_records(part / RECORDS) for part in parts])
+        _kept(study, out, everything, found, True)
+        ordered = _ordered(everything, found)
+        records.write_records(out / RECORDS, ordered)
+    return Run(study, tuple(ordered), out, quick)
+
+
+def missing(study: Study, made: Run) -> int:
+    """How many records of a study a run does not have."""
+    return sum(len(task.methods) for task in tasks_of(study)) - len(made.records)
+
+
+def _performed(
+    study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool, workers: int, scheduler: str | None
+) -> Iterator[list[Record]]:
+    if file is None or (workers == 1 and scheduler is None):
+        return executors.here(lambda task: perform(study, task), tasks)
+    errands = [Errand(str(Path(file).resolve()), quick, study.trials, task) for task in tasks]
+    if scheduler is not None:
+        return executors.on_cluster(perform_errand, errands, scheduler)
+    return executors.in_processes(perform_errand, errands, workers)
+
+
+def _kept(study: Study, out: Path, tasks: Iterable[Task], found: Sequence[Record], resume: bool) -> set[Key]:
+    """Keys of records that may stay."""
+    if found and not resume:
+        raise StudyError(f"'{out}' holds {len(found)} records already", "Add --resume, or choose another folder")
+    known = {fingerprint for task in tasks for fingerprint in task.fingerprints}
+    strange = [record for record in found if record["fingerprint"] not in known]
+    if strange:
+        raise StudyError(
+            f"{len(strange)} of {len(found)} records were made by another version of the study '{study.name}', of "
+            "casacal, Python, casadi, numpy or scipy",
+            "Choose another folder",
+        )
+    return {records.key_of(record) for record in found}
+
+
+def _ordered(tasks: Iterable[Task], found: Iterable[Record]) -> list[Record]:
+    """Each record once, in the order of the tasks; records of further trials, from a longer run, after them."""
+    by_key = {records.key_of(record): record for record in found}
+    listed = [by_key.pop(key) for task in tasks for key in task.keys if key in by_key]
+    return [*listed, *(by_key[key] for key in sorted(by_key))]

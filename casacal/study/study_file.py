@@ -1,0 +1,104 @@
+"""Study files.
+
+A study file defines `report(run)`, which returns the lines of report.md and may draw into `run.out`. Unless it only
+computes, it also defines `study`, and may define `quick`, a smaller form of it. `skipped`, a sentence, says why it
+cannot run here, such as measurements that are absent.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from casacal.errors import CasacalError, StudyError
+from casacal.study.description import Study
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """A study read from a file: its full and quick forms (None where it only computes), and its report."""
+
+    name: str
+    path: str
+    study: Study | None
+    quick: Study | None
+    report: Callable[[Any], Sequence[str]]
+    skipped: str | None
+
+    def commands(self, options: str) -> list[str]:
+        """What runs it from the folder of its package (or its own), with the same options."""
+        parts, _ = _dotted(Path(self.path).resolve())
+        found = [f"casacal study {'/'.join(parts)}.py{options}"]
+        return found if len(parts) == 1 else [*found, f"python -m {'.'.join(parts)}{options}"]
+
+    def form(self, *, quick: bool = False, trials: int | None = None) -> Study | None:
+        """The study to run, with another number of trials where one is given."""
+        chosen = self.quick if quick else self.study
+        return chosen if chosen is None or trials is None else replace(chosen, trials=trials)
+
+
+def load_study(path: str | Path) -> StudyFile:
+    """Read a study file; raises StudyError when there is none, when it raises, or when it defines no report."""
+    file = Path(path)
+    if not file.is_file():
+        near = ", ".join(sorted(p.as_posix() for p in Path("studies").glob("[!_]*.py")))
+        raise StudyError(f"There is no study at '{path}'", f"Give a Python file{f'; here: {near}' if near else ''}")
+    try:
+        values = vars(_imported(file.resolve()))
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        raise _failure(file, error) from error
+    study, report = values.get("study"), values.get("report")
+    quick = values.get("quick", study)
+    if not callable(report) or not all(form is None or isinstance(form, Study) for form in (study, quick)):
+        raise StudyError(f"'{path}' defines no report(run), or its study is no Study", "See casacal.study.study_file")
+    return StudyFile(file.stem, file.as_posix(), study, quick, report, values.get("skipped"))
+
+
+def _dotted(file: Path) -> tuple[list[str], Path]:
+    """Parts of a file's dotted name, and the folder from which it is imported."""
+    parts, folder = [file.stem], file.parent
+    while (folder / "__init__.py").is_file():
+        parts, folder = [folder.name, *parts], folder.parent
+    return parts, folder
+
+
+def lines_of(source: StudyFile, run: Any) -> list[str]:
+    """What the study's report says of a run; raises StudyError when it fails."""
+    try:
+        return [str(line) for line in source.report(run)]
+    except (Exception, SystemExit) as error:  # a user's function may raise anything
+        raise _failure(Path(source.path), error) from error
+
+
+def _failure(file: Path, error: BaseException) -> CasacalError:
+    """A refusal that names the last line of the file itself that was running."""
+    if isinstance(error, CasacalError):
+        return error
+    places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == file.name]
+    line = error.lineno if isinstance(error, SyntaxError) else (places or [None])[-1]
+    said = " ".join(str(error).split()) or "no message"
+    where = f"{file}, line {line}" if line else str(file)
+    return StudyError(f"{where}: {type(error).__name__}: {said}", "Mend the study file")
+
+
+def _imported(file: Path) -> ModuleType:
+    """Import a file by its dotted name where it is part of a package, else on its own beside its neighbours."""
+    parts, folder = _dotted(file)
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    if len(parts) > 1:
+        return importlib.import_module(".".join(parts))
+    spec = importlib.util.spec_from_file_location(f"casacal_study_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise StudyError(f"'{file.name}' is not a Python file", "Name it NAME.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

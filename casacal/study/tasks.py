@@ -1,0 +1,97 @@
+"""The units of a study's work: all methods of one trial, which see the same arm, touches and noise."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from casacal.errors import StudyError
+from casacal.study.description import Study
+from casacal.study.records import Key, Record
+from casacal.study.study_file import load_study
+from casacal.study.trial import run_trial
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some methods in one trial of a setting, and the key of each."""
+
+    setting: str
+    trial: int
+    methods: tuple[str, ...]
+    fingerprints: tuple[str, ...]
+
+    @property
+    def keys(self) -> list[Key]:
+        """Key of each record that the task makes."""
+        return [(fingerprint, self.trial) for fingerprint in self.fingerprints]
+
+    def without(self, done: Iterable[Key]) -> Task:
+        """The task without the methods that are recorded already."""
+        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
+        return replace(
+            self,
+            methods=tuple(self.methods[i] for i in kept),
+            fingerprints=tuple(self.fingerprints[i] for i in kept),
+        )
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A task for a worker that reads the study's file itself."""
+
+    path: str
+    quick: bool
+    trials: int
+    task: Task
+
+
+def tasks_of(study: Study) -> list[Task]:
+    """All tasks of a study, trial by trial, so that what is recorded early covers every setting."""
+    keys = {(setting, name): study.fingerprint(setting, name) for setting in study.settings for name in study.methods}
+    found = []
+    for trial in range(study.trials):
+        methods = tuple(name for name in study.methods if trial < study.trials_of(name))
+        for setting in study.settings:
+            if methods:
+                found.append(Task(setting, trial, methods, tuple(keys[setting, name] for name in methods)))
+    return found
+
+
+def perform(study: Study, task: Task) -> list[Record]:
+    """Records of a task."""
+    return run_trial(study, task.setting, task.trial, zip(task.methods, task.fingerprints, strict=True))
+
+
+def perform_errand(errand: Errand) -> list[Record]:
+    """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
+    with _ONE_AT_A_TIME:
+        study, task = _study(errand.path, errand.quick, errand.trials), errand.task
+        if [_fingerprint(errand, method) for method in task.methods] != list(task.fingerprints):
+            raise StudyError(
+                "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
+                "Give all of them the same",
+            )
+        return perform(study, task)
+
+
+@functools.cache
+def _study(path: str, quick: bool, trials: int) -> Study:
+    study = load_study(path).form(quick=quick, trials=trials)
+    if study is None:
+        raise StudyError(f"'{path}' defines no study", "Give the file that the run was started with")
+    return study
+
+
+@functools.cache
+def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
+    return _study(path, quick, trials).fingerprint(setting, method)
+
+
+def _fingerprint(errand: Errand, method: str) -> str:
+    return _key(errand.path, errand.quick, errand.trials, errand.task.setting, method)

@@ -1,0 +1,138 @@
+"""One trial: every method on the same problem, timed, counted and judged; failures are records too."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import StudyError
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
+from casacal.study.description import Study, Trial
+from casacal.study.metering import Metered
+from casacal.study.records import TIMINGS, Record
+
+POINTS = 24
+"""Points that a record keeps of the way to the estimate."""
+CANDIDATES = 64
+"""States evaluated at once while warming up: what population methods ask for."""
+
+
+def run_trial(study: Study, setting: str, trial: int, methods: Iterable[tuple[str, str]]) -> list[Record]:
+    """Records of some methods, each with its fingerprint, in one trial of a setting."""
+    shared = {"study": study.name, "setting": setting, "trial": trial}
+    heads: list[Record] = [{**shared, "method": method, "fingerprint": key} for method, key in methods]
+    try:
+        made = study.settings[setting].trial(study.trial_seed(trial))
+        rows = warm_up(made.problem)
+    except Exception as error:  # a cell out of reach fails every method, and the study goes on
+        return [{**head, **_failure(error), TIMINGS: {}} for head in heads]
+    return [{**head, **_measured(study, made, head["method"], trial, rows)} for head in heads]
+
+
+def warm_up(problem: LeastSquares) -> dict[str, float]:
+    """Use every function of a problem once, and return what a row of residuals and of Jacobian costs, in seconds."""
+    x, many = problem.x0, np.tile(problem.x0, (CANDIDATES, 1))
+    problem.normal(x)
+    problem.costs(many)
+    problem.costs(many[:1])
+    problem.row(0, np.tile(x, (2 * problem.unknowns, 1)))
+    problem.row_jacobian(0, x)
+    per = {"residual_row": problem.residual, "jacobian_row": problem.jacobian}
+    return {name: min(_seconds(call, x) for _ in range(5)) / problem.rows for name, call in per.items()}
+
+
+def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str, float]) -> Record:
+    metered, run = Metered(made.problem), study.method(method)
+    seed = study.method_seed(trial, method)
+    began, began_cpu = time.perf_counter(), time.process_time()
+    try:
+        with np.errstate(all="ignore"):  # what overflows is found below, and said in a sentence
+            outcome = run(metered, seed)
+        spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
+        with np.errstate(all="ignore"):
+            result = _result(outcome, made.problem, method)
+            figures = dict(made.judge(result))
+            detail = _detail(made, metered, result, trial) if trial < study.details else {}
+    except Exception as error:  # failures are rows with their message
+        spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
+        return {**_failure(error), TIMINGS: spent}
+    counts = (metered.residual_rows, metered.jacobian_rows)
+    if metered.used_graph:  # its evaluations happen inside the solver, which counts them itself
+        counts = (result.residual_rows, result.jacobian_rows)
+    return {
+        "status": result.status.name,
+        "converged": result.converged,
+        "error": None,
+        "figures": {name: float(value) for name, value in figures.items()},
+        "counts": {"steps": int(result.steps), "residual_rows": counts[0], "jacobian_rows": counts[1]},
+        **detail,
+        TIMINGS: spent,
+    }
+
+
+def _failure(error: Exception) -> Record:
+    message = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+    return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}}
+
+
+def _result(outcome: Result | Array, problem: LeastSquares, method: str) -> Result:
+    """A result over the problem itself; raises StudyError for an estimate that is none."""
+    x = np.asarray(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
+    if x.shape != problem.x0.shape:
+        raise StudyError(f"The estimate has the shape {x.shape}", f"Return a Result, or x of shape {problem.x0.shape}")
+    if not np.isfinite(x).all():
+        raise StudyError("The estimate is not finite", "See the method's status on this problem alone")
+    if isinstance(outcome, Result):
+        return replace(outcome, method=method, problem=problem, x=x)
+    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)
+
+
+def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:
+    # estimates of one trial show what a parameter table looks like; curves need some
+    kept = {"detail": dict(made.detail(result))} if trial == 0 else {}
+    return {**kept, "trace": _trace(made.problem, metered, result)}
+
+
+def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list[float]]:
+    """The objective on the way: rows of residuals, rows of Jacobian, objective.
+
+    Best so far as the harness saw it; for a filter, the objective over all rows at its estimate so far; for a solver
+    on the symbolic form, what it says itself, evenly over its evaluations.
+    """
+    if metered.used_graph:
+        costs = np.asarray(result.trace.get("cost", np.zeros(0)))
+        parts = np.arange(1, costs.size + 1) / max(costs.size, 1)
+        return _thinned(
+            [[p * result.residual_rows, p * result.jacobian_rows, c] for p, c in zip(parts, costs, strict=True)]
+        )
+    path = result.trace.get("filter_x", result.trace.get("x"))
+    seen = [list(map(float, point)) for point in metered.best]
+    seen += [[float(metered.residual_rows), float(metered.jacobian_rows), seen[-1][2]]] if seen else []
+    if path is None:
+        return _thinned(seen)
+    # rows of the filter alone: before the first whole evaluation, if one followed
+    spent = (metered.residual_rows, metered.jacobian_rows)
+    rows = spent if not metered.best else tuple(max(count - problem.rows, 0) for count in metered.best[0][:2])
+    chosen = np.unique(np.linspace(0, len(path) - 1, POINTS).astype(int))
+    parts = chosen / max(len(path) - 1, 1)
+    passed = [[p * rows[0], p * rows[1], problem.cost(path[k])] for k, p in zip(chosen, parts, strict=True)]
+    return passed + _thinned(seen)
+
+
+def _thinned(points: list[list[float]]) -> list[list[float]]:
+    if len(points) <= POINTS:
+        return points
+    chosen = np.unique(np.geomspace(1, len(points), POINTS).astype(int) - 1)
+    return [points[k] for k in chosen]
+
+
+def _seconds(call: Callable[[Array], Any], x: Array) -> float:
+    began = time.perf_counter()
+    call(x)
+    return time.perf_counter() - began

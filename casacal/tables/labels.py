@@ -1,0 +1,90 @@
+"""A column of labels, held as the different ones and their numbers: a million rows touch a handful of planes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Codes: TypeAlias = NDArray[np.int32]
+
+
+class Labels(Sequence[str]):
+    """Labels of rows; reads like a tuple of str and equals one with the same labels.
+
+    names: the different labels, in order of first appearance. codes: of each row (N,), its place in `names`; read-only.
+    """
+
+    def __init__(self, names: Sequence[str], codes: NDArray[Any]) -> None:
+        codes = np.asarray(codes, dtype=np.int32)
+        first, self.codes = _in_order(codes)
+        self.names = tuple(names[int(codes[row])] for row in first)
+        self.codes.setflags(write=False)
+
+    @staticmethod
+    def of(values: Iterable[str]) -> Labels:
+        """From one str a row."""
+        if isinstance(values, Labels):
+            return values
+        places: dict[str, int] = {}
+        codes = np.array([places.setdefault(value, len(places)) for value in values], dtype=np.int32)
+        return Labels(tuple(places), codes)
+
+    @staticmethod
+    def coded(names: Iterable[str], codes: NDArray[Any]) -> Labels:
+        """From names as they were written, blanks around them taken off, and the number of one of them a row."""
+        stripped = [str(name).strip() for name in names]
+        places = {name: k for k, name in enumerate(dict.fromkeys(stripped))}
+        return Labels(tuple(places), np.array([places[name] for name in stripped], dtype=np.int32)[codes])
+
+    def take(self, rows: NDArray[np.intp]) -> Labels:
+        """Those of some rows."""
+        return Labels(self.names, self.codes[rows])
+
+    def __len__(self) -> int:
+        return int(self.codes.size)
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> Labels: ...
+    def __getitem__(self, index: int | slice) -> str | Labels:
+        if isinstance(index, slice):
+            return Labels(self.names, self.codes[index])
+        return self.names[int(self.codes[index])]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, (Labels, tuple, list)) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]  # compared by its labels
+
+    def __reduce__(self) -> tuple[type[Labels], tuple[tuple[str, ...], Codes]]:
+        return Labels, (self.names, np.array(self.codes))
+
+    def __deepcopy__(self, memo: object) -> Labels:
+        return self
+
+    def __repr__(self) -> str:
+        shown = ", ".join(repr(label) for label in self[:4])
+        return f"<{len(self)} labels: {shown}{', ...' if len(self) > 4 else ''}>"
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        return np.array(self.names, dtype=dtype)[self.codes]
+
+
+def combinations(columns: Sequence[Labels], rows: int) -> tuple[list[tuple[str, ...]], Codes]:
+    """Different combinations of labels that rows carry, in order of first appearance; which of them each has."""
+    numbers = np.zeros(rows, dtype=np.int64)
+    for column in columns:
+        numbers = numbers * len(column.names) + column.codes
+    first, codes = _in_order(numbers)
+    return [tuple(column[int(row)] for column in columns) for row in first], codes
+
+
+def _in_order(values: NDArray[Any]) -> tuple[NDArray[np.intp], Codes]:
+    """First rows of the different values, in order, and for each row (N,) which of them it has."""
+    _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    return first[order], np.argsort(order).astype(np.int32)[inverse.ravel()]

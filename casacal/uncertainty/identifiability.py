@@ -1,0 +1,214 @@
+"""What the data can and cannot tell: rank, null directions by kind, weak directions.
+
+NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
+figures can be compared: the whitened Jacobian at the nominal, columns times prior standard deviation (flat: 1 mrad,
+1 mm), rank at 1e-9 of the largest singular value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.least_squares.linalg import correlation
+from casacal.least_squares.objective import LeastSquares
+from casacal.uncertainty.bounds import FIELD_TOLERANCE, RANK_TOLERANCE
+from casacal.uncertainty.workspace import tip_rms, without_rigid
+
+Kind = Literal["invisible", "rigid", "scale", "blind"]
+
+PERTURBATIONS = 2
+"""Random parameter errors at which a structural null direction must still be null."""
+
+SAME_DIRECTION = 0.9
+"""Part of a null direction that must lie in the null space there."""
+
+CORRELATED = 0.95
+
+LEVER = 1000.0
+"""Millimetres at which an angle counts when unknowns are named by their part in a direction."""
+
+FLAT_UNITS = {"rad": 1e-3, "mm": 1.0}
+MEANING: dict[Kind, str] = {
+    "invisible": "changes nothing the arm does",
+    "rigid": "only moves base frame and planes together",
+    "scale": "makes the whole arm larger or smaller; no length was measured",
+    "blind": "moves the tip elsewhere in the workspace but never in these samples",
+}
+
+
+KNOWN_FROM = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
+"""Verdicts on parameters, as people read them."""
+
+WEAK = "known better from the prior than from these samples"
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """A combination of unknowns (n,) that the samples do not see, in units of prior standard deviations."""
+
+    kind: Kind
+    direction: Array
+    words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip: mm RMS over the workspace, up to the base frame."""
+    structural: bool
+    """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination of unknowns (n,) of which the prior knows more than the data (whitened singular value < 1)."""
+
+    singular_value: float
+    direction: Array
+    words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip, as for null directions."""
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Rank and null space of a bound problem at its nominal."""
+
+    unknowns: int
+    rank: int
+    condition: float
+    """Largest over smallest singular value that is not null."""
+    singular_values: Array
+    null: tuple[NullDirection, ...]
+    weak: tuple[WeakDirection, ...]
+
+    def count(self, kind: Kind) -> int:
+        """Number of null directions of one kind."""
+        return sum(direction.kind == kind for direction in self.null)
+
+
+def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:
+    """Rank, null directions and weak directions of a problem at its nominal.
+
+    Args:
+        problem: its Jacobian at x0 is judged.
+        tip_jacobian: of the workspace tips by x, (3 N, n), mm per unit of x.
+        tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
+
+    """
+    scale = natural_scale(problem)
+    # what takes part is judged by how far it moves things, an angle at a lever of a metre
+    lever = scale * np.where(np.array(problem.units) == "rad", LEVER, 1.0)
+    sizes, right, rank = _decompose(problem, problem.x0, scale)
+    field = tip_jacobian * scale
+    elsewhere = [_null_projector(problem, scale, seed) for seed in range(PERTURBATIONS)]
+
+    def cost(direction: Array) -> float:
+        return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
+
+    null = []
+    for kind, basis in split_null_space(right[rank:].T, field, tips):
+        for direction in sparse_basis(basis).T:
+            kept = [float(np.linalg.norm(project @ direction) / np.linalg.norm(direction)) for project in elsewhere]
+            words = f"{_named(direction * lever, problem.names)}: {MEANING[kind]}"
+            null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
+    weak = [
+        WeakDirection(float(sizes[i]), right[i], f"{_named(right[i] * lever, problem.names)}: {WEAK}", cost(right[i]))
+        for i in range(rank)
+        if sizes[i] < 1
+    ]
+    condition = float(sizes[0] / sizes[rank - 1]) if rank else float("inf")
+    return Identifiability(problem.unknowns, rank, condition, sizes, tuple(null), tuple(weak))
+
+
+def natural_scale(problem: LeastSquares) -> Array:
+    """Prior standard deviation of each unknown (n,), or 1 mrad and 1 mm where the prior is flat."""
+    flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
+    return np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+
+
+def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Pairs of unknowns whose posterior correlation exceeds 0.95 in size, strongest first."""
+    matrix = correlation(covariance)
+    rows, columns = np.nonzero(np.triu(np.abs(matrix) > CORRELATED, k=1))
+    pairs = [(names[int(i)], names[int(j)], float(matrix[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def _decompose(problem: LeastSquares, x: Array, scale: Array) -> tuple[Array, Array, int]:
+    """Singular values (n,), right singular vectors (n, n; rows) and rank of the scaled whitened Jacobian at x."""
+    _, sizes, right = np.linalg.svd(problem.compact_jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
+    sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
+    return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
+
+
+def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:
+    """Projector (n, n) on the null space where the parameters are off by a random prior error."""
+    x = problem.x0 + scale * np.random.default_rng(seed).normal(size=problem.unknowns)
+    _, right, rank = _decompose(problem, x, scale)
+    return np.asarray(right[rank:].T @ right[rank:])
+
+
+def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
+    """Split a null space (n, k) by what it does to the tips: a basis (n, k_i) a kind, each kind inside the next.
+
+    First what no tip shows (invisible), then what is a rigid motion of all tips, then what is that and a scale of the
+    tips' field, the rest is blind.
+    """
+    field = tip_jacobian @ null
+    size = FIELD_TOLERANCE * max(float(np.linalg.norm(tip_jacobian, axis=0).max(initial=0.0)), 1e-300)
+    bent = without_rigid(field, tips)
+    growth = without_rigid(tips.ravel(), tips)
+    growth = growth / np.linalg.norm(growth)
+    rest = bent - np.outer(growth, growth @ bent)
+    taken, parts = np.zeros((null.shape[1], 0)), []
+    stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
+    for kind, seen in stages:
+        _, sizes, right = np.linalg.svd(seen, full_matrices=True)
+        sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
+        kernel = right[sizes < size].T
+        parts.append((kind, _beyond(kernel, taken)))
+        taken = kernel
+    parts.append(("blind", _beyond(np.eye(null.shape[1]), taken)))
+    return [(kind, null @ basis) for kind, basis in parts]
+
+
+def sparse_basis(basis: Array) -> Array:
+    """Another basis (n, k) of the same space in which each vector names few unknowns.
+
+    Gauss-Jordan elimination with complete pivoting: each vector has an unknown of its own, at size one.
+    """
+    work = basis.copy()
+    for j in range(work.shape[1]):
+        i, pivot = np.unravel_index(np.argmax(np.abs(work[:, j:])), work[:, j:].shape)
+        work[:, [j, j + int(pivot)]] = work[:, [j + int(pivot), j]]
+        work[:, j] /= work[i, j]
+        others = [k for k in range(work.shape[1]) if k != j]
+        work[:, others] -= np.outer(work[:, j], work[i, others])
+    work[np.abs(work) < 1e-9] = 0.0
+    return work
+
+
+def verdict(posterior_std: float, prior_std: float) -> Literal["data", "prior", "no"]:
+    """Who determined a parameter: "data" (posterior/prior std < 0.5), "prior" (to 0.95) or nobody ("no")."""
+    if not np.isfinite(posterior_std):
+        return "no"
+    ratio = posterior_std / prior_std if np.isfinite(prior_std) else 0.0
+    return "data" if ratio < 0.5 else "prior" if ratio <= 0.95 else "no"
+
+
+def _beyond(space: Array, inner: Array) -> Array:
+    """Orthonormal basis of the part of `space` (k, a) orthogonal to `inner` (k, b), which it contains."""
+    remaining = space - inner @ (inner.T @ space)
+    left, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(left[:, sizes > 0.5])
+
+
+def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
+    """The unknowns that take part most, in words."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
+    shown = [names[i] for i in strong[:most]]
+    more = f" and {len(strong) - most} more" if len(strong) > most else ""
+    return f"{', '.join(shown)}{more} move together" if len(strong) > 1 else f"{shown[0]} moves alone"
