@@ -13,6 +13,8 @@ ORDER = [
     "array_types",
     "version",
     "threads",
+    "values",
+    "user_code",
     "files",
     "kinematics",
     "unknowns",

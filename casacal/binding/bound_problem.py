@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.raw_graph import RawBlock, RawGraph
+from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import FEW, RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
 from casacal.kernels.native_filter import extended_pass
@@ -82,9 +82,6 @@ class BoundProblem(LeastSquares):
 
     def __hash__(self) -> int:
         return hash((self.problem, self.names, self.rows))
-
-    def __deepcopy__(self, memo: object) -> BoundProblem:
-        return self
 
     def __repr__(self) -> str:
         return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
@@ -239,17 +236,7 @@ class BoundProblem(LeastSquares):
     @cached_property
     def graph(self) -> RawGraph:
         """The symbolic form in raw coordinates, for the IPOPT reference."""
-        starts = np.cumsum([0] + [slot.unknown.raw_size for slot in self.slots])
-        first = {slot.name: int(start) for slot, start in zip(self.slots, starts, strict=False)}
-        blocks = []
-        for block in self.blocks:
-            for i, slots in enumerate(block.slots):
-                rows = np.flatnonzero(block.pattern == i)
-                columns = [first[s.name] + j for s in slots for j in range(s.unknown.raw_size)]
-                position = np.array(columns, dtype=np.intp)
-                kernel, constants = block.model.curvature, block.constants[i]
-                blocks.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows], self._threads))
-        return RawGraph.build([(slot.unknown, slot.nominal) for slot in self.slots], blocks)
+        return RawGraph.of(self.slots, self.blocks, self._threads)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
         data = np.zeros((len(joints), joints.shape[1] + len(block.known)))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.binding.slots import Block, Slot
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.replay import Buffered
@@ -71,6 +72,21 @@ class RawGraph:
         v, multipliers = ca.SX.sym("v", self.start.size), ca.SX.sym("lam", self.constraints.numel_out(0))
         hessian, _ = ca.hessian(ca.dot(multipliers, self.constraints(v)), v)
         return Buffered(ca.Function("bend", [v, multipliers], [ca.densify(hessian)]))
+
+    @staticmethod
+    def of(slots: Sequence[Slot], blocks: Sequence[Block], threads: int) -> RawGraph:
+        """Graph of bound rows: those that see the same unknowns stand together."""
+        starts = np.cumsum([0] + [slot.unknown.raw_size for slot in slots])
+        first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
+        found = []
+        for block in blocks:
+            for i, seen in enumerate(block.slots):
+                rows = np.flatnonzero(block.pattern == i)
+                columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
+                position = np.array(columns, dtype=np.intp)
+                kernel, constants = block.model.curvature, block.constants[i]
+                found.append(RawBlock(kernel, position, constants, block.rows(rows), block.noise[rows], threads))
+        return RawGraph.build([(slot.unknown, slot.nominal) for slot in slots], found)
 
     @staticmethod
     def build(unknowns: Sequence[tuple[Unknown, Array]], blocks: Sequence[RawBlock]) -> RawGraph:

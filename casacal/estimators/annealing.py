@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.estimators.box import BUDGET, WIDTH, Search
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class _BudgetSpentError(Exception):

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
-
-Array: TypeAlias = NDArray[np.float64]
 
 BUDGET = 1_000_000
 """Rows of residuals that a population method may evaluate unless told otherwise."""

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.objective import ExtendedPass, LeastSquares
 from casacal.least_squares.result import Result, Status
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def linear_update(

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class RawRows(Protocol):

@@ -15,16 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares, Normal, Step
 from casacal.least_squares.result import Result, Status
-
-Array: TypeAlias = NDArray[np.float64]
 
 FASTEST_DECREASE = 1 / 3
 """Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""

@@ -8,16 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.least_squares.linalg import downdated, tria
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

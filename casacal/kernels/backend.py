@@ -6,12 +6,12 @@ import functools
 import logging
 import os
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.compiler import CompilerError
@@ -19,8 +19,6 @@ from casacal.kernels.lanes import lane_data
 from casacal.kernels.native_rows import NativeKernels
 from casacal.kernels.program import Program, Role
 from casacal.kernels.reading import read_program
-
-Array: TypeAlias = NDArray[np.float64]
 
 BACKENDS = ("auto", "c", "blocks")
 VARIABLE = "CASACAL_BACKEND"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+from casacal.array_types import Array
 
 BLOCK = 256
 """Rows evaluated in one call; larger maps cost memory and time to build."""

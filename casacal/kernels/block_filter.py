@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, replayed
 from casacal.least_squares.linalg import LEAST_LEFT
 
-Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
 
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.program import Program
 from casacal.kernels.replay import Buffered, prepared, product, replayed
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class BlockKernels:

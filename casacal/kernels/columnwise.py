@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.batch import Batch
 from casacal.kernels.lanes import WIDTHS
 from casacal.kernels.program import Program
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, replayed
-
-Array: TypeAlias = NDArray[np.float64]
 
 FEW = 4096
 """Rows below which a plain map is sooner done than the columns are built."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import threading
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.lanes import BlockLanes, lane_data
 from casacal.kernels.reading import read_program
 from casacal.kernels.replay import Buffered, product, replayed
 from casacal.threads import shared_out
-
-Array: TypeAlias = NDArray[np.float64]
 
 TOGETHER = 16
 """Blocks that one thread sums up at a time."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.operations import evaluate
 from casacal.kernels.program import Program
-
-Array: TypeAlias = NDArray[np.float64]
 
 PAD = 8
 """Lanes for C are padded to a multiple of this, so that loops over them need no tail."""

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.c_source import filter_source
 from casacal.kernels.compiler import load_library
 from casacal.kernels.lanes import PAD
@@ -16,7 +17,6 @@ from casacal.kernels.native_normal import PackedPieces
 from casacal.kernels.reading import read_program
 from casacal.least_squares.linalg import LEAST_LEFT
 
-Array: TypeAlias = NDArray[np.float64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
 
 

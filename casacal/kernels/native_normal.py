@@ -6,16 +6,15 @@ import ctypes
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.lanes import PaddedLanes
 from casacal.kernels.native_rows import NativeKernels
 from casacal.threads import shared_out
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.c_source import kernel_source, rows_of_normal
 from casacal.kernels.compiler import load_library
 from casacal.kernels.lanes import PaddedLanes, aligned
 from casacal.kernels.program import Program
-
-Array: TypeAlias = NDArray[np.float64]
 
 LARGE = 1 << 20
 """Bytes of a Jacobian beyond which it is written past the caches."""

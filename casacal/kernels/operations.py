@@ -6,16 +6,14 @@ Blocks know them all, for CasADi's machine does them there. One that has no form
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kernels.program import Program
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def _erf(values: Any) -> Any:

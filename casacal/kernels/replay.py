@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.kernels.program import Program
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class Buffered:

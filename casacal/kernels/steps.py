@@ -4,7 +4,7 @@
 |------------------------------------|------------------------|-----------------|--------------------|
 | cubature filter's, eqs (15)-(24)   | c/cubature_filter.c    | block_filter.py | estimators/sckf.py |
 | extended filter's                  | c/extended_filter.c    |                 | estimators/ekf.py  |
-| damped, eqs (25)-(29) as corrected | c/normal_equations.c   |                 | least_squares.py   |
+| damped, eqs (25)-(29) as corrected | c/normal_equations.c   |                 | least_squares/     |
 
 C takes a step where C evaluates the rows: a cubature filter's for each instrument by itself, the others only where it
 evaluates the rows of all, for they go over all in one call. Elsewhere MX takes the cubature filter's step, which
