@@ -11,48 +11,88 @@ from typing import TYPE_CHECKING, Any
 from casacal.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from casacal.binding.bound_problem import BoundProblem, bind
-    from casacal.calibration.calibrate import calibrate
-    from casacal.calibration.calibration import Calibration
-    from casacal.checks import Finding, check
-    from casacal.compensation.compensate import compensate
-    from casacal.compensation.predict import read_result
-    from casacal.compensation.targets import Targets, read_targets
-    from casacal.doctor import PendantRows, diagnose, read_pendant_rows
-    from casacal.errors import CasacalError
-    from casacal.estimators import (
-        annealing,
-        ekf,
-        evolution,
-        ipopt,
-        lm,
-        nominal,
-        null_step,
-        plane_only,
-        scipy_least_squares,
-        sckf,
-        sckf_lm,
-        swarm,
-    )
-    from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint, tool_point
-    from casacal.kinematics import chain, deg, dh, modified_dh
-    from casacal.least_squares.result import Result, Status
-    from casacal.problem.cell import Cell, Face, corner, gauge_block, plate
-    from casacal.problem.problem import Problem
-    from casacal.problem.problem_file import ProblemFile, load_problem
-    from casacal.robots.conventions import Conventions
-    from casacal.robots.joints import Joint
-    from casacal.robots.robot import Robot
-    from casacal.samples.samples import Samples
-    from casacal.simulation.simulate import Simulation, simulate
-    from casacal.study import Method, Run, Simulated, Study
-    from casacal.unknowns import Direction, Frame, Parameter, Plane
+    from casacal.binding.bound_problem import BoundProblem as BoundProblem
+    from casacal.binding.bound_problem import bind as bind
+    from casacal.calibration.calibrate import calibrate as calibrate
+    from casacal.calibration.calibrated import Calibrated as Calibrated
+    from casacal.calibration.calibration import Calibration as Calibration
+    from casacal.calibration.saved import SavedCalibration as SavedCalibration
+    from casacal.calibration.saved import load as load
+    from casacal.checks import Finding as Finding
+    from casacal.checks import check as check
+    from casacal.compensation.arm import CalibratedArm as CalibratedArm
+    from casacal.compensation.compensate import compensate as compensate
+    from casacal.compensation.outcome import Compensation as Compensation
+    from casacal.compensation.outcome import Outcome as Outcome
+    from casacal.compensation.predict import Prediction as Prediction
+    from casacal.compensation.result_file import read_result as read_result
+    from casacal.compensation.targets import Targets as Targets
+    from casacal.compensation.targets import read_targets as read_targets
+    from casacal.doctor import PendantRows as PendantRows
+    from casacal.doctor import diagnose as diagnose
+    from casacal.doctor import read_pendant_rows as read_pendant_rows
+    from casacal.errors import CasacalError as CasacalError
+    from casacal.estimators import annealing as annealing
+    from casacal.estimators import ekf as ekf
+    from casacal.estimators import evolution as evolution
+    from casacal.estimators import ipopt as ipopt
+    from casacal.estimators import lm as lm
+    from casacal.estimators import nominal as nominal
+    from casacal.estimators import null_step as null_step
+    from casacal.estimators import plane_only as plane_only
+    from casacal.estimators import scipy_least_squares as scipy_least_squares
+    from casacal.estimators import sckf as sckf
+    from casacal.estimators import sckf_lm as sckf_lm
+    from casacal.estimators import swarm as swarm
+    from casacal.instruments import DialOnBody as DialOnBody
+    from casacal.instruments import DialOnPlane as DialOnPlane
+    from casacal.instruments import Instrument as Instrument
+    from casacal.instruments import Probe as Probe
+    from casacal.instruments import Sight as Sight
+    from casacal.instruments import Step as Step
+    from casacal.instruments import Suspect as Suspect
+    from casacal.instruments import TrackedPoint as TrackedPoint
+    from casacal.instruments import Words as Words
+    from casacal.instruments import tool_point as tool_point
+    from casacal.kinematics import chain as chain
+    from casacal.kinematics import deg as deg
+    from casacal.kinematics import dh as dh
+    from casacal.kinematics import modified_dh as modified_dh
+    from casacal.least_squares.losses import Loss as Loss
+    from casacal.least_squares.losses import huber as huber
+    from casacal.least_squares.losses import tukey as tukey
+    from casacal.least_squares.objective import LeastSquares as LeastSquares
+    from casacal.least_squares.result import Result as Result
+    from casacal.least_squares.result import Status as Status
+    from casacal.problem.cell import Cell as Cell
+    from casacal.problem.cell import Disturbances as Disturbances
+    from casacal.problem.cell import Face as Face
+    from casacal.problem.cell import corner as corner
+    from casacal.problem.cell import gauge_block as gauge_block
+    from casacal.problem.cell import plate as plate
+    from casacal.problem.problem import Problem as Problem
+    from casacal.problem.problem_file import ProblemFile as ProblemFile
+    from casacal.problem.problem_file import load_problem as load_problem
+    from casacal.robots.conventions import Conventions as Conventions
+    from casacal.robots.joints import Joint as Joint
+    from casacal.robots.robot import Robot as Robot
+    from casacal.samples.samples import Samples as Samples
+    from casacal.simulation.simulate import Simulation as Simulation
+    from casacal.simulation.simulate import simulate as simulate
+    from casacal.study import Method as Method
+    from casacal.study import Run as Run
+    from casacal.study import Simulated as Simulated
+    from casacal.study import Study as Study
+    from casacal.unknowns import Direction as Direction
+    from casacal.unknowns import Frame as Frame
+    from casacal.unknowns import Parameter as Parameter
+    from casacal.unknowns import Plane as Plane
 
 _HOMES = {
     "casacal.binding.bound_problem": ("BoundProblem", "bind"),
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
-    "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
+    "casacal.problem.cell": ("Cell", "Disturbances", "Face", "corner", "gauge_block", "plate"),
     "casacal.compensation.compensate": ("compensate",),
     "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
     "casacal.robots.conventions": ("Conventions",),
@@ -73,9 +113,27 @@ _HOMES = {
         "swarm",
     ),
     "casacal.problem.problem_file": ("ProblemFile", "load_problem"),
-    "casacal.instruments": ("DialOnBody", "DialOnPlane", "Instrument", "Step", "TrackedPoint", "tool_point"),
+    "casacal.instruments": (
+        "DialOnBody",
+        "DialOnPlane",
+        "Instrument",
+        "Probe",
+        "Sight",
+        "Step",
+        "Suspect",
+        "TrackedPoint",
+        "Words",
+        "tool_point",
+    ),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),
-    "casacal.compensation.predict": ("read_result",),
+    "casacal.calibration.saved": ("SavedCalibration", "load"),
+    "casacal.compensation.arm": ("CalibratedArm",),
+    "casacal.compensation.predict": ("Prediction",),
+    "casacal.compensation.outcome": ("Compensation", "Outcome"),
+    "casacal.compensation.result_file": ("read_result",),
+    "casacal.calibration.calibrated": ("Calibrated",),
+    "casacal.least_squares.losses": ("Loss", "huber", "tukey"),
+    "casacal.least_squares.objective": ("LeastSquares",),
     "casacal.problem.problem": ("Problem",),
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),

@@ -42,16 +42,16 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:
     """Write a document as JSON; numbers that are not finite become null, as JSON has none."""
-    text = json.dumps(_plain(document), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
 
-def _plain(value: Any) -> Any:
-    """Value made of JSON's own types."""
+def jsonable(value: Any) -> Any:
+    """The value in JSON's own types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
+        return [jsonable(item) for item in value]
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, np.integer):

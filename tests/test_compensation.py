@@ -17,10 +17,12 @@ from scipy.spatial.transform import Rotation
 from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, deg, lm, load_problem, simulate
 from casacal.calibration.result_json import calibration_document, write_simulation
 from casacal.cli.main import main
+from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.compensate import compensate
 from casacal.compensation.outcome import Outcome, Rounding
-from casacal.compensation.predict import ResultFile, predict, read_result, write_prediction
+from casacal.compensation.predict import predict, write_prediction
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
+from casacal.compensation.result_file import read_result
 from casacal.compensation.targets import Targets, read_targets
 from casacal.errors import CasacalError
 from casacal.files import write_json
@@ -94,7 +96,7 @@ def arm_result(robot, changes):
         "unknowns": [{"name": n, "value": float(c)} for n, c in zip(names, changes, strict=True)],
         "covariance": np.zeros((len(names), len(names))).tolist(),
     }
-    return ResultFile("made.json", ProblemFile("made", "problem.py", "", problem, None), document)
+    return CalibratedArm("made.json", ProblemFile("made", "problem.py", "", problem, None), document)
 
 
 def test_the_true_arm_misses_by_what_the_bound_predicts(cells, hsr):

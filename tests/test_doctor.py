@@ -90,9 +90,9 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
     plant, about, wrong, lines = PLANTED[name]
     samples = plant(hsr, corner_simulation.samples)
     file = tmp_path / "planted.csv"
-    write_samples(file, hsr.problem.robot, samples, ["planted"])
+    write_samples(file, hsr.problem.layout(), samples, ["planted"])
     if name == "degrees as radians":
-        write_samples(file, hsr.problem.robot, corner_simulation.samples, ["planted"])
+        write_samples(file, hsr.problem.layout(), corner_simulation.samples, ["planted"])
         file.write_text(file.read_text().replace("_deg", "_rad"))
     code = main(["check", str(hsr.path), str(file)])
     out = capsys.readouterr().out

@@ -19,7 +19,8 @@ from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 import casacal
 from casacal import export, load_problem
 from casacal.cli.main import main
-from casacal.compensation.predict import ResultFile, arm_values, read_result
+from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.result_file import read_result
 from casacal.problem.new import new_from_dh, new_from_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
@@ -64,7 +65,7 @@ def made(folder, seed=0, change=None):
             off = stds.get(name, 0.0) * rng.normal() if change is None else change.get(name, 0.0)
             rows.append({"name": name, "nominal": nominal, "estimate": nominal + off})
     document = {"method": "lm", "converged": True, "parameters": rows, "tip": {"expected_rms_mm": 0.25}}
-    return ResultFile("result.json", source, document)
+    return CalibratedArm("result.json", source, document)
 
 
 def numbers(result):

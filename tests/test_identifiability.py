@@ -105,7 +105,9 @@ def test_result_json_holds_the_table(row, tmp_path):
     )
     source = load_problem(problem)
     cell = Cell(faces=faces, tilt=math.radians(tilt), error_scale=0.0, repeatability=0.0)
-    write_samples(tmp_path / "s.csv", source.problem.robot, simulate(source.problem, cell, seed=1).samples, ["exact"])
+    write_samples(
+        tmp_path / "s.csv", source.problem.layout(), simulate(source.problem, cell, seed=1).samples, ["exact"]
+    )
     assert (
         main(
             [

@@ -13,19 +13,7 @@ import pytest
 from conftest import ROOT
 from test_new_robots import scara
 
-from casacal import (
-    DialOnPlane,
-    Parameter,
-    Problem,
-    Robot,
-    bind,
-    calibrate,
-    ekf,
-    lm,
-    load_problem,
-    sckf,
-    simulate,
-)
+from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler

@@ -137,7 +137,7 @@ def test_a_data_frame_reads_like_the_file(tmp_path):
 
 def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
     odd = dataclasses.replace(corner_simulation.samples, labels={"plane": tuple(f'a "{i % 3}", b' for i in range(120))})
-    write_samples(tmp_path / "w.csv", hsr.problem.robot, odd, ["a comment"])
+    write_samples(tmp_path / "w.csv", hsr.problem.layout(), odd, ["a comment"])
     again = hsr.problem.read(tmp_path / "w.csv")
     assert again.labels["plane"] == odd.labels["plane"]
     np.testing.assert_allclose(again.joints, odd.joints, atol=2e-9)

@@ -127,7 +127,7 @@ class BoundProblem(LeastSquares):
                 whole[piece.rows[:, None, None], np.arange(slopes.shape[1])[:, None], piece.columns] = (
                     slopes / block.noise[piece.rows][..., None]
                 )
-            parts.append(whole.reshape(-1, self.unknowns))
+            parts.append(whole.reshape(block.noise.size, self.unknowns))
         return np.vstack(parts)
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.calibration import Reference
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.result import Result
+from casacal.least_squares.result import Result, as_result
 from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
 from casacal.samples.samples import Samples
+from casacal.tables.frames import is_frame
 
 Progress: TypeAlias = Callable[[int, float], None]
+Method: TypeAlias = Callable[..., Result | Array]
+_LOG = logging.getLogger("casacal")
 
-METHODS: Mapping[str, Callable[..., Result]] = {
+METHODS: Mapping[str, Method] = {
     "lm": lm,
     "sckf": sckf,
     "sckf-lm": sckf_lm,
@@ -37,10 +46,10 @@ RANDOM = ("annealing", "swarm", "evolution")
 
 
 def calibrate(
-    problem: Problem,
-    samples: Samples,
+    problem: Problem | ProblemFile | str | Path,
+    samples: Samples | Mapping[str, Any] | str | Path | Any = None,
     *,
-    method: str = "sckf-lm",
+    method: str | Method = "sckf-lm",
     holdout: float = 0.0,
     seed: int = 0,
     reference: bool = True,
@@ -52,52 +61,118 @@ def calibrate(
     """Fit the unknowns of a problem with one instrument to its samples.
 
     Args:
-        problem: robot and instrument.
-        samples: rows of that instrument.
-        method: a name of `METHODS`.
+        problem: robot and instrument: a `Problem`, what `load_problem` returns, or the path of a problem.
+        samples: rows of that instrument: `Samples`, a file, a pandas DataFrame, or arrays by column; by default the
+            samples.csv beside a problem file.
+        method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,).
         holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
-        loss: a robust loss, for the method "lm" alone.
+        loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
-    Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
+    Returns the calibration as a value: figures, tables, pictures, predictions, files.
+
+    Raises CasacalError for what is none of these, UnknownNameError for the method, SamplesError when samples do not fit
+    the problem or too few remain, ProblemError as `bind` does.
 
     """
-    if method not in METHODS:
-        raise UnknownNameError("method", method, METHODS)
-    if loss is not None and method != "lm":
-        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
+    source = problem_from(problem)
+    rows = samples_from(samples, source)
+    run, name = _chosen(method, loss)
     began = time.perf_counter()
-    fitted, held = split(samples, holdout, seed)
-    fit = bind(problem, samples.take(fitted) if held.size else samples, backend=backend, threads=threads)
-    heldout = fit.on(samples.take(held)) if held.size else None
+    fitted, held = split(rows, holdout, seed)
+    fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
+    heldout = fit.on(rows.take(held)) if held.size else None
     if fit.rows < fit.unknowns:
         raise SamplesError(
-            samples.file,
+            rows.file,
             f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
             "Take more samples, hold fewer out, or hold parameters with --fix",
         )
     built = time.perf_counter()
+    _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
+    result = _estimate(run, name, fit, seed, loss, progress)
+    solved = time.perf_counter()
+    _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
+    before = plane_only(fit)
+    checked = _check(fit, name, result) if reference and loss is None else None
+    seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
+    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source)
+
+
+def problem_from(given: Any) -> ProblemFile:
+    """A problem with where it came from, from a problem, a problem file, or a path; raises CasacalError."""
+    if isinstance(given, ProblemFile):
+        return given
+    if isinstance(given, Problem):
+        return ProblemFile.of(given)
+    if isinstance(given, (str, Path)):
+        return load_problem(given)
+    raise CasacalError(
+        f"A {type(given).__name__} came as the problem", "Give a Problem, what load_problem returns, or a path"
+    )
+
+
+def samples_from(given: Any, source: ProblemFile) -> Samples:
+    """Samples of a problem's one instrument from any form in which people have them; raises CasacalError."""
+    problem = source.problem
+    _ = problem.instrument  # one, or a sentence
+    layout = problem.layout()
+    if isinstance(given, Samples):
+        given.check(layout)
+        return given
+    if given is None and source.samples is not None:
+        return problem.read(source.samples)
+    if isinstance(given, (str, Path)):
+        return problem.read(given)
+    if is_frame(given):
+        return Samples.from_frame(given, layout)
+    if isinstance(given, Mapping):
+        return Samples.from_arrays(given, layout)
+    came = "Nothing" if given is None else f"A {type(given).__name__}"
+    raise CasacalError(f"{came} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")
+
+
+def _chosen(method: str | Method, loss: Loss | None) -> tuple[Method, str]:
+    """The function that estimates, and what it is called."""
+    if not isinstance(method, str):
+        if not callable(method):
+            raise CasacalError(
+                f"A {type(method).__name__} came as the method",
+                f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
+            )
+        name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
+        return method, name
+    if method not in METHODS:
+        raise UnknownNameError("method", method, METHODS)
+    if loss is not None and method != "lm":
+        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
+    return METHODS[method], method
+
+
+def _estimate(
+    run: Method, name: str, fit: BoundProblem, seed: int, loss: Loss | None, progress: Progress | None
+) -> Result:
+    """Run a method: casacal's own with what they understand, others with the problem alone."""
+    if METHODS.get(name) is not run:
+        return as_result(run(fit), fit, name)
     # controls and the reference have nothing to report on the way
-    options: dict[str, Any] = {"progress": progress} if method not in ("ipopt", "plane-only") else {}
-    if method in RANDOM:
+    options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}
+    if name in RANDOM:
         options["seed"] = seed
     if loss is not None:
         options["loss"] = loss
-    result = METHODS[method](fit, **options)
-    solved = time.perf_counter()
-    before = plane_only(fit)
-    checked = _check(fit, method, result) if reference and loss is None else None
-    seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(method, seed, samples, fit, heldout, result, before, checked, seconds)
+    found = run(fit, **options)
+    assert isinstance(found, Result)
+    return found
 
 
 def _check(fit: BoundProblem, method: str, result: Result) -> Reference:
     """Solve again by other means: IPOPT, or, when that is the method, LM."""
     solver = "lm" if method == "ipopt" else "ipopt"
-    other = METHODS[solver](fit)
-    own = other.trace["cost"]
+    other = (lm if method == "ipopt" else ipopt)(fit)
+    own = other.trace.get("cost", np.zeros(0))
     cost = float(own[-1]) if own.size else other.cost
     return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import html
 import math
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.array_types import Array
+from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.page import report_page
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
-from casacal.calibration.result_json import parameter_rows
+from casacal.calibration.result_json import calibration_document, parameter_rows, write_calibration
 from casacal.calibration.summary import summary
+from casacal.compensation.arm import CalibratedArm
+from casacal.files import jsonable, write_text
+from casacal.uncertainty.expectation import Box
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-class Calibrated(Calibration):
+class Calibrated(Calibration, AsArm):
     """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures."""
 
     @property
@@ -61,9 +68,26 @@ class Calibrated(Calibration):
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})
 
+    @cached_property
+    def arm(self) -> CalibratedArm:
+        """The calibrated arm: the problem, and all that result.json holds."""
+        return CalibratedArm("this calibration", self.source, jsonable(calibration_document(self)))
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
+
+        `casacal.load(folder)` reads it back, here or elsewhere. Returns the paths.
+        """
+        return write_calibration(self, Path(folder))
+
+    def report(self, path: str | Path, *, box: Box | None = None) -> Path:
+        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm. Returns the path."""
+        write_text(path, report_page(self, self.arm.document, box=box))
+        return Path(path)
+
     def summary(self) -> str:
         """What the command line prints: residuals, expected accuracy, parameters, blind spots, reference."""
-        return summary(self, self.fit.problem.robot.name)
+        return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
         """Draw distances from the planes before and after on an axes, a new one unless given; returns it."""

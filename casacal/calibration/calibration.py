@@ -11,6 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.least_squares.result import Result
+from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
@@ -23,6 +24,7 @@ from casacal.uncertainty.identifiability import (
     natural_scale,
 )
 from casacal.uncertainty.workspace import workspace_joints
+from casacal.values import FrozenMapping, Value
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")
 """Methods that promise the minimum; filters and controls may honestly miss it."""
@@ -39,8 +41,8 @@ AGREEMENT = 1e-8
 """Largest relative gap between the costs of two solvers that found the same minimum."""
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, eq=False)
+class Reference(Value):
     """What an independent solver found on the same objective."""
 
     solver: str
@@ -56,8 +58,8 @@ class Reference:
         return self.result.converged and abs(self.relative_gap) <= AGREEMENT
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Value):
     """A calibrated robot: the fit, the rows held out, the arm before, the reference, and where the time went."""
 
     method: str
@@ -69,6 +71,11 @@ class Calibration:
     before: Result
     reference: Reference | None
     seconds: Mapping[str, float]
+    source: ProblemFile
+    """The problem as it was given: its file, where it has one."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seconds", FrozenMapping(self.seconds))
 
     @property
     def passed(self) -> bool:

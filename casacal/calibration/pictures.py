@@ -65,6 +65,10 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
         curves.append((rows / max(len(path) - 1, 1) - 1, costs, "-", "filter, one pass over the rows"))
     if "cost" in trace:
         curves.append((np.arange(trace["cost"].size), trace["cost"], "o-", calibration.method))
+    if not curves:
+        axes.set_title("Nothing was estimated, so nothing converged", fontsize=10)
+        axes.set_axis_off()
+        return
     lowest = min(float(costs.min()) for _, costs, _, _ in curves)
     for (places, costs, style, label), colour in zip(curves, (HELD, AFTER)[-len(curves) :], strict=True):
         axes.plot(places, costs - lowest + FLOOR, style, ms=4, color=colour, label=label)

@@ -13,6 +13,7 @@ import numpy as np
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibration import Calibration, Reference
 from casacal.calibration.warnings import warnings
+from casacal.compensation.result_file import save_problem
 from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
@@ -30,13 +31,13 @@ NOTES = {
 }
 
 
-def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[str, Any]:
+def calibration_document(calibration: Calibration, source: ProblemFile | None = None) -> dict[str, Any]:
     """The whole of result.json for a calibration."""
     result, fit = calibration.result, calibration.fit
     prior_tip, tip = calibration.tip_std
     without = calibration.tip_std_without_prior
     return {
-        **_head(source, result, calibration.seed, fit.backend),
+        **_head(source or calibration.source, result, calibration.seed, fit.backend),
         "data": {
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,
@@ -166,17 +167,15 @@ def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
 
 def write_calibration(
     calibration: Calibration,
-    source: ProblemFile,
     folder: Path,
     *,
     command: str | None = None,
     box: Box | None = None,
 ) -> list[Path]:
-    """Write report.html, result.json, parameters.csv, residuals.png and convergence.png into a folder.
+    """Write report.html, result.json, parameters.csv, pictures and the problem as a value into a folder.
 
     Args:
         calibration: what was found.
-        source: the problem it answers.
         folder: made where it does not exist.
         command: the command line that makes it again, for the report; None when there was none.
         box: where the arm will work, mm in the base frame, for the report.
@@ -194,18 +193,20 @@ def write_calibration(
         f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
         for row in rows
     ]
-    document, page = calibration_document(calibration, source), folder / "report.html"
+    document, page = calibration_document(calibration), folder / "report.html"
     write_json(folder / "result.json", document)
     write_text(table, "\n".join(lines) + "\n")
     write_text(page, report_page(calibration, document, command=command, box=box))
-    return [page, folder / "result.json", table, *save_plots(calibration, folder)]
+    saved = save_problem(folder, calibration.source)
+    beside = [] if saved is None else [saved]
+    return [page, folder / "result.json", table, *save_plots(calibration, folder), *beside]
 
 
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
     """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
     samples = simulation.samples
     comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    write_samples(path, source.problem.robot, samples, comments)
+    write_samples(path, source.problem.layout(), samples, comments)
     written = source.problem.read(path)
     bound = bind(source.problem, written)
     truth = Result(

@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         from casacal.calibration.result_json import write_calibration
 
-        paths = write_calibration(calibration, source, Path(options.out), command=options.typed, box=box)
+        paths = write_calibration(calibration, Path(options.out), command=options.typed, box=box)
         print(f"\nWritten: {', '.join(path.as_posix() for path in paths)}")
     return DONE if calibration.passed else FAILED
 

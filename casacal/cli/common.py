@@ -39,6 +39,8 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
 
 def samples_of(source: ProblemFile, given: str | None) -> str:
     """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
-    if given is None and not source.samples.is_file():
+    if given is not None:
+        return given
+    if source.samples is None or not source.samples.is_file():
         raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
-    return given or source.samples.as_posix()
+    return source.samples.as_posix()

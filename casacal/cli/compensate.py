@@ -36,8 +36,8 @@ def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
     from casacal.compensation.compensate import compensate
     from casacal.compensation.outcome import Outcome
-    from casacal.compensation.predict import read_result
     from casacal.compensation.programs import notes, rounding_of, text_of
+    from casacal.compensation.result_file import read_result
     from casacal.compensation.targets import read_targets
     from casacal.errors import CasacalError
     from casacal.files import write_text

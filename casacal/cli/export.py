@@ -9,7 +9,7 @@ from casacal.cli.common import DONE, add_result
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.compensation.predict import ResultFile
+    from casacal.compensation.arm import CalibratedArm
 
 
 HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.compensation.predict import read_result
+    from casacal.compensation.result_file import read_result
     from casacal.export import remark
     from casacal.files import write_text
 
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _exported(result: ResultFile, options: argparse.Namespace) -> str:
+def _exported(result: CalibratedArm, options: argparse.Namespace) -> str:
     """The text that is asked for."""
     from casacal.export import c_text, dh_text, ur_kinematics_text, urdf_text, zeros_text
     from casacal.robots.files.dh_file import is_toml

@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.compensation.predict import predict, read_joints, read_result, write_prediction
+    from casacal.compensation.predict import predict, read_joints, write_prediction
+    from casacal.compensation.result_file import read_result
 
     result = read_result(options.result)
     joints = read_joints(options.joints, result.source)

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, add_problem
+from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.problem.cell import Cell
+    from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "samples of a simulated cell, with the truth behind them"
@@ -44,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
     from casacal.binding.bound_problem import bind
     from casacal.calibration.result_json import write_simulation
+    from casacal.problem.cell import Cell
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
@@ -53,10 +55,10 @@ def run(options: argparse.Namespace) -> int:
     simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
     paths = write_simulation(simulation, source, Path(options.out))
     before, after = planned_accuracy(bind(source.problem, simulation.samples))
-    faces = ", ".join(face.label for face in cell.faces)
-    print(
-        f"Simulated, not measured: {options.samples} samples on {faces} at tilts up to {math.degrees(cell.tilt):g} deg"
-    )
+    where = "in random postures"
+    if isinstance(cell, Cell):
+        where = f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+    print(f"Simulated, not measured: {options.samples} samples {where}")
     print(
         f"Such touches can bring the tip error, over the workspace and up to the base frame, from {before:.2f} to "
         f"{after:.2f} mm RMS, if the stated noise and priors are right"
@@ -65,13 +67,21 @@ def run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _cell(source: ProblemFile, options: argparse.Namespace) -> Cell:
+def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     from dataclasses import replace
 
-    from casacal.problem.cell import AMOUNTS
+    from casacal.problem.cell import AMOUNTS, Disturbances
     from casacal.simulation.places import default_cell
 
-    cell = source.cell if source.cell is not None else default_cell(source.problem)
+    faced = source.problem.instrument.probe is not None
+    cell = source.cell or (default_cell(source.problem) if faced else Disturbances())
+    if not faced:
+        asked = [name for name in ("tilt", "travel", "flatness", "compliance") if getattr(options, name) is not None]
+        if asked:
+            raise CasacalError(
+                f"--{asked[0]} is about faces, and {type(source.problem.instrument).__name__} touches none",
+                "Leave it out",
+            )
     given = {
         name: value for name in (*AMOUNTS, "outliers", "outlier_size") if (value := getattr(options, name)) is not None
     }

@@ -15,10 +15,11 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
+from casacal.compensation.arm import CalibratedArm, infinite_variances, local_coordinates
 from casacal.compensation.inverse_kinematics import PosedArm, turning
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
-from casacal.compensation.predict import ResultFile, infinite_variances, local_coordinates, predict
+from casacal.compensation.predict import predict
 from casacal.compensation.targets import Targets
 from casacal.errors import CasacalError
 from casacal.samples.samples import Samples
@@ -36,7 +37,7 @@ RETRIES, SCATTER = 3, 0.1
 
 
 def compensate(
-    result: ResultFile,
+    result: CalibratedArm,
     targets: Targets,
     *,
     frame: Literal["flange", "tip"] = "flange",
@@ -87,7 +88,7 @@ def compensate(
     return Compensation(targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected)
 
 
-def _trusted(result: ResultFile, frame: str) -> None:
+def _trusted(result: CalibratedArm, frame: str) -> None:
     """Refuse a result that is no calibrated robot."""
     if not result.document.get("converged", False):
         raise CasacalError(f"{result.file}: the calibration did not converge", "Calibrate again before moving a robot")
@@ -141,7 +142,7 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
 
 
 def _proof(
-    result: ResultFile, arm: PosedArm, joints: Array, positions: Array, rotations: Array
+    result: CalibratedArm, arm: PosedArm, joints: Array, positions: Array, rotations: Array
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
     from scipy.spatial.transform import Rotation
@@ -149,7 +150,7 @@ def _proof(
     place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
     sound = np.flatnonzero(_finite(arm, joints, positions, rotations))
     if sound.size:
-        samples = Samples(joints[sound], {}, {}, tuple(range(1, sound.size + 1)), {}, "joints", "")
+        samples = Samples.of_joints(joints[sound])
         prediction = predict(result, samples, frame=arm.frame, std=True)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
         place[sound] = _length(prediction.positions - positions[sound])

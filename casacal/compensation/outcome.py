@@ -12,6 +12,7 @@ import numpy as np
 from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm
 from casacal.compensation.targets import Targets
+from casacal.values import Value, frozen
 
 
 class Outcome(Enum):
@@ -61,8 +62,8 @@ class Rounding:
         return np.asarray(np.round(written, self.decimals) / factors)
 
 
-@dataclass(frozen=True)
-class Compensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(Value):
     """Corrected targets and their proof, one entry a target (N) in each field.
 
     joints: corrected (N, n; rad, mm), as written. start: nominal joint values (N, n) they began from. outcomes: how
@@ -84,6 +85,12 @@ class Compensation:
     correction_mm: Array
     correction: Array
     expected_mm: Array
+
+    def __post_init__(self) -> None:
+        frozen(tuple(value for value in vars(self).values() if isinstance(value, np.ndarray)))
+
+    def __repr__(self) -> str:
+        return f"<Compensation of {len(self.outcomes)} targets: {int(self.reached.sum())} reached>"
 
     @property
     def reached(self) -> Rows:

@@ -10,16 +10,16 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
-from casacal.compensation.predict import ResultFile
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
+from casacal.values import FrozenMapping
 
 LONGEST = 300
 """Letters that a comment keeps."""
@@ -81,7 +81,7 @@ URSCRIPT = Language(
     "movej([{}, {}, {}, {}, {}, {}])",
     ("end",),
 )
-LANGUAGES: Mapping[str, Language] = MappingProxyType({"rapid": RAPID, "krl": KRL, "urscript": URSCRIPT})
+LANGUAGES: Mapping[str, Language] = FrozenMapping({"rapid": RAPID, "krl": KRL, "urscript": URSCRIPT})
 CSV = "csv"
 
 
@@ -89,6 +89,8 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
     """How a form writes joint values; raises CasacalError for a robot whose joints its language does not hold."""
     if form == CSV:
         return Rounding()
+    if form not in LANGUAGES:
+        raise UnknownNameError("form of targets", str(form), (CSV, *LANGUAGES))
     language = LANGUAGES[form]
     kinds = "".join(joint.kind[0].upper() for joint in robot.axes)
     if kinds != "RRRRRR":
@@ -99,7 +101,7 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
     return language.rounding
 
 
-def text_of(compensation: Compensation, form: str, result: ResultFile) -> str:
+def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str:
     """The file: notes on what it is and what to expect, then one entry a target."""
     what = notes(compensation, result)
     if form == CSV:
@@ -109,7 +111,7 @@ def text_of(compensation: Compensation, form: str, result: ResultFile) -> str:
     return LANGUAGES[form].program(compensation, what)
 
 
-def notes(compensation: Compensation, result: ResultFile) -> list[str]:
+def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     """What the file is, how it was proved, and what accuracy to expect; one sentence a line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
@@ -149,7 +151,7 @@ def _figures(values: Array, unit: str) -> str:
     return f"{math.sqrt(float((values**2).mean())):.2g} {unit} RMS ({float(values.max()):.2g} {unit} at worst)"
 
 
-def _table(compensation: Compensation, result: ResultFile) -> Iterator[str]:
+def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     """Header and rows of the CSV."""
     turns = result.source.problem.robot.revolute
     names = [f"q{i}_{'deg' if turn else 'mm'}" for i, turn in enumerate(turns, 1)]

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError
 from casacal.instruments.instrument import Dimension
 from casacal.problem.problem_file import ProblemFile
+from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout, match_columns
 from casacal.samples.samples import Samples
+from casacal.tables.frames import is_frame, table_of_frame
 from casacal.tables.text import Table, read_table
-from casacal.values import FrozenMapping
+from casacal.values import FrozenMapping, Value
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 POSE: Mapping[str, Dimension] = FrozenMapping({**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")})
@@ -24,8 +27,8 @@ UNIT_LENGTH = 1e-3
 """How far a quaternion may be from unit length: more than rounding leaves is a mistake."""
 
 
-@dataclass(frozen=True)
-class Targets:
+@dataclass(frozen=True, eq=False)
+class Targets(Value):
     """Rows of targets: `joints` (N, n; rad, mm), `poses` as positions (N, 3; mm) and rotations (N, 3, 3), or both.
 
     With poses, joints only name the branch to take. lines, text: each row's line in its file, and the row itself.
@@ -47,13 +50,50 @@ class Targets:
         text = tuple(",".join(f"{value:.9g}" for value in row) for row in samples.joints)
         return Targets(samples.joints, None, tuple(samples.lines), text, samples.file, samples.sha256)
 
+    @staticmethod
+    def of_poses(poses: Array) -> Targets:
+        """Pose targets (N, 4, 4; mm); raises CasacalError for what is no rigid transform."""
+        if poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
+            raise CasacalError(f"Poses came with the shape {poses.shape}", "Give finite transforms (N, 4, 4) in mm")
+        turns = poses[:, :3, :3]
+        if (
+            not np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=UNIT_LENGTH)
+            or (np.linalg.det(turns) < 0).any()
+        ):
+            raise CasacalError("A target's rotation is no rotation", "Give orthonormal, right-handed transforms")
+        text = tuple(" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses)
+        lines = tuple(range(1, len(poses) + 1))
+        return Targets(None, (poses[:, :3, 3], turns), lines, text, "poses", "")
+
 
 def read_targets(path: str | Path, source: ProblemFile) -> Targets:
     """Read joint targets (q1_deg, ... as in samples) or poses (x_mm,y_mm,z_mm,qw,qx,qy,qz as `predict` writes them).
 
     A file with a column qw holds poses; joint columns beside them then name the branch. Raises SamplesError.
     """
-    table, axes = read_table(path), source.problem.layout().joints
+    return _of_table(read_table(path), source)
+
+
+def targets_from(targets: Any, source: ProblemFile) -> Targets:
+    """Targets from joint values (N, n; rad, mm), poses (N, 4, 4; mm), a frame, a file, `Samples` or `Targets`.
+
+    Raises CasacalError for numbers that are neither, SamplesError for a frame or file.
+    """
+    if isinstance(targets, Targets):
+        return targets
+    if isinstance(targets, Samples):
+        return Targets.of(targets)
+    if isinstance(targets, (str, Path)):
+        return read_targets(targets, source)
+    if is_frame(targets):
+        return _of_table(table_of_frame(targets), source)
+    if np.ndim(targets) == 3 or np.shape(targets) == (4, 4):
+        return Targets.of_poses(np.asarray(targets, dtype=np.float64).reshape(-1, *np.shape(targets)[-2:]))
+    return Targets.of(Samples.of_joints(joint_values(targets, source.problem.robot)))
+
+
+def _of_table(table: Table, source: ProblemFile) -> Targets:
+    axes = source.problem.layout().joints
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
     joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None

@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.estimators.box import BUDGET, WIDTH, Search
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
@@ -38,6 +39,8 @@ def annealing(
         progress: called with (candidates, best cost) at each new best.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "annealing")
     from scipy.optimize import dual_annealing  # a third of a second that other methods need not spend
 
     search = Search(problem, budget=budget, width=width)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import ExtendedPass, LeastSquares
 from casacal.least_squares.result import Result, Status
 
@@ -45,6 +46,8 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         progress: called with (rows done, size of the innovation) now and then.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "ekf")
     scale = problem.start_std
     mean, covariance = np.zeros(problem.unknowns), np.eye(problem.unknowns)
     done = problem.extended_pass(mean, covariance)

@@ -8,6 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.estimators.box import BUDGET, WIDTH, Search
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
@@ -34,6 +35,8 @@ def evolution(
         progress: called with (candidates, best cost) after each generation.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "evolution")
     from scipy.optimize import differential_evolution  # a third of a second that other methods need not spend
 
     search = Search(problem, budget=budget, width=width)

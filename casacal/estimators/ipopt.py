@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
@@ -57,6 +58,8 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
     Raises ProblemError when the problem has no symbolic form.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "ipopt")
     if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     graph: RawForm = problem.graph

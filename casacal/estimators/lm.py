@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares, Normal, Step
 from casacal.least_squares.result import Result, Status
@@ -130,6 +131,8 @@ def lm(
         progress: called with (step, cost) after each accepted step.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "lm")
     here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
     level, last, tried, evaluations = Damping(damping), None, 0, 1
     trace = [(here.cost, level.mu, math.nan, math.nan)]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.estimators.lm import lm
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
@@ -31,6 +32,8 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
             before any halving.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "null-step")
     best = lm(problem)
     _, values, right = np.linalg.svd(problem.jacobian(best.x) * problem.start_std, full_matrices=True)
     values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.linalg import downdated, tria
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
@@ -90,6 +91,8 @@ def sckf(
         progress: called with (rows done, norm of the innovation) now and then.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "sckf")
     scale = problem.start_std
     process = None if process_std is None else np.diag(process_std / scale)
     belief = Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from casacal.estimators.lm import lm
+from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
@@ -22,6 +23,8 @@ def sckf_lm(
 
     The minimum is that of `lm`: the filter buys a start, not accuracy. Arguments as for `lm`.
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "sckf-lm")
     filtered = sckf(problem, progress=progress)
     start = filtered.x if filtered.converged else None
     refined = lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, progress=progress)

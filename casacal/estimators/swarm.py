@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from casacal.estimators.box import BUDGET, WIDTH, Search
+from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
@@ -38,6 +39,8 @@ def swarm(
         progress: called with (candidates, best cost) after each step.
 
     """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "swarm")
     search = Search(problem, budget=budget, width=width)
     rng = np.random.default_rng(seed)
     count = min(particles, search.candidates)

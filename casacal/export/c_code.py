@@ -7,7 +7,7 @@ import re
 import casadi as ca
 import numpy as np
 
-from casacal.compensation.predict import ResultFile, arm_values
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import remark
 
@@ -54,7 +54,7 @@ void {prefix}_step(const double q[{count}], const double target[16], double damp
 """
 
 
-def c_text(result: ResultFile, *, prefix: str | None = None) -> str:
+def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
     """Self-contained C99 of the calibrated forward kinematics, its Jacobian and a damped step; see its head comment.
 
     `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
@@ -83,7 +83,7 @@ def c_text(result: ResultFile, *, prefix: str | None = None) -> str:
     return HEAD.format(**values) + generator.dump() + WRAPPERS.format(**values)
 
 
-def c_functions(result: ResultFile, prefix: str) -> list[ca.Function]:
+def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     """Functions behind the C code: q -> pose (16); q -> Jacobian (6 n); q, target, damping -> next (n), error (6)."""
     robot = result.source.problem.robot
     count = len(robot.axes)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casacal.compensation.predict import ResultFile, arm_values
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.errors import CasacalError, ProblemError
 from casacal.export.dh_layout import written_into_csv, written_into_toml
 from casacal.export.remark import MARK, remark
@@ -20,7 +20,7 @@ SAME = {"alpha": 1e-8, "a": 1e-6, "d": 1e-6, "theta": 1e-8}
 """Difference, rad or mm, below which a file's number is the one that the calibration began with."""
 
 
-def dh_text(result: ResultFile, source: str | Path | None = None, *, toml: bool = False) -> str:
+def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bool = False) -> str:
     """The calibrated DH table in its own convention, with the controller's joint signs, offsets and coupling.
 
     Args:

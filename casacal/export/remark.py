@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casacal.compensation.predict import ResultFile
+from casacal.compensation.arm import CalibratedArm
 from casacal.version import __version__
 
 MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
 
 
-def remark(result: ResultFile) -> list[str]:
+def remark(result: CalibratedArm) -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported."""
     document = result.document
     name = result.source.name

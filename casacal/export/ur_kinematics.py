@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.predict import ResultFile, arm_values
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.errors import CasacalError
 from casacal.export.remark import MARK, remark
 from casacal.export.rotations import roll_pitch_yaw
@@ -23,7 +23,7 @@ JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 FIX = "Export it as dh, urdf, zeros or c"
 
 
-def ur_kinematics_text(result: ResultFile) -> str:
+def ur_kinematics_text(result: CalibratedArm) -> str:
     """Origins of the six joints in the frame before, m and rad, as YAML; each joint turns about its own z.
 
     Frames stay beside the nominal ones: lengths are not re-seated onto common normals, which parallel axes would

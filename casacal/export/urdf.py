@@ -10,7 +10,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from casacal.compensation.predict import ResultFile, arm_values
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.errors import CasacalError
 from casacal.export.rotations import roll_pitch_yaw
 from casacal.robots.files.decimals import plain
@@ -19,7 +19,7 @@ from casacal.robots.urdf_chain import MM, UrdfChain, origin_matrix
 ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
-def urdf_text(result: ResultFile, source: str | Path | None = None) -> str:
+def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     """The URDF with the calibrated origins; every other byte is that of the source, so it carries no remark.
 
     A number that is the same to twelve digits keeps its text; where a joint has no <origin> and needs one, it is put

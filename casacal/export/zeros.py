@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.predict import ResultFile, arm_values
+from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.export.remark import MARK, remark
 from casacal.robots.files.decimals import plain
 from casacal.uncertainty.workspace import workspace_joints
@@ -38,7 +38,7 @@ class ZeroCorrections:
         return 1.0 - (self.after / self.before) ** 2 if self.before > 0 else 1.0
 
 
-def zero_corrections(result: ResultFile) -> ZeroCorrections:
+def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
     """Least-squares zero corrections of a calibration, whatever the robot is built from."""
     robot = result.source.problem.robot
     q = ca.SX.sym("q", len(robot.axes))
@@ -59,7 +59,7 @@ def zero_corrections(result: ResultFile) -> ZeroCorrections:
     return ZeroCorrections(values, rms[0], rms[1])
 
 
-def zeros_text(result: ResultFile) -> str:
+def zeros_text(result: CalibratedArm) -> str:
     """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
     found = zero_corrections(result)
     axes = result.source.problem.robot.axes

@@ -1,8 +1,12 @@
-"""Instruments: what a measurement sees of a pose."""
+"""Instruments: how rows are measured."""
 
-from casacal.instruments.dial_on_body import DialOnBody
-from casacal.instruments.dial_on_plane import DialOnPlane, Step, tool_point
-from casacal.instruments.instrument import Instrument, Sight
-from casacal.instruments.tracked_point import TrackedPoint
-
-__all__ = ["DialOnBody", "DialOnPlane", "Instrument", "Sight", "Step", "TrackedPoint", "tool_point"]
+from casacal.instruments.dial_on_body import DialOnBody as DialOnBody
+from casacal.instruments.dial_on_plane import DialOnPlane as DialOnPlane
+from casacal.instruments.dial_on_plane import Step as Step
+from casacal.instruments.dial_on_plane import tool_point as tool_point
+from casacal.instruments.instrument import Instrument as Instrument
+from casacal.instruments.instrument import Probe as Probe
+from casacal.instruments.instrument import Sight as Sight
+from casacal.instruments.instrument import Suspect as Suspect
+from casacal.instruments.instrument import Words as Words
+from casacal.instruments.tracked_point import TrackedPoint as TrackedPoint

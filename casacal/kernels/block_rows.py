@@ -52,7 +52,7 @@ class BlockKernels:
             function.feed(1, d)
             evaluate()
             values[:, k * width : (k + 1) * width] = some
-        return values[:m, : lanes.n], values[m:].reshape(m, z, -1)[:, :, : lanes.n]
+        return values[:m, : lanes.n], values[m:].reshape(m, z, values.shape[1])[:, :, : lanes.n]
 
     def costs(self, states: Array, lanes: BlockLanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""

@@ -53,7 +53,7 @@ class NativeKernels:
         e = np.empty((self.components, lanes.ld))
         j = aligned(self.components * self.unknowns, lanes.ld)
         self._slopes(lanes.n, lanes.ld, _at(p), _at(lanes.d), _at(e), _at(j), j.nbytes > LARGE)
-        return e[:, : lanes.n], j.reshape(self.components, self.unknowns, -1)[:, :, : lanes.n]
+        return e[:, : lanes.n], j.reshape(self.components, self.unknowns, lanes.ld)[:, :, : lanes.n]
 
     def costs(self, states: Array, lanes: PaddedLanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""

@@ -53,6 +53,8 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
         damping: one number, or one a coordinate (n,).
 
     """
+    if not gradient.size:
+        return gradient.copy()
     matrix = information.copy()
     matrix.flat[:: len(matrix) + 1] += damping
     root, failed = dpotrf(matrix, lower=1)
@@ -76,6 +78,8 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
         prior_std: prior standard deviations (n,), infinite where flat.
 
     """
+    if not len(prior_std):
+        return np.zeros((0, 0))
     if not np.isfinite(data_information).all():
         return np.diag(np.full(len(prior_std), np.inf))
     information = data_information + np.diag(np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0))

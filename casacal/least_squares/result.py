@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import CasacalError
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
@@ -128,3 +130,22 @@ class Result(Value):
         normal = self.problem.normal(self.x, self.loss)
         gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
         return float(np.abs(column_scales(normal.information, self.problem.prior_std) * gradient).max(initial=0.0))
+
+
+def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str) -> Result:
+    """What an estimator returned as a result over the problem itself: a `Result`, or x (n,) without a word more.
+
+    Raises CasacalError for an estimate of another shape, or one that is not finite.
+    """
+    wanted = f"Return a Result, or x of shape {problem.x0.shape}"
+    try:
+        x = np.array(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CasacalError(f"The method '{method}' returned a {type(outcome).__name__}", wanted) from None
+    if x.shape != problem.x0.shape:
+        raise CasacalError(f"The estimate of '{method}' has the shape {x.shape}", wanted)
+    if not np.isfinite(x).all():
+        raise CasacalError(f"The estimate of '{method}' is not finite", "See its status on this problem alone")
+    if isinstance(outcome, Result):
+        return replace(outcome, method=method, problem=problem, x=x)
+    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)

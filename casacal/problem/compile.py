@@ -61,8 +61,12 @@ class RowModel:
 
     def same_as(self, other: RowModel) -> bool:
         """Whether another model computes the same, operation by operation."""
-        names = ("residual", "noise", "tip", "pose")
-        return all(getattr(self, name).serialize() == getattr(other, name).serialize() for name in names)
+        return self.text == other.text
+
+    @cached_property
+    def text(self) -> str:
+        """What it computes, as text."""
+        return "\n".join(function.serialize() for function in (self.residual, self.noise, self.tip, self.pose))
 
     @property
     def components(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -80,6 +81,16 @@ class Problem(Value):
         """Compiled functions of the only instrument; raises ProblemError where there are several."""
         _ = self.instrument
         return self.models[0]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of what it computes, of its priors and of what its instruments read."""
+        digest = hashlib.sha256(self.robot.traced.text.encode())
+        for key, unknown in self._all_unknowns():
+            digest.update(f"{key} {unknown!r}\n".encode())
+        for i, model in enumerate(self.models):
+            digest.update(f"{self.layout(i)!r}\n{model.text}".encode())
+        return digest.hexdigest()
 
     @cached_property
     def models(self) -> tuple[RowModel, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,16 @@ from typing import Any
 from casacal.errors import CasacalError, ProblemError
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
+from casacal.user_code import run_file
+from casacal.values import Value
 
 
-@dataclass(frozen=True)
-class ProblemFile:
-    """A problem read from a problem.py, with where it came from; `cell` is None when the file defines none."""
+@dataclass(frozen=True, eq=False)
+class ProblemFile(Value):
+    """A problem, and the problem.py it was read from; `cell` is None when the file defines none.
+
+    A problem that was made in Python has the path "" and the SHA-256 of what it computes.
+    """
 
     name: str
     path: str
@@ -24,10 +28,15 @@ class ProblemFile:
     problem: Problem
     cell: Cell | None
 
+    @staticmethod
+    def of(problem: Problem, name: str | None = None) -> ProblemFile:
+        """The same for a problem that no file defines; its name is the robot's unless given."""
+        return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None)
+
     @property
-    def samples(self) -> Path:
-        """The samples file beside it."""
-        return Path(self.path).parent / "samples.csv"
+    def samples(self) -> Path | None:
+        """The samples file beside it; None for a problem that no file defines."""
+        return Path(self.path).parent / "samples.csv" if self.path else None
 
 
 def load_problem(path: str | Path) -> ProblemFile:
@@ -57,12 +66,9 @@ def load_problem(path: str | Path) -> ProblemFile:
 
 
 def _execute(file: Path) -> dict[str, Any]:
-    spec = importlib.util.spec_from_file_location(f"casacal_problem_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise ProblemError(f"{file} is not a Python file", "Name it problem.py")
-    module = importlib.util.module_from_spec(spec)
+    """What the file defines; raises ProblemError that names the line where it fails."""
     try:
-        spec.loader.exec_module(module)
+        return vars(run_file(file))
     except (Exception, SystemExit) as error:  # a user's file may raise anything
         places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
         line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else (places or [None])[-1]
@@ -71,4 +77,3 @@ def _execute(file: Path) -> dict[str, Any]:
             raise ProblemError(f"{where}: {error.what}", error.fix) from error
         said = " ".join(str(error).split()) or "no message"
         raise ProblemError(f"{where}: {type(error).__name__}: {said}", "Mend the problem file") from error
-    return vars(module)

@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import CasacalError
 from casacal.robots.robot import Robot
 
 AXIS_WEIGHT = 300.0
 """Millimetres at the tip that weigh as much as one radian of plunger direction."""
+
+
+def joint_values(q: Any, robot: Robot) -> Array:
+    """Joint values (N, n; rad, mm) of an arm from numbers, one row (n,) or several (N, n).
+
+    Raises CasacalError for anything else.
+    """
+    wanted = f"Give {len(robot.axes)} numbers per row, in rad (sliding joints in mm)"
+    try:
+        values = np.array(q, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CasacalError(f"A {type(q).__name__} came as joint values of '{robot.name}'", wanted) from None
+    values = values[None] if values.ndim == 1 else values
+    if values.ndim != 2 or values.shape[1] != len(robot.axes):
+        raise CasacalError(f"Joint values of '{robot.name}' came with the shape {np.shape(q)}", wanted)
+    if not np.isfinite(values).all():
+        raise CasacalError(f"A joint value of '{robot.name}' is not finite", wanted)
+    return values
 
 
 def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.samples.layout import LARGEST, Layout, match_columns, numeric_columns
 from casacal.tables.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays
+from casacal.tables.frames import table_of_frame
 from casacal.tables.labels import Labels
 from casacal.tables.large_csv import read_large_csv
 from casacal.tables.text import Table, read_table
@@ -80,6 +80,45 @@ class Samples(Value):
         )
 
     @staticmethod
+    def of_joints(joints: Array) -> Samples:
+        """Rows of joint values (N, n; rad, mm) alone."""
+        return Samples(joints, {}, {}, tuple(range(1, len(joints) + 1)), {}, "joint values", "")
+
+    def check(self, layout: Layout) -> None:
+        """Raise SamplesError unless these rows have the joints, columns and labels that a problem asks for."""
+        if self.joints.ndim != 2 or self.joints.shape[1] != len(layout.joints):
+            raise SamplesError(
+                self.file,
+                f"the rows have joint values of shape {self.joints.shape}",
+                f"Give {len(layout.joints)} a row",
+            )
+        for what, have, asked in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
+            for name in asked:
+                if name not in have:
+                    known = short(list(have)) or "none"
+                    raise SamplesError(self.file, f"the rows have no {what} '{name}'", f"Give it; they have: {known}")
+        for name, reason in layout.refused.items():
+            if name in self.columns:
+                raise SamplesError(self.file, f"the rows have a column '{name}' but {reason}", "Leave it out")
+        for name, values in {"q": self.joints, **self.columns}.items():
+            if len(values) != len(self.joints) or not np.isfinite(values).all():
+                raise SamplesError(
+                    self.file,
+                    f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite",
+                    "Mend it",
+                )
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
+        """Samples from arrays (N,) by the column names of a samples file; raises SamplesError as `from_csv` does."""
+        given = {str(name): np.asarray(values) for name, values in arrays.items()}
+        rows = {name: values.shape for name, values in given.items()}
+        if len(set(rows.values())) != 1 or any(len(shape) != 1 or not shape[0] for shape in rows.values()):
+            found = ", ".join(f"{name} {shape}" for name, shape in rows.items()) or "nothing"
+            raise SamplesError(source, f"the arrays have the shapes {found}", "Give one value per row in each")
+        return Samples.from_columns(columns_of_arrays(given, source, digest_of(given)), layout)
+
+    @staticmethod
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
         """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else CSV."""
         kind = Path(path).suffix.lower()
@@ -139,10 +178,7 @@ class Samples(Value):
             used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
             columns = columns_of_arrays(used, source, digest_of(used))
             return Samples.from_columns(dataclasses.replace(columns, header=header), layout)
-        rows = tuple(tuple(_cell(value) for value in row) for row in frame.itertuples(index=False, name=None))
-        digest = hashlib.sha256(repr((header, rows)).encode()).hexdigest()
-        table = Table(source, digest, header, 0, rows, tuple(range(1, len(rows) + 1)), decimal_comma=False)
-        return Samples.from_table(table, layout)
+        return Samples.from_table(table_of_frame(frame, source), layout)
 
     @staticmethod
     def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
@@ -204,10 +240,6 @@ def _labels(table: Table, name: str) -> tuple[str, ...]:
         if not cell:
             raise SamplesError(table.file, "the label is empty", "Give the row its label", line=line, column=name)
     return tuple(cells)
-
-
-def _cell(value: Any) -> str:
-    return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value).strip()
 
 
 def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import StudyError
 from casacal.least_squares.objective import LeastSquares
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result, as_result
 from casacal.study.description import Study, Trial
 from casacal.study.metering import Metered
 from casacal.study.records import TIMINGS, Record
@@ -56,7 +54,7 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
             outcome = run(metered, seed)
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
         with np.errstate(all="ignore"):
-            result = _result(outcome, made.problem, method)
+            result = as_result(outcome, made.problem, method)
             figures = dict(made.judge(result))
             detail = _detail(made, metered, result, trial) if trial < study.details else {}
     except Exception as error:  # failures are rows with their message
@@ -79,18 +77,6 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
 def _failure(error: Exception) -> Record:
     message = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
     return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}}
-
-
-def _result(outcome: Result | Array, problem: LeastSquares, method: str) -> Result:
-    """A result over the problem itself; raises StudyError for an estimate that is none."""
-    x = np.asarray(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
-    if x.shape != problem.x0.shape:
-        raise StudyError(f"The estimate has the shape {x.shape}", f"Return a Result, or x of shape {problem.x0.shape}")
-    if not np.isfinite(x).all():
-        raise StudyError("The estimate is not finite", "See the method's status on this problem alone")
-    if isinstance(outcome, Result):
-        return replace(outcome, method=method, problem=problem, x=x)
-    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)
 
 
 def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:

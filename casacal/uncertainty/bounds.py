@@ -36,9 +36,9 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
     """
     _, sizes, right = np.linalg.svd(jacobian * scale, full_matrices=len(jacobian) < len(scale))
     sizes = np.concatenate([sizes, np.zeros(len(scale) - len(sizes))])
-    seen = sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)
+    seen = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
     field = without_rigid(tip_jacobian * scale, tips)
     lost = np.linalg.svd(field @ right[~seen].T, compute_uv=False)
-    blind = int((lost > FIELD_TOLERANCE * max(float(np.linalg.norm(field, axis=0).max()), 1e-300)).sum())
+    blind = int((lost > FIELD_TOLERANCE * max(float(np.linalg.norm(field, axis=0).max(initial=0.0)), 1e-300)).sum())
     spread = (field @ right[seen].T) / sizes[seen]
     return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind

@@ -140,7 +140,7 @@ def _decompose(problem: LeastSquares, x: Array, scale: Array) -> tuple[Array, Ar
     """Singular values (n,), right singular vectors (n, n; rows) and rank of the scaled whitened Jacobian at x."""
     _, sizes, right = np.linalg.svd(problem.compact_jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
     sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
-    return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-300)).sum())
+    return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum())
 
 
 def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:

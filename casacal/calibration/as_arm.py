@@ -1,0 +1,100 @@
+"""What a calibration can be asked as an arm: where it is, targets for it, other forms of it. All in memory."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, Literal
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.compensate import LARGEST, compensate
+from casacal.compensation.outcome import Compensation
+from casacal.compensation.predict import Prediction, joints_from, predict
+from casacal.compensation.programs import rounding_of, text_of
+from casacal.compensation.targets import targets_from
+from casacal.export.forms import export
+from casacal.files import write_text
+
+
+class AsArm(ABC):
+    """A calibration, fresh or read back, as the arm that it found."""
+
+    @property
+    @abstractmethod
+    def arm(self) -> CalibratedArm:
+        """The problem and the estimate."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that result.json holds, in JSON's own types."""
+        return dict(self.arm.document)
+
+    def predict(
+        self, q: Any, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, std: bool = False
+    ) -> Prediction:
+        """Where the calibrated arm is.
+
+        Args:
+            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
+            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
+            nominal: the arm as drawn in place of the calibrated one.
+            std: whether to add standard deviations, apart from where the base stands.
+
+        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+
+        """
+        return predict(self.arm, joints_from(q, self.arm.source), frame=frame, nominal=nominal, std=std)
+
+    def compensate(
+        self,
+        targets: Any,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float = LARGEST,
+    ) -> Compensation:
+        """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
+
+        Args:
+            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+                `casacal compensate` reads.
+            frame: what poses are of.
+            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+
+        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
+
+        """
+        return compensate(self.arm, targets_from(targets, self.arm.source), frame=frame, largest=largest)
+
+    def program(
+        self,
+        targets: Any,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float = LARGEST,
+    ) -> str:
+        """Compensated targets as text, "csv", "rapid", "krl" or "urscript"; written to `path` where one is given.
+
+        targets, frame, largest, errors: as for `compensate`. The proof is about joint values as they are written.
+        """
+        arm = self.arm
+        rounding = rounding_of(form, arm.source.problem.robot)
+        meant = targets_from(targets, arm.source)
+        text = text_of(compensate(arm, meant, frame=frame, largest=largest, rounding=rounding), form, arm)
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def export(
+        self,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        source: str | Path | None = None,
+        prefix: str | None = None,
+    ) -> str:
+        """The arm as "dh", "urdf", "zeros", "ur" or "c": the text, written to `path` where one is given.
+
+        source, prefix, errors: as for `casacal.export.forms.export`.
+        """
+        return export(self.arm, form, path, source=source, prefix=prefix)

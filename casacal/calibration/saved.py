@@ -1,0 +1,75 @@
+"""A calibration that was saved, read back: its figures, and the arm it found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from casacal.calibration.as_arm import AsArm
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import read_result
+from casacal.problem.problem import Problem
+from casacal.values import Value
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SavedCalibration(Value, AsArm):
+    """What `load` returns: the arm of a result.json or a truth, without the samples it came from."""
+
+    found: CalibratedArm
+
+    @property
+    def arm(self) -> CalibratedArm:
+        """The problem and the estimate."""
+        return self.found
+
+    @property
+    def success(self) -> bool:
+        """Whether the method did all it promises, as the result says."""
+        return bool(self.found.document.get("converged", False))
+
+    @property
+    def message(self) -> str:
+        """How the method ended."""
+        return str(self.found.document.get("status", ""))
+
+    @property
+    def metrics(self) -> Any:
+        """Residuals before and after, on fitted and held-out rows, as in result.json; None for a truth."""
+        return self.found.document.get("metrics")
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """A row per number of the arm and the instrument, as `Calibrated.parameters`."""
+        import pandas as pd
+
+        table = pd.DataFrame(list(self.found.document["parameters"])).set_index("name")
+        table.insert(3, "change", table["estimate"] - table["nominal"])
+        return table.rename(columns={"identifiable": "known_from"})
+
+    def __repr__(self) -> str:
+        document = self.found.document
+        tip = (document.get("tip") or {}).get("expected_rms_mm")
+        expected = "" if tip is None else f", expected tip error {tip:.3g} mm RMS"
+        return (
+            f"<casacal calibration of {self.found.source.problem.robot.name} by {document.get('method')}, read from "
+            f"{self.found.file}{expected}>"
+        )
+
+
+def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibration:
+    """Read back what `save`, `casacal calibrate --out` or `casacal simulate` wrote.
+
+    Args:
+        path: the folder, its result.json, or a truth.json.
+        problem: what it answers; by default the problem.py that it names, or the problem saved beside it. That code is
+            run, so load only what you trust.
+
+    Raises CasacalError when it is not a result, or its problem is gone or has changed since.
+
+    """
+    return SavedCalibration(read_result(path, problem=problem))

@@ -1,0 +1,93 @@
+"""A calibrated arm as a value: the problem it answers, and the document that says where its unknowns stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError
+from casacal.problem.problem_file import ProblemFile
+from casacal.unknowns import Parameter
+from casacal.values import Value
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedArm(Value):
+    """An arm as calibrated, or a true one of a simulation: what `predict`, `compensate` and exports take.
+
+    file: where it was read from, for messages. source: the problem it answers. document: what result.json holds.
+    """
+
+    file: str
+    source: ProblemFile
+    document: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
+
+
+def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
+    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM)."""
+    values = {}
+    for key, unknown in result.source.problem.robot.parameters.items():
+        if unknown.nominal is None:
+            raise CasacalError(f"'{key}' of the arm has no nominal value", "Give it one in the problem file")
+        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal)))
+    return SimpleNamespace(**values)
+
+
+def local_coordinates(result: CalibratedArm, *, nominal: bool = False) -> Array:
+    """Local coordinates (nz,) of the first instrument's row model at the result, or at the nominal values.
+
+    Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
+    """
+    unknowns = result.source.problem.model.unknowns
+    return np.concatenate([np.zeros(0), *(_local(key, unknown, result, nominal) for key, unknown in unknowns.items())])
+
+
+def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
+    """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
+    try:
+        rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
+        names = [row["name"] for row in result.document["unknowns"]]
+    except (KeyError, TypeError):
+        raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
+    places = {name: j for j, name in enumerate(names)}
+    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
+    seen = [(i, places[name]) for i, name in enumerate(local) if name in places]
+    return np.array(rows, dtype=np.float64).reshape(len(names), len(names)), seen
+
+
+def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:
+    """Names of those components, of the unknowns with the given keys, that neither samples nor prior hold.
+
+    Raises CasacalError for a result that holds no covariance.
+    """
+    covariance, columns = covariance_of(result)
+    unknowns = result.source.problem.model.unknowns
+    names = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
+    wanted = set(keys)
+    return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]
+
+
+def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Array:
+    """Local coordinates of an unknown at the result; zero for those that differ by label."""
+    if nominal or unknown.per is not None or not unknown.size:
+        return np.zeros(unknown.size)
+    if isinstance(unknown, Parameter):
+        known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
+    else:
+        known = {row["name"]: float(row["value"]) for row in result.document["unknowns"]}
+        if not known.keys() & set(unknown.names(key)):  # held by the calibration
+            return np.zeros(unknown.size)
+    missing = [name for name in unknown.names(key) if name not in known]
+    if missing:
+        raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
+    return np.array([known[name] for name in unknown.names(key)])

@@ -1,0 +1,63 @@
+"""The forms by name: one door for the command line and for Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError, UnknownNameError
+from casacal.export.c_code import c_text
+from casacal.export.dh import dh_text
+from casacal.export.ur_kinematics import ur_kinematics_text
+from casacal.export.urdf import urdf_text
+from casacal.export.zeros import zeros_text
+from casacal.files import write_text
+from casacal.robots.files.dh_file import is_toml
+
+FORMS = ("dh", "urdf", "zeros", "ur", "c")
+"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99."""
+
+
+def export(
+    arm: CalibratedArm,
+    form: str,
+    path: str | Path | None = None,
+    *,
+    source: str | Path | None = None,
+    prefix: str | None = None,
+) -> str:
+    """A calibrated arm in a form that others read, as text.
+
+    Args:
+        arm: what is exported.
+        form: one of `FORMS`.
+        path: file to write it to; None writes nothing.
+        source: for "dh" and "urdf", the file written back with only its numbers changed.
+        prefix: for "c", what the functions' names begin with; by default the problem's name.
+
+    Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it.
+
+    """
+    if form not in FORMS:
+        raise UnknownNameError("form", str(form), FORMS)
+    if source is not None and form not in ("dh", "urdf"):
+        raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
+    if prefix is not None and form != "c":
+        raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
+    text = _text(arm, form, path, source, prefix)
+    if path is not None:
+        write_text(path, text)
+    return text
+
+
+def _text(arm: CalibratedArm, form: str, path: str | Path | None, source: str | Path | None, prefix: str | None) -> str:
+    if form == "dh":
+        toml = is_toml(path) if path is not None else source is not None and is_toml(source)
+        if source is not None and is_toml(source) != toml:
+            raise CasacalError(f"'{path}' would hold what '{source}' holds", "End both names alike, in .csv or .toml")
+        return dh_text(arm, source, toml=toml)
+    if form == "urdf":
+        return urdf_text(arm, source)
+    if form == "c":
+        return c_text(arm, prefix=prefix)
+    return zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
