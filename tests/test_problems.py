@@ -1,0 +1,72 @@
+"""The arms of problems/ stand where their makers' numbers put them: hand-multiplied poses, published ones, geometry."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from oracles import dh_chain, rot_x, rot_z, shift
+
+from casacal import load_problem
+
+POSES = 20
+TURN = math.pi / 2
+
+
+def pose_at(name, q):
+    """Flange pose (4, 4) of the arm of a problem, as drawn."""
+    robot = load_problem(ROOT / "problems" / name).problem.robot
+    nominal = SimpleNamespace(**{key: unknown.values for key, unknown in robot.parameters.items()})
+    return np.array(robot.pose(nominal, [float(value) for value in q]))
+
+
+def random_joints(name):
+    joints = load_problem(ROOT / "problems" / name).problem.robot.axes
+    return np.random.default_rng(0).uniform([j.lower for j in joints], [j.upper for j in joints], (POSES, len(joints)))
+
+
+def test_ur5_at_zero_as_its_controller_shows_it():
+    pose = pose_at("ur5", [0] * 6)
+    np.testing.assert_allclose(pose[:3, 3], [-817.25, -191.45, -5.491], atol=1e-9)
+    np.testing.assert_allclose(pose[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+
+
+def test_ur5_equals_the_published_table():
+    for q in random_joints("ur5"):
+        expected = dh_chain(
+            (TURN, 0, 0, TURN, -TURN, 0), (0, -425, -392.25, 0, 0, 0), (89.159, 0, 0, 109.15, 94.65, 82.3), q
+        )
+        np.testing.assert_allclose(pose_at("ur5", q), expected, atol=1e-9)
+
+
+def test_iiwa_equals_turns_about_the_axes_of_its_drawing():
+    # upright: joints turn about z, y, z, -y, z, y, z, 360 + 420 + 400 + 126 mm from the floor to the flange
+    def rot_y(angle):
+        return rot_x(-TURN) @ rot_z(angle) @ rot_x(TURN)
+
+    np.testing.assert_allclose(pose_at("kuka_iiwa14", [0] * 7), shift(0, 0, 1306), atol=1e-9)
+    for q in random_joints("kuka_iiwa14"):
+        shoulder = rot_z(q[0]) @ shift(0, 0, 360) @ rot_y(q[1])
+        elbow = rot_z(q[2]) @ shift(0, 0, 420) @ rot_y(-q[3])
+        wrist = rot_z(q[4]) @ shift(0, 0, 400) @ rot_y(q[5]) @ rot_z(q[6])
+        np.testing.assert_allclose(pose_at("kuka_iiwa14", q), shoulder @ elbow @ wrist @ shift(0, 0, 126), atol=1e-9)
+
+
+def test_scara_moves_in_the_plane_and_down():
+    for q in random_joints("adept_cobra600"):
+        x = 325 * math.cos(q[0]) + 275 * math.cos(q[0] + q[1])
+        y = 325 * math.sin(q[0]) + 275 * math.sin(q[0] + q[1])
+        pose = pose_at("adept_cobra600", q)
+        np.testing.assert_allclose(pose[:3, 3], [x, y, 387 - q[2]], atol=1e-9)
+        turn = q[0] + q[1] - q[3]  # joint 4 turns about an axis that points down
+        np.testing.assert_allclose(pose[:3, 0], [math.cos(turn), math.sin(turn), 0], atol=1e-12)
+        np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ur5", "kuka_iiwa14", "adept_cobra600"])
+def test_samples_stay_inside_the_joint_limits(name):
+    source = load_problem(ROOT / "problems" / name)
+    joints = source.problem.read(source.samples).joints
+    assert (joints >= [joint.lower for joint in source.problem.robot.axes]).all()
+    assert (joints <= [joint.upper for joint in source.problem.robot.axes]).all()
