@@ -72,13 +72,14 @@ class Product:
     def __MX__(self) -> ca.MX:
         return ca.MX(self.matrix)
 
-    def __DM__(self) -> ca.DM:
-        if not isinstance(self.matrix, ca.DM):  # CasADi asks for numbers first, and would take symbols for NaN
-            raise TypeError("a product of symbols has no numbers")
-        return self.matrix
+    def __DM__(self) -> ca.DM | None:
+        # CasADi asks for numbers first, and would take symbols for NaN; an exception it may meet much later
+        return self.matrix if isinstance(self.matrix, ca.DM) else None
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
-        return np.array(self.__DM__(), dtype=dtype)
+        if not isinstance(self.matrix, ca.DM):
+            raise TypeError("a product of symbols has no numbers")
+        return np.array(self.matrix, dtype=dtype)
 
 
 def identity() -> Expression:
