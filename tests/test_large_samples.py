@@ -77,7 +77,7 @@ def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatc
     file = tmp_path / "s.csv"
     file.write_bytes(content.encode())
     expected = Samples.from_table(read_table(file), LAYOUT)
-    monkeypatch.setattr("casacal.samples.samples.read_table", forbidden)
+    monkeypatch.setattr("casacal.tables.read.read_table", forbidden)
     found = Samples.from_csv(file, LAYOUT)
     np.testing.assert_allclose(found.joints, expected.joints, rtol=1e-15)
     np.testing.assert_allclose(found.columns["reading"], expected.columns["reading"], rtol=1e-15)

@@ -106,7 +106,7 @@ def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
     """Positions and rotations of a table's poses."""
     from scipy.spatial.transform import Rotation
 
-    found = match_columns(table, layout)
+    found = match_columns(table.columns, layout)
     numbers = {name: np.array(table.numbers(column)) * factor for name, (column, factor) in found.items()}
     positions, wxyz = (np.column_stack([numbers[name] for name in part]) for part in (PLACE, QUATERNION))
     lengths = np.linalg.norm(wxyz, axis=1)

@@ -16,7 +16,8 @@ from casacal.problem.compile import RowModel, compile_rows
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.workbooks import KEY, joined_tables, read_any_table
+from casacal.tables.read import read_any_table
+from casacal.tables.workbooks import KEY, joined_tables
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike
 

@@ -11,7 +11,6 @@ from typing import Any
 from casacal.errors import SamplesError
 from casacal.instruments.instrument import Dimension
 from casacal.tables.columns import Columns
-from casacal.tables.text import Table
 
 UNITS: Mapping[Dimension, Mapping[str, float]] = {
     "angle": {"deg": math.pi / 180, "rad": 1.0},
@@ -49,7 +48,7 @@ def numeric_columns(header: Sequence[str], layout: Layout) -> list[str]:
     return [each[0] for each in found] if all(len(each) == 1 for each in found) else []
 
 
-def match_columns(table: Table | Columns, layout: Layout) -> dict[str, tuple[str, float]]:
+def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
     """Find the column and the factor to mm or rad of each quantity.
 
     Raises SamplesError for a quantity that is missing, without unit, given twice, or refused by the instrument.
@@ -71,7 +70,7 @@ def match_columns(table: Table | Columns, layout: Layout) -> dict[str, tuple[str
     return {name: _find(table, name, dimension, refuse) for name, dimension in layout.quantities.items()}
 
 
-def _find(table: Table | Columns, name: str, dimension: Dimension, refuse: Any) -> tuple[str, float]:
+def _find(table: Columns, name: str, dimension: Dimension, refuse: Any) -> tuple[str, float]:
     spellings = {f"{name}_{unit}" if unit else name: factor for unit, factor in UNITS[dimension].items()}
     present = [column for column in table.header if column in spellings]
     wanted = " or ".join(spellings)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +12,13 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SamplesError
-from casacal.samples.layout import LARGEST, Layout, match_columns, numeric_columns
-from casacal.tables.columns import ARRAYS, Columns, columns_of_arrays, digest_of, read_arrays
-from casacal.tables.frames import table_of_frame
+from casacal.samples.layout import Layout, numeric_columns
+from casacal.samples.quantities import Quantities
+from casacal.tables.columns import Columns, columns_of_arrays, digest_of
+from casacal.tables.frames import columns_of_frame
 from casacal.tables.labels import Labels
-from casacal.tables.large_csv import read_large_csv
-from casacal.tables.text import Table, read_table
-from casacal.tables.workbooks import WORKBOOKS, read_workbook
+from casacal.tables.read import read_columns
+from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value, short
 
 MANY = 100_000
@@ -109,137 +107,49 @@ class Samples(Value):
                 )
 
     @staticmethod
+    def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else delimited text.
+
+        `absurd` lets values pass that no robot has, for those who look for their cause.
+
+        Raises SamplesError that names file, line, column, what is wrong and the fix.
+        """
+        columns = read_columns(path, lambda header: numeric_columns(header, layout), layout.labels)
+        return Samples.from_columns(columns, layout, absurd=absurd)
+
+    @staticmethod
+    def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
+        """The same, by the name of what most people have."""
+        return Samples.from_file(path, layout, absurd=absurd)
+
+    @staticmethod
+    def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
+        """Samples from a pandas DataFrame with the columns of a samples file; raises SamplesError."""
+        numbers = numeric_columns([str(name) for name in frame.columns], layout)
+        return Samples.from_columns(columns_of_frame(frame, numbers, layout.labels, source), layout)
+
+    @staticmethod
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
-        """Samples from arrays (N,) by the column names of a samples file; raises SamplesError as `from_csv` does."""
+        """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
         given = {str(name): np.asarray(values) for name, values in arrays.items()}
-        rows = {name: values.shape for name, values in given.items()}
-        if len(set(rows.values())) != 1 or any(len(shape) != 1 or not shape[0] for shape in rows.values()):
-            found = ", ".join(f"{name} {shape}" for name, shape in rows.items()) or "nothing"
+        shapes = {values.shape for values in given.values()}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1 or not next(iter(shapes))[0]:
+            found = ", ".join(f"{name} {values.shape}" for name, values in given.items()) or "nothing"
             raise SamplesError(source, f"the arrays have the shapes {found}", "Give one value per row in each")
         return Samples.from_columns(columns_of_arrays(given, source, digest_of(given)), layout)
 
     @staticmethod
-    def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else CSV."""
-        kind = Path(path).suffix.lower()
-        if kind in ARRAYS:
-            return Samples.from_columns(read_arrays(Path(path)), layout, absurd=absurd)
-        if kind in WORKBOOKS:
-            return Samples.from_table(read_workbook(path), layout, absurd=absurd)
-        return Samples.from_csv(path, layout, absurd=absurd)
-
-    @staticmethod
-    def from_csv(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Read delimited text; `absurd` lets values pass that no robot has, for those who look for their cause.
-
-        Raises SamplesError that names file, line, column, what is wrong and the fix.
-        """
-        columns = read_large_csv(Path(path), lambda header: numeric_columns(header, layout), layout.labels)
-        if columns is not None:
-            return Samples.from_columns(columns, layout, absurd=absurd)
-        return Samples.from_table(read_table(path), layout, absurd=absurd)
+    def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
+        """Samples from the cells of a table; raises SamplesError."""
+        return Samples.from_columns(table.columns, layout, absurd=absurd)
 
     @staticmethod
     def from_columns(columns: Columns, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Samples from columns of numbers and labels; raises SamplesError."""
-        found = match_columns(columns, layout)
-        count = len(columns.lines)
-
-        def fill(name: str, place: Array) -> Array:
-            column, factor = found[name]
-            np.multiply(columns.number(column), factor, out=place)
-            _check_size(columns, column, place, math.inf if absurd else LARGEST[layout.quantities[name]])
-            place.setflags(write=False)
-            return place
-
-        joints = np.empty((len(layout.joints), count)).T  # column by column in memory, as they come and as they go
-        for i in range(len(layout.joints)):
-            fill(f"q{i + 1}", joints[:, i])
-        joints.setflags(write=False)
-        labels = {
-            name: _filled(columns, name, columns.text(name))
-            if name in columns.header
-            else Labels((name,), np.zeros(count, dtype=np.int32))
-            for name in layout.labels
-        }
-        read = {name: fill(name, np.empty(count)) for name in layout.columns}
-        return Samples(joints, read, labels, columns.lines, {}, columns.file, columns.sha256)
-
-    @staticmethod
-    def from_frame(frame: Any, layout: Layout, *, source: str = "DataFrame") -> Samples:
-        """Samples from a pandas DataFrame with the columns of a samples file.
-
-        Raises SamplesError as `from_csv` does; "line" is then the row of the frame, counted from 1.
-        """
-        header = tuple(str(name) for name in frame.columns)
-        numbers = numeric_columns(header, layout)
-        if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
-            used = {name: frame[name].to_numpy() for name in numbers}
-            used |= {name: frame[name].to_numpy(dtype=str) for name in layout.labels if name in header}
-            columns = columns_of_arrays(used, source, digest_of(used))
-            return Samples.from_columns(dataclasses.replace(columns, header=header), layout)
-        return Samples.from_table(table_of_frame(frame, source), layout)
-
-    @staticmethod
-    def from_table(table: Table, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Samples from the text cells of a table; raises SamplesError."""
-        found = match_columns(table, layout)
-        values = {
-            name: _quantity(table, column, factor, math.inf if absurd else LARGEST[layout.quantities[name]])
-            for name, (column, factor) in found.items()
-        }
-        joint_names = [f"q{i + 1}" for i in range(len(layout.joints))]
-        labels = {name: Labels.of(_labels(table, name)) for name in layout.labels}
-        used = {column for column, _ in found.values()} | set(layout.labels)
+        """Samples from columns, which is what all of the above become; raises SamplesError."""
+        read = Quantities(columns, layout, absurd=absurd)
         return Samples(
-            np.column_stack([values[name] for name in joint_names]),
-            {name: values[name] for name in layout.columns},
-            labels,
-            table.lines,
-            {name: tuple(table.column(name)) for name in table.header if name not in used},
-            table.file,
-            table.sha256,
+            read.joints(), read.columns(), read.labels(), columns.lines, read.rest(), columns.file, columns.sha256
         )
-
-
-def _quantity(table: Table, column: str, factor: float, largest: float) -> Array:
-    values = np.array(table.numbers(column)) * factor
-    _check_size(table, column, values, largest)
-    return values
-
-
-def _check_size(table: Table | Columns, column: str, values: Array, largest: float) -> None:
-    if math.isinf(largest) or not len(values) or max(values.max(), -values.min()) <= largest:
-        return
-    for i in np.flatnonzero(np.abs(values) > largest)[:1]:
-        limit = "100 m" if largest == LARGEST["length"] else "10 turns"
-        written = table.column(column)[i] if isinstance(table, Table) else f"{table.number(column)[i]:g}"
-        raise SamplesError(
-            table.file,
-            f"{written} is absurd (beyond {limit})",
-            "Check the value and the unit in the column's name",
-            line=table.lines[i],
-            column=column,
-        )
-
-
-def _filled(columns: Columns, name: str, labels: Labels) -> Labels:
-    if "" in labels.names:
-        row = int(np.flatnonzero(labels.codes == labels.names.index(""))[0])
-        raise SamplesError(
-            columns.file, "the label is empty", "Give the row its label", line=columns.lines[row], column=name
-        )
-    return labels
-
-
-def _labels(table: Table, name: str) -> tuple[str, ...]:
-    if name not in table.header:
-        return (name,) * len(table.rows)
-    cells = table.column(name)
-    for cell, line in zip(cells, table.lines, strict=True):
-        if not cell:
-            raise SamplesError(table.file, "the label is empty", "Give the row its label", line=line, column=name)
-    return tuple(cells)
 
 
 def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,19 +21,25 @@ ARRAYS = (".npy", ".npz")
 
 @dataclass(frozen=True)
 class Columns:
-    """Named columns of equal length; `number` and `text` read one of them.
+    """Named columns of equal length: what every form of rows is read as; `number` and `text` read one of them.
 
     header_line: where a text file has its header, 0 for arrays. lines: of each row in its file; for arrays its row,
-    counted from 1.
+    counted from 1. texts: all columns as they were written, for rows that were read cell by cell; none otherwise.
     """
 
     file: str
     sha256: str
     header: tuple[str, ...]
     header_line: int
-    lines: range
+    lines: Sequence[int]
     number: Callable[[str], Array]
     text: Callable[[str], Labels]
+    texts: Callable[[], Mapping[str, tuple[str, ...]]] = dict
+
+    def cell(self, name: str, row: int) -> str:
+        """One cell as it was written, or where nobody keeps that, its number."""
+        texts = self.texts()
+        return texts[name][row] if name in texts else f"{self.number(name)[row]:g}"
 
 
 def _digest(path: Path) -> str:

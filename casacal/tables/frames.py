@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from casacal.tables.columns import Columns, columns_of_arrays, digest_of
 from casacal.tables.text import Table
 
 
 def is_frame(value: Any) -> bool:
     """Whether a value is a pandas DataFrame, without importing pandas for those who have none."""
     return type(value).__name__ == "DataFrame" and hasattr(value, "itertuples")
+
+
+def columns_of_frame(frame: Any, numbers: Sequence[str], labels: Sequence[str], source: str = "DataFrame") -> Columns:
+    """Columns of a frame: straight from its arrays where the named columns hold numbers, else cell by cell.
+
+    "line" is the row of the frame, counted from 1.
+    """
+    header = tuple(str(name) for name in frame.columns)
+    if numbers and len(set(header)) == len(header) and all(frame[name].dtype.kind in "iuf" for name in numbers):
+        used = {name: frame[name].to_numpy() for name in numbers}
+        used |= {name: frame[name].to_numpy(dtype=str) for name in labels if name in header}
+        return replace(columns_of_arrays(used, source, digest_of(used)), header=header)
+    return table_of_frame(frame, source).columns
 
 
 def table_of_frame(frame: Any, source: str = "DataFrame") -> Table:

@@ -10,7 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from casacal.errors import SamplesError
+from casacal.tables.columns import Columns
+from casacal.tables.labels import Labels
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
@@ -31,6 +35,20 @@ class Table:
         """Cells of one column, as text without surrounding blanks."""
         index = self.header.index(name)
         return [row[index] for row in self.rows]
+
+    @property
+    def columns(self) -> Columns:
+        """The same as columns."""
+        return Columns(
+            self.file,
+            self.sha256,
+            self.header,
+            self.header_line,
+            self.lines,
+            lambda name: np.array(self.numbers(name)),
+            lambda name: Labels.of(self.column(name)),
+            lambda: {name: tuple(self.column(name)) for name in self.header},
+        )
 
     def with_points(self) -> Table:
         """The same with decimal points where there were decimal commas."""

@@ -7,16 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.tables.text import Table, make_table, read_table
+from casacal.tables.text import Table, make_table
 
 WORKBOOKS = (".xlsx", ".xlsm")
 KEY = "pose"
 """Column by which readings find their pose, unless another one is named."""
-
-
-def read_any_table(path: str | Path) -> Table:
-    """Read a workbook's first sheet, or delimited text; raises SamplesError, CasacalError without the extra `excel`."""
-    return read_workbook(path) if Path(path).suffix.lower() in WORKBOOKS else read_table(path)
 
 
 def read_workbook(path: str | Path) -> Table:
