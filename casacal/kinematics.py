@@ -82,6 +82,11 @@ class Product:
         return np.array(self.matrix, dtype=dtype)
 
 
+def stacked_poses(columns: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Transforms (N, 4, 4) from rows (N, 16) that hold them column by column, as CasADi does."""
+    return np.asarray(columns).reshape(-1, 4, 4).transpose(0, 2, 1)
+
+
 def identity() -> Expression:
     """Return the transform that moves nothing, 4x4."""
     return ca.DM.eye(4)

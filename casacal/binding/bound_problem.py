@@ -16,6 +16,7 @@ from casacal.binding.slots import Block, Slot, make_block, make_slots
 from casacal.kernels.native_filter import extended_pass
 from casacal.kernels.native_normal import NativeNormal, PackedPieces
 from casacal.kernels.steps import all_rows_in_c
+from casacal.kinematics import stacked_poses
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
@@ -221,8 +222,7 @@ class BoundProblem(LeastSquares):
 
     def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
-        (flat,) = self._tip_inputs(self.blocks[instrument], x, joints, "pose")
-        return np.asarray(flat.reshape(-1, 4, 4).transpose(0, 2, 1))
+        return stacked_poses(self._tip_inputs(self.blocks[instrument], x, joints, "pose")[0])
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument, Sight
+from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -194,7 +195,7 @@ def _instances(
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     flat = problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples))
-    poses = flat.reshape(-1, 4, 4).transpose(0, 2, 1)
+    poses = stacked_poses(flat)
     model = problem.models[i]
     plungers = None if model.plunger is None else model.columns.plunger(*_nominal_inputs(problem, i, samples))
     return Sight(poses, nominal_tips(problem, i, samples), _columns(problem, i, samples), plungers)

@@ -18,6 +18,7 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.unknowns.fits import fitted_plane
 
 SUSPICIOUS = 2.0
 """Misfit, in stated standard deviations, above which something systematic is looked for."""
@@ -123,11 +124,10 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
     slopes, errors = [], []
     for k in range(len(faces.names)):
         rows = faces.codes == k
-        centred = sight.tips[rows] - sight.tips[rows].mean(axis=0)
-        *across, normal = np.linalg.svd(centred, full_matrices=False)[2]
-        normal = normal if float((axis[rows] @ normal).mean()) < 0 else -normal
+        plane = fitted_plane(sight.tips[rows])
+        normal = plane.normal if float((axis[rows] @ plane.normal).mean()) < 0 else -plane.normal
         # the plane absorbs what is linear over the face; take that out of both sides
-        design = np.column_stack([np.ones(int(rows.sum())), centred @ np.array(across).T])
+        design = np.column_stack([np.ones(int(rows.sum())), (sight.tips[rows] - plane.centre) @ plane.across.T])
         lever = probe.sign * reading[rows] * (axis[rows] @ normal)
         lever = lever - design @ np.linalg.lstsq(design, lever, rcond=None)[0]
         left = residual[rows] - design @ np.linalg.lstsq(design, residual[rows], rcond=None)[0]

@@ -16,6 +16,7 @@ from casacal.checks.finding import Finding
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.unknowns.fits import fitted_plane
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""
@@ -139,7 +140,6 @@ def _median_plane(tips: Array) -> tuple[Array, float]:
         if middle < best:
             best, plane = middle, np.array([*normal, normal @ a])
     near = np.abs(tips @ plane[:3] - plane[3]) <= 2.5 * 1.4826 * best + 1e-9
-    centre = tips[near].mean(axis=0)
-    normal = np.linalg.svd(tips[near] - centre, full_matrices=False)[2][2]
-    refined = np.array([*normal, normal @ centre])
-    return refined, 1.4826 * float(np.median(np.abs(tips @ normal - refined[3])))
+    fitted = fitted_plane(tips[near])
+    refined = np.array([*fitted.normal, fitted.normal @ fitted.centre])
+    return refined, 1.4826 * float(np.median(np.abs(tips @ fitted.normal - refined[3])))

@@ -11,6 +11,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.instruments.instrument import Probe
+from casacal.unknowns.fits import fitted_plane
 
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
@@ -33,11 +34,10 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
     tilts, normals, small = [], [], []
     for k, label in enumerate(faces.names):
         rows = faces.codes == k
-        tips = sight.tips[rows] - sight.tips[rows].mean(axis=0)
-        axes = np.linalg.svd(tips, full_matrices=False)[2]
-        normals.append(axes[2])
-        tilts.append(np.degrees(np.arccos(np.clip(np.abs(sight.plungers[rows] @ axes[2]), 0, 1))))
-        span = float(np.ptp(tips @ axes[1]))
+        plane = fitted_plane(sight.tips[rows])
+        normals.append(plane.normal)
+        tilts.append(np.degrees(np.arccos(np.clip(np.abs(sight.plungers[rows] @ plane.normal), 0, 1))))
+        span = float(np.ptp((sight.tips[rows] - plane.centre) @ plane.across[1]))
         if span < SMALLEST_FACE * reach:
             small.append(f"'{label}' {span:.0f} mm")
     tilt = float(np.concatenate(tilts).max())

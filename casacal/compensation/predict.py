@@ -12,12 +12,14 @@ from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates
 from casacal.errors import CasacalError
 from casacal.files import write_text
+from casacal.kinematics import stacked_poses
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
+from casacal.tables.columns import Columns
 from casacal.tables.frames import is_frame, table_of_frame
-from casacal.tables.text import Table, read_table
+from casacal.tables.read import read_columns
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.values import Value, frozen
 
@@ -56,17 +58,17 @@ class Prediction(Value):
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    return _joints_of(read_table(path), source)
+    return _joints_of(read_columns(path, lambda header: [n for n in header if n.startswith("q")]), source)
 
 
-def _joints_of(table: Table, source: ProblemFile) -> Samples:
+def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
     asked = source.problem.layout()
     present = {
         name: dimension
         for name, dimension in asked.columns.items()
-        if any(column == name or column.startswith(f"{name}_") for column in table.header)
+        if any(column == name or column.startswith(f"{name}_") for column in columns.header)
     }
-    return Samples.from_table(table, Layout(asked.joints, present))
+    return Samples.from_columns(columns, Layout(asked.joints, present))
 
 
 def joints_from(q: Any, source: ProblemFile) -> Samples:
@@ -79,7 +81,7 @@ def joints_from(q: Any, source: ProblemFile) -> Samples:
     if isinstance(q, (str, Path)):
         return read_joints(q, source)
     if is_frame(q):
-        return _joints_of(table_of_frame(q), source)
+        return _joints_of(table_of_frame(q).columns, source)
     return Samples.of_joints(joint_values(q, source.problem.robot))
 
 
@@ -113,7 +115,7 @@ def predict(
     for i, name in enumerate(instrument.columns):
         data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
     constants = np.zeros(model.pose.numel_in(1))  # planes and the like move neither flange nor tip
-    poses = model.batch.pose(z, constants, data)[0].reshape(-1, 4, 4).transpose(0, 2, 1)
+    poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     spread = None

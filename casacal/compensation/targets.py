@@ -17,7 +17,8 @@ from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout, match_columns
 from casacal.samples.samples import Samples
 from casacal.tables.frames import is_frame, table_of_frame
-from casacal.tables.text import Table, read_table
+from casacal.tables.read import read_any_table
+from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
@@ -71,7 +72,7 @@ def read_targets(path: str | Path, source: ProblemFile) -> Targets:
 
     A file with a column qw holds poses; joint columns beside them then name the branch. Raises SamplesError.
     """
-    return _of_table(read_table(path), source)
+    return _of_table(read_any_table(path), source)
 
 
 def targets_from(targets: Any, source: ProblemFile) -> Targets:

@@ -13,6 +13,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kernels.batch import Batch
+from casacal.kinematics import stacked_poses
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 
@@ -71,7 +72,7 @@ def axes_of(robot: Robot) -> Axes:
     symbolic = ca.reshape(pose.function(q), 4, 4)
     slope = np.array(ca.Function("slope", [q], [ca.jacobian(ca.vec(symbolic), q)])(np.zeros(n)))
     tried = random_joints(robot, count, np.random.default_rng(0))
-    at_zero, *asked = pose(np.vstack([np.zeros(n), tried]))[0].reshape(-1, 4, 4).transpose(0, 2, 1)
+    at_zero, *asked = stacked_poses(pose(np.vstack([np.zeros(n), tried]))[0])
     turns = tuple(robot.revolute.tolist())
     for mixing in _mixings(turns):
         found = _screws(turns, slope, at_zero, mixing)

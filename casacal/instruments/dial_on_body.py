@@ -15,6 +15,7 @@ from casacal.instruments.dial_on_plane import DialOnPlane
 from casacal.instruments.instrument import Probe, Sight
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
+from casacal.unknowns.fits import rotation_between
 from casacal.unknowns.unknown import unit_vector
 from casacal.values import FrozenMapping
 
@@ -94,9 +95,8 @@ class DialOnBody(DialOnPlane):
             distinct, which = np.unique(normals, axis=0, return_inverse=True)
             for i in range(len(distinct)):
                 seen.append(self._normal(sight, which.ravel() == i))
-            left, _, right = np.linalg.svd(distinct.T @ np.array(seen))
             matrix = np.eye(4)
-            matrix[:3, :3] = right.T @ np.diag([1.0, 1.0, np.linalg.det(right.T @ left.T)]) @ left.T
+            matrix[:3, :3] = rotation_between(distinct, np.array(seen))[0]
             return Frame.encode(matrix)
         if key == "offset":
             return np.array(

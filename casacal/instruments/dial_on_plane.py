@@ -15,6 +15,7 @@ from casacal.errors import ProblemError
 from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight, Suspect, Words
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
+from casacal.unknowns.fits import fitted_plane
 from casacal.values import FrozenMapping
 
 
@@ -211,11 +212,11 @@ class DialOnPlane(Instrument):
 
     def _normal(self, sight: Sight, rows: NDArray[np.bool_]) -> Array:
         """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger."""
-        tips = sight.tips[rows]
-        _, sizes, axes = np.linalg.svd(tips - tips.mean(axis=0), full_matrices=False)
-        if len(tips) < 3 or sizes[1] <= 1e-9 * max(sizes[0], 1.0):
+        plane = fitted_plane(sight.tips[rows])
+        if not plane.flat:
             raise ProblemError(
-                f"A plane was touched at {len(tips)} tips that lie on a line", "Spread the touches over the face"
+                f"A plane was touched at {int(rows.sum())} tips that lie on a line", "Spread the touches over the face"
             )
         assert sight.plungers is not None
-        return np.asarray(-axes[2] if float((sight.plungers[rows] @ axes[2]).mean()) > 0 else axes[2])
+        towards = float((sight.plungers[rows] @ plane.normal).mean()) > 0
+        return -plane.normal if towards else plane.normal

@@ -16,6 +16,7 @@ from casacal.instruments.dial_on_plane import tool_point
 from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Parameter, Unknown
+from casacal.unknowns.fits import rotation_between
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,11 +77,9 @@ class TrackedPoint(Instrument):
         if key != "station":
             return super().propose(key, sight)
         read = np.column_stack([sight.columns[name] for name in ("x", "y", "z")])
-        tips, seen = sight.tips - sight.tips.mean(axis=0), read - read.mean(axis=0)
-        left, sizes, right = np.linalg.svd(tips.T @ seen)
-        if len(read) < 3 or sizes[1] <= 1e-9 * max(float(sizes[0]), 1.0):
+        turn, fixed = rotation_between(sight.tips - sight.tips.mean(axis=0), read - read.mean(axis=0))
+        if len(read) < 3 or not fixed:
             raise ProblemError("The tracked points lie on a line", "Track at least three points that do not")
-        turn = right.T @ np.diag([1.0, 1.0, np.linalg.det(right.T @ left.T)]) @ left.T
         matrix = np.eye(4)
         matrix[:3, :3] = turn
         matrix[:3, 3] = read.mean(axis=0) - turn @ sight.tips.mean(axis=0)

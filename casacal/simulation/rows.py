@@ -11,6 +11,7 @@ import numpy as np
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.kernels.batch import Batch
+from casacal.kinematics import stacked_poses
 from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
@@ -184,7 +185,7 @@ def _tips(problem: Problem) -> Array:
     data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
     z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
     (pose,) = model.batch.pose(z, c, data)
-    return np.asarray(pose.reshape(-1, 4, 4)[:, 3, :3])
+    return stacked_poses(pose)[:, :3, 3]
 
 
 def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:

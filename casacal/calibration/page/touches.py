@@ -14,6 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
 from casacal.tables.labels import Labels
+from casacal.unknowns.fits import fitted_plane
 
 Rows: TypeAlias = NDArray[np.intp]
 
@@ -121,11 +122,10 @@ class Touches:
             _seen(part.bound, self.calibration.result.x, rows) for part, rows in zip(self.parts, chosen, strict=True)
         ]
         tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
-        middle = tips.mean(axis=0)
-        _, sizes, directions = np.linalg.svd(tips - middle, full_matrices=False)
-        if len(tips) < 3 or sizes[1] <= 1e-9 * max(float(sizes[0]), 1.0):
+        plane = fitted_plane(tips)
+        if not plane.flat:
             return None
-        normal = directions[2]
+        normal, middle = plane.normal, plane.centre
         upright = bool(abs(normal[2]) < 0.7)
         tilts = np.degrees(np.arccos(np.clip(np.abs(plungers @ normal), 0, 1))) if plungers.any() else np.zeros(0)
         return Places(
