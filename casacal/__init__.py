@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from casacal.doctor import diagnose as diagnose
     from casacal.doctor import read_pendant_rows as read_pendant_rows
     from casacal.errors import CasacalError as CasacalError
+    from casacal.errors import ProblemError as ProblemError
+    from casacal.errors import SamplesError as SamplesError
+    from casacal.errors import SimulationError as SimulationError
+    from casacal.errors import StudyError as StudyError
     from casacal.estimators import annealing as annealing
     from casacal.estimators import ekf as ekf
     from casacal.estimators import evolution as evolution
@@ -97,7 +101,7 @@ _HOMES = {
     "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
     "casacal.robots.conventions": ("Conventions",),
     "casacal.checks": ("Finding", "check"),
-    "casacal.errors": ("CasacalError",),
+    "casacal.errors": ("CasacalError", "ProblemError", "SamplesError", "SimulationError", "StudyError"),
     "casacal.estimators": (
         "annealing",
         "ekf",

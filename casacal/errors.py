@@ -6,6 +6,14 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 
+def came(value: object) -> str:
+    """What came, at the start of a sentence: "A list", "An int", "Nothing"."""
+    if value is None:
+        return "Nothing"
+    name = type(value).__name__
+    return f"{'An' if name[0] in 'aeiouAEIOU' else 'A'} {name}"
+
+
 class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 

@@ -87,8 +87,11 @@ class Portable:
         text = Path(cls._defined_in).read_text(encoding="utf-8")
         return _instance, (cls._defined_in, text, cls.__qualname__, dict(vars(self)))
 
-    def __deepcopy__(self, memo: object) -> Any:
+    def __copy__(self) -> Any:
         return self  # a value
+
+    def __deepcopy__(self, memo: object) -> Any:
+        return self
 
 
 def _importable(cls: type) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, came
 from casacal.instruments import Instrument, Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
@@ -87,6 +87,11 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
 
     Raises ProblemError as `bind` does.
     """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
+    for some in samples:
+        if not isinstance(some, Samples):
+            raise ProblemError(f"{came(some)} came as samples", "Give Samples; problem.read(path) returns them")
     if len(samples) != len(problem.instruments):
         raise ProblemError(
             f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"

@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.calibration import Reference
-from casacal.errors import CasacalError, SamplesError, UnknownNameError
+from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result, as_result
@@ -110,9 +110,7 @@ def problem_from(given: Any) -> ProblemFile:
         return ProblemFile.of(given)
     if isinstance(given, (str, Path)):
         return load_problem(given)
-    raise CasacalError(
-        f"A {type(given).__name__} came as the problem", "Give a Problem, what load_problem returns, or a path"
-    )
+    raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
 
 
 def samples_from(given: Any, source: ProblemFile) -> Samples:
@@ -131,8 +129,9 @@ def samples_from(given: Any, source: ProblemFile) -> Samples:
         return Samples.from_frame(given, layout)
     if isinstance(given, Mapping):
         return Samples.from_arrays(given, layout)
-    came = "Nothing" if given is None else f"A {type(given).__name__}"
-    raise CasacalError(f"{came} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")
+    raise CasacalError(
+        f"{came(given)} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column"
+    )
 
 
 def _chosen(method: str | Method, loss: Loss | None) -> tuple[Method, str]:
@@ -140,7 +139,7 @@ def _chosen(method: str | Method, loss: Loss | None) -> tuple[Method, str]:
     if not isinstance(method, str):
         if not callable(method):
             raise CasacalError(
-                f"A {type(method).__name__} came as the method",
+                f"{came(method)} came as the method",
                 f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
             )
         name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")

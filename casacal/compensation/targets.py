@@ -45,6 +45,9 @@ class Targets(Value):
     def __len__(self) -> int:
         return len(self.lines)
 
+    def __repr__(self) -> str:
+        return f"<{len(self)} targets of {self.file}: {'poses' if self.poses is not None else 'joint values'}>"
+
     @staticmethod
     def of(samples: Samples) -> Targets:
         """Joint targets from samples, or from any joint values that `Samples` can hold."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, came
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
@@ -141,7 +141,7 @@ def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str)
     try:
         x = np.array(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
     except (TypeError, ValueError):
-        raise CasacalError(f"The method '{method}' returned a {type(outcome).__name__}", wanted) from None
+        raise CasacalError(f"{came(outcome)} came from the method '{method}'", wanted) from None
     if x.shape != problem.x0.shape:
         raise CasacalError(f"The estimate of '{method}' has the shape {x.shape}", wanted)
     if not np.isfinite(x).all():

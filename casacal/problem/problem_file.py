@@ -15,7 +15,7 @@ from casacal.user_code import run_file
 from casacal.values import Value
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProblemFile(Value):
     """A problem, and the problem.py it was read from; `cell` is None when the file defines none.
 
@@ -32,6 +32,9 @@ class ProblemFile(Value):
     def of(problem: Problem, name: str | None = None) -> ProblemFile:
         """The same for a problem that no file defines; its name is the robot's unless given."""
         return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None)
+
+    def __repr__(self) -> str:
+        return f"<ProblemFile {self.name}{f' of {self.path}' if self.path else ''}: {self.problem!r}>"
 
     @property
     def samples(self) -> Path | None:

@@ -87,8 +87,8 @@ class Samples(Value):
         if self.joints.ndim != 2 or self.joints.shape[1] != len(layout.joints):
             raise SamplesError(
                 self.file,
-                f"the rows have joint values of shape {self.joints.shape}",
-                f"Give {len(layout.joints)} a row",
+                f"the joint values have the shape {self.joints.shape}",
+                f"Give {len(layout.joints)} per row",
             )
         for what, have, asked in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
             for name in asked:
@@ -132,6 +132,7 @@ class Samples(Value):
     def from_arrays(arrays: Mapping[str, Any], layout: Layout, *, source: str = "arrays") -> Samples:
         """Samples from arrays (N,) by the column names of a samples file; raises SamplesError."""
         given = {str(name): np.asarray(values) for name, values in arrays.items()}
+        given = {name: values.astype(str) if values.dtype == object else values for name, values in given.items()}
         shapes = {values.shape for values in given.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1 or not next(iter(shapes))[0]:
             found = ", ".join(f"{name} {values.shape}" for name, values in given.items()) or "nothing"

@@ -16,7 +16,7 @@ from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.true_arm import lag
+from casacal.simulation.true_arm import lag, plane_coordinates
 from casacal.tables.labels import Labels
 
 LABELS = ("1", "2", "3")
@@ -131,8 +131,11 @@ def _bench(
         if unknown.per is not None:
             names = [f"{key}.{instrument.instance(key, label)}" for label in labels[unknown.per]]
         for name, label in dict(zip(names, labels.get(unknown.per or "", names), strict=True)).items():
+            place = _near(cell, label, middle)
+            nominals[name] = unknown.placed(*place) if unknown.nominal is None else unknown.nominal
             local[name] = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            nominals[name] = _nominal(unknown.nominal, unknown.placed(*_near(cell, label, middle)))
+            if isinstance(cell, Cell) and unknown.nominal_plane(nominals[name]) is not None:
+                local[name] = plane_coordinates(unknown, nominals[name], *place)
         z.append(np.array([local[name] for name in names]).reshape(samples, -1))
         if key in model.constants:
             c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
@@ -164,10 +167,6 @@ def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], s
         next((face for face in cell.faces if face.label == label), cell.faces[0])
         for label in (labels[column] if column is not None else ("",) * samples)
     )
-
-
-def _nominal(declared: Array | None, placed: Array) -> Array:
-    return placed if declared is None else declared
 
 
 def _near(cell: Disturbances, label: str, middle: Array) -> tuple[Array, Array]:

@@ -6,30 +6,28 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.errors import SimulationError
+from casacal.errors import SimulationError, came
 from casacal.estimators import lm
 from casacal.instruments import Instrument
 from casacal.instruments.instrument import Probe
 from casacal.least_squares.objective import Restricted
-from casacal.problem.cell import Cell, Disturbances, Face
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.places import default_cell
 from casacal.simulation.reach import Touch
 from casacal.simulation.rows import fitting_rows
 from casacal.simulation.touches import find_touches
-from casacal.simulation.true_arm import lag, true_unknowns
+from casacal.simulation.true_arm import lag, plane_coordinates, true_unknowns
 from casacal.tables.labels import Labels
-from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Value):
     """Samples, and the truth they came from: local coordinates of the unknowns by name, and what disturbed them."""
 
@@ -38,6 +36,9 @@ class Simulation(Value):
     local: Mapping[str, Array]
     cell: Disturbances
     seed: int
+
+    def __repr__(self) -> str:
+        return f"<Simulation of {self.problem.robot.name}, seed {self.seed}: {self.samples!r}>"
 
     def truth(self, bound: BoundProblem) -> Array:
         """The true x (n,) of a problem bound to these samples (or a part of them)."""
@@ -48,23 +49,13 @@ class Simulation(Value):
                 x[slot.columns] = self.local[slot.name]
             elif faces and slot.unknown.nominal_plane(slot.nominal) is not None:
                 face = faces[slot.label] if slot.label is not None else next(iter(faces.values()))
-                x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, face)
+                x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, np.asarray(face.centre), face.axes[0])
             else:
                 placed[slot.columns] = slot.datum or slot.unknown.nominal is None
         if placed.any():  # bodies and frames: where the true arm says they are
             part = Restricted(bound, placed, x)
             x = part.expand(lm(part).x)
         return x
-
-
-def plane_coordinates(plane: Unknown, nominal: Array, face: Face) -> Array:
-    """Local coordinates (3,) of a face about a nominal plane; none (0,) where the plane is held."""
-    if not plane.size:
-        return np.zeros(0)
-    normal = face.axes[0]
-    normal = normal if normal @ nominal[:3] > 0 else -normal
-    raw = np.concatenate([normal, [normal @ (np.asarray(face.centre) - nominal[9:12])]])
-    return np.asarray(plane.raw_local(ca.DM(nominal), ca.DM(raw))).ravel()
 
 
 def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int = 120, seed: int = 0) -> Simulation:
@@ -86,6 +77,12 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
     """
     if samples < 1:
         raise SimulationError(f"{samples} samples were asked for", "Ask for at least one")
+    if not isinstance(problem, Problem):
+        raise SimulationError(
+            f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"
+        )
+    if cell is not None and not isinstance(cell, Disturbances):
+        raise SimulationError(f"{came(cell)} came as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     instrument = problem.instrument
     if instrument.probe is None:
         rows, local = fitting_rows(problem, Disturbances() if cell is None else cell, samples, seed)

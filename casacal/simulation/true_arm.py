@@ -1,12 +1,14 @@
-"""What is true of a simulated arm: unknowns drawn from the prior, joints that lag behind."""
+"""What is true of a simulated arm: unknowns drawn from the prior, faces where the cell has them, joints that lag."""
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.instruments.instrument import Probe
 from casacal.problem.problem import Problem
+from casacal.unknowns import Unknown
 
 
 def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.random.Generator) -> dict[str, Array]:
@@ -23,3 +25,15 @@ def lag(joints: Array, backlash: float) -> Array:
     """
     moves = np.diff(joints, axis=0, prepend=np.zeros((1, joints.shape[1])))
     return np.asarray(np.sign(moves) * backlash / 2)
+
+
+def plane_coordinates(plane: Unknown, nominal: Array, centre: Array, normal: Array) -> Array:
+    """Local coordinates (3,) of a face about a nominal plane; none (0,) where the plane is held.
+
+    centre: a point (3, mm) of the face; normal: its unit normal (3,), of either sign.
+    """
+    if not plane.size:
+        return np.zeros(0)
+    normal = normal if normal @ nominal[:3] > 0 else -normal
+    raw = np.concatenate([normal, [normal @ (centre - nominal[9:12])]])
+    return np.asarray(plane.raw_local(ca.DM(nominal), ca.DM(raw))).ravel()

@@ -1,0 +1,200 @@
+"""A 15-line instrument of a user's own goes through every command and every function, also with all unknowns held."""
+
+import json
+import math
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from own_instrument import SOURCES, written
+from scipy.spatial.transform import Rotation
+
+from casacal import (
+    CasacalError,
+    Disturbances,
+    ProblemError,
+    bind,
+    calibrate,
+    check,
+    load,
+    load_problem,
+    simulate,
+)
+from casacal.calibration.calibrate import METHODS
+from casacal.cli.main import main
+
+
+@pytest.fixture(scope="module", params=SOURCES)
+def place(request, tmp_path_factory):
+    return written(tmp_path_factory.mktemp("own"), request.param)
+
+
+@pytest.fixture(scope="module")
+def samples(place):
+    assert main(["simulate", str(place), "--out", str(place / "samples.csv"), "--samples", "70", "--seed", "4"]) == 0
+    return place / "samples.csv"
+
+
+def test_simulated_rows_fit_their_own_truth(place, samples):
+    """The truth explains the rows to their noise: what was simulated is what the residual says."""
+    source = load_problem(place)
+    simulated = simulate(source.problem, Disturbances(resolution=0.0), samples=70, seed=4)
+    bound = bind(source.problem, simulated.samples)
+    size = np.sqrt(np.mean(bound.residual(simulated.truth(bound)) ** 2))
+    assert 0.75 < size < 1.25
+    written_down = source.problem.read(samples)
+    np.testing.assert_allclose(written_down.joints, simulated.samples.joints, atol=2e-8)
+    truth = load(samples.with_suffix(".truth.json"))
+    assert truth.arm.document["method"] == "truth"
+
+
+def test_without_noise_the_truth_is_exact(place):
+    source = load_problem(place)
+    still = Disturbances(resolution=0.0, repeatability=0.0, error_scale=2.0)
+    simulated = simulate(source.problem, still, samples=60, seed=9)
+    exact = bind(source.problem, simulated.samples)
+    if not source.problem.instrument.column_stds:
+        assert np.abs(exact.plain_residual(simulated.truth(exact))).max() < 1e-5
+    again = simulate(source.problem, still, samples=60, seed=9)
+    assert again.samples == simulated.samples
+    assert simulate(source.problem, still, samples=60, seed=8).samples != simulated.samples
+    lower, upper = source.problem.robot.limits
+    assert ((simulated.samples.joints >= lower) & (simulated.samples.joints <= upper)).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_each_method_calibrates_and_reports(place, samples, method, tmp_path, capsys):
+    code = main(["calibrate", str(place), str(samples), "--method", method, "--holdout", "0.2", "--out", str(tmp_path)])
+    said = capsys.readouterr()
+    assert code in (0, 1), said.err
+    assert "Traceback" not in said.err
+    document = json.loads((tmp_path / "result.json").read_text())
+    assert document["converged"]
+    assert set(document["metrics"]["after"]["fit"]) == {"rmse_mm", "mae_mm", "std_mm", "max_mm"}
+    page = (tmp_path / "report.html").read_text()
+    assert "planes fitted alone" not in page
+    assert "distance from the planes" not in page.lower()
+
+
+def test_check_predict_compensate_and_export(place, samples, tmp_path, capsys):
+    assert main(["check", str(place), str(samples)]) in (0, 1)
+    assert main(["calibrate", str(place), str(samples), "--method", "lm", "--out", str(tmp_path)]) in (0, 1)
+    result = str(tmp_path / "result.json")
+    for frame in ("flange", "tip"):
+        out = tmp_path / f"{frame}.csv"
+        assert main(["predict", result, str(samples), "--frame", frame, "--std", "--out", str(out)]) == 0
+        assert np.isfinite(pd.read_csv(out).to_numpy()).all()
+    targets = tmp_path / "targets.csv"
+    joints = load_problem(place).problem.robot.revolute.size
+    targets.write_text(
+        ",".join(f"q{i + 1}_deg" for i in range(joints))
+        + "\n"
+        + ",".join(["20", "-30", "40", "10", "25", "5"][:joints])
+    )
+    assert main(["compensate", result, str(targets), "--out", str(tmp_path / "c.csv")]) == 0
+    for form in ("dh", "zeros", "c"):
+        assert main(["export", result, "--to", form, "--out", str(tmp_path / f"arm.{form}")]) == 0
+    capsys.readouterr()
+
+
+def test_the_estimate_is_nearer_to_the_truth_than_the_drawing(tmp_path):
+    """By the wire alone the arm's tip becomes right; judged by the simulated truth."""
+    source = load_problem(written(tmp_path, "wire"))
+    simulated = simulate(source.problem, samples=120, seed=2)
+    found = calibrate(source, simulated.samples)
+    truth = simulated.truth(found.fit)
+    joints = found.workspace[0]
+    true, now, drawn = (found.fit.tips(x, joints) for x in (truth, found.x, found.fit.x0))
+    # a wire to one post cannot tell where the base stands
+    assert apart_from_the_base(now, true) < 0.1 * apart_from_the_base(drawn, true)
+
+
+def apart_from_the_base(tips, true):
+    """RMS distance (mm) of tips from where they should be after the best shift and turn of all."""
+    one, two = tips - tips.mean(axis=0), true - true.mean(axis=0)
+    turn, _ = Rotation.align_vectors(two, one)
+    return np.sqrt(((turn.apply(one) - two) ** 2).sum(axis=1).mean())
+
+
+def test_touches_stay_on_the_faces_of_a_cell(tmp_path):
+    from casacal import Cell, corner
+
+    source = load_problem(written(tmp_path, "stylus"))
+    cell = Cell(faces=corner((550.0, 0.0, 350.0), size=300.0))
+    simulated = simulate(source.problem, cell, samples=30, seed=1)
+    assert simulated.samples.labels["face"].names == ("floor", "wall", "side")
+    bound = bind(source.problem, simulated.samples)
+    tips = bound.tips(simulated.truth(bound), simulated.samples.joints)
+    for face in cell.faces:
+        here = tips[np.array(simulated.samples.labels["face"]) == face.label] - np.array(face.centre)
+        assert np.abs(here @ face.axes[0]).max() < 6 * 0.02
+        assert np.abs(here @ face.axes[1:].T).max() < 150.0 + 1e-6
+
+
+def test_what_means_nothing_to_an_instrument_is_refused(place, tmp_path, capsys):
+    for option in (["--tilt", "10"], ["--flatness", "0.01"], ["--travel", "5"]):
+        assert main(["simulate", str(place), "--out", str(tmp_path / "s.csv"), *option]) == 2
+        assert "touches none" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsys):
+    names = "alpha,a,d,theta,plane"
+    for method in METHODS:
+        found = calibrate(hsr.problem.fix(*names.split(",")), hsr.problem.read(hsr.samples), method=method)
+        assert found.fit.unknowns == 0
+        assert "nothing was estimated" in found.message
+        assert found.summary()
+        assert math.isfinite(found.cost)
+    assert main(["calibrate", str(hsr.path), "--fix", names, "--out", str(tmp_path)]) in (0, 1)
+    assert json.loads((tmp_path / "result.json").read_text())["identifiability"]["unknowns"] == 0
+    capsys.readouterr()
+
+
+def test_planes_may_be_held_where_they_are_proposed(hsr, capsys):
+    held = calibrate(hsr.problem.fix("plane"), hsr.problem.read(hsr.samples), method="lm")
+    assert held.fit.unknowns == 24
+    assert held.reference.agrees
+    free = calibrate(hsr.problem, hsr.problem.read(hsr.samples), method="lm")
+    assert free.cost < held.cost
+    assert main(["calibrate", str(hsr.path), "--fix", "plane", "--method", "lm"]) in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_what_an_instrument_cannot_say_is_asked_for(hsr):
+    from casacal import Instrument, Plane, Problem
+
+    class Blind(Instrument):
+        residual_std = 0.1
+        unknowns = {"face": Plane()}  # noqa: RUF012
+
+        def residual(self, pose, p, row):
+            return p.face.distance(pose[:3, 3])
+
+    with pytest.raises(ProblemError, match="override `propose`"):
+        bind(Problem(hsr.problem.robot, Blind()), hsr.problem.read(hsr.samples))
+
+
+def test_two_instruments_are_refused_in_a_sentence(hsr, corner_simulation):
+    from casacal import Problem, TrackedPoint
+
+    both = Problem(hsr.problem.robot, hsr.problem.instrument, TrackedPoint(noise_std=0.1))
+    for call in (
+        lambda: calibrate(both, corner_simulation.samples),
+        lambda: check(both, corner_simulation.samples),
+        lambda: simulate(both),
+    ):
+        with pytest.raises(CasacalError, match="measured by 2 instruments"):
+            call()
+
+
+def test_a_problem_file_leaves_no_module_behind(tmp_path):
+    before = set(sys.modules)
+    path = list(sys.path)
+    one, two = written(tmp_path / "a", "wire"), written(tmp_path / "b", "wire")
+    (two / "anchors.py").write_text("POST = (999.0, 0.0, 200.0)\n")
+    posts = [load_problem(place).problem.instrument.unknowns["post"].values[0] for place in (one, two, one)]
+    assert posts == [1500.0, 999.0, 1500.0]
+    assert set(sys.modules) - before <= {name for name in sys.modules if name.startswith("casacal.")}
+    assert sys.path == path
