@@ -307,11 +307,6 @@ def test_a_study_must_have_parts():
         Study("s", {"s": tiny_study.Linear()}, {"lm": lm}, trials=0)
 
 
-def test_workers_need_a_file(tmp_path):
-    with pytest.raises(StudyError, match="no file"):
-        run(tiny_study.study, tmp_path, workers=2)
-
-
 def refusal(capsys, *words):
     code = main(["study", *map(str, words)])
     captured = capsys.readouterr()

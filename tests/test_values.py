@@ -229,3 +229,18 @@ def test_types_hold_for_a_user_of_the_package(tmp_path):
     bad = subprocess.run([*command, str(wrong)], capture_output=True, text=True, cwd=tmp_path)
     assert bad.returncode == 1
     assert 'has type "int", variable has type "str"' in bad.stdout
+
+
+def test_a_study_of_values_needs_no_file_for_its_workers(hsr, tmp_path):
+    from casacal import Simulated, Study, StudyError
+    from casacal.study import run
+
+    setting = Simulated(hsr.problem, hsr.cell, samples=60, heldout=15)
+    study = Study("memory", {"corner": setting}, {"LM": lm}, trials=4)
+    here = run(study, tmp_path / "here")
+    there = run(study, tmp_path / "there", workers=2)
+    assert there.digest == here.digest
+    assert not here.failures("corner", "LM")
+    closure = Study("closure", {"corner": setting}, {"LM": lambda problem: lm(problem)}, trials=2)
+    with pytest.raises(StudyError, match="Write it to a file"):
+        run(closure, tmp_path / "closure", workers=2)

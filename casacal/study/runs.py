@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from casacal.errors import StudyError
 from casacal.study import executors, records
 from casacal.study.description import Study
 from casacal.study.records import Key, Record
-from casacal.study.tasks import Errand, Task, perform, perform_errand, tasks_of
+from casacal.study.tasks import Carried, Errand, Task, carried, perform, perform_carried, perform_errand, tasks_of
 
 Progress = Callable[[int, int], None]
 
@@ -76,7 +77,7 @@ def run(
     Args:
         study: what to run.
         out: folder of records.jsonl, appended to trial by trial, and put in order at the end.
-        file: the study's file, which workers read themselves; None for a study that lives in this process alone.
+        file: the study's file, which workers read themselves; without one they are given the study, pickled.
         quick: whether `study` is the file's quick form.
         workers: local processes; 1 runs here.
         scheduler: address of a Dask scheduler, in place of local processes.
@@ -88,8 +89,6 @@ def run(
     or of casacal, or when workers cannot do as asked.
 
     """
-    if file is None and (workers > 1 or scheduler is not None):
-        raise StudyError("A study that no file defines cannot be given to workers", "Write it to a file, or run here")
     if workers < 1 or not 1 <= shard[0] <= shard[1]:
         raise StudyError(f"{workers} workers and shard {shard[0]}/{shard[1]} were asked for", "Count both from one")
     path, everything = out / RECORDS, tasks_of(study)
@@ -151,12 +150,21 @@ def missing(study: Study, made: Run) -> int:
 def _performed(
     study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool, workers: int, scheduler: str | None
 ) -> Iterator[list[Record]]:
-    if file is None or (workers == 1 and scheduler is None):
+    if workers == 1 and scheduler is None:
         return executors.here(lambda task: perform(study, task), tasks)
-    errands = [Errand(str(Path(file).resolve()), quick, study.trials, task) for task in tasks]
+    if file is not None:
+        errands = [Errand(str(Path(file).resolve()), quick, study.trials, task) for task in tasks]
+        return _given_out(perform_errand, errands, workers, scheduler)
+    luggage = carried(study)
+    return _given_out(perform_carried, [Carried(luggage, task) for task in tasks], workers, scheduler)
+
+
+def _given_out(
+    function: Callable[[Any], list[Record]], errands: Sequence[Any], workers: int, scheduler: str | None
+) -> Iterator[list[Record]]:
     if scheduler is not None:
-        return executors.on_cluster(perform_errand, errands, scheduler)
-    return executors.in_processes(perform_errand, errands, workers)
+        return executors.on_cluster(function, errands, scheduler)
+    return executors.in_processes(function, errands, workers)
 
 
 def _kept(study: Study, out: Path, tasks: Iterable[Task], found: Sequence[Record], resume: bool) -> set[Key]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -51,6 +52,14 @@ class Errand:
     task: Task
 
 
+@dataclass(frozen=True)
+class Carried:
+    """A task for a worker, with the study itself, pickled: a study of values needs no file."""
+
+    study: bytes
+    task: Task
+
+
 def tasks_of(study: Study) -> list[Task]:
     """All tasks of a study, trial by trial, so that what is recorded early covers every setting."""
     keys = {(setting, name): study.fingerprint(setting, name) for setting in study.settings for name in study.methods}
@@ -78,6 +87,30 @@ def perform_errand(errand: Errand) -> list[Record]:
                 "Give all of them the same",
             )
         return perform(study, task)
+
+
+def carried(study: Study) -> bytes:
+    """A study on its way to workers; raises StudyError for one that only this process understands."""
+    try:
+        return pickle.dumps(study)
+    except Exception as error:  # closures and whatever else a user's methods hold
+        raise StudyError(
+            f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}",
+            "Write it to a file, or run it here",
+        ) from error
+
+
+def perform_carried(errand: Carried) -> list[Record]:
+    """Records of a task, in a worker that was given the study."""
+    with _ONE_AT_A_TIME:
+        return perform(_unpacked(errand.study), errand.task)
+
+
+@functools.lru_cache(maxsize=4)
+def _unpacked(study: bytes) -> Study:
+    found = pickle.loads(study)
+    assert isinstance(found, Study)
+    return found
 
 
 @functools.cache
