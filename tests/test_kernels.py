@@ -293,6 +293,42 @@ def test_a_broken_compiler_is_as_good_as_none(hsr, fresh, monkeypatch, caplog):
 
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+@pytest.mark.parametrize("unknown", ["-march=native", "native", "native|-fopenmp-simd"])
+def test_a_compiler_that_does_not_know_all_options_is_asked_for_less(hsr, fresh, monkeypatch, unknown):
+    """As Apple's, which refuses some of them."""
+    real = next(found for name in ("gcc", "clang", "cc") if (found := shutil.which(name)))
+    picky = fresh.parent / "picky"
+    refuse = "".join(
+        f'case "$*" in *{word}*) echo "unknown {word}" >&2; exit 1;; esac\n' for word in unknown.split("|")
+    )
+    picky.write_text(f'#!/bin/sh\n{refuse}exec {real} "$@"\n')
+    picky.chmod(0o755)
+    monkeypatch.setenv("CC", str(picky))
+    assert kernels(hsr, "c").name == "c"
+
+
+def test_a_compiler_of_macos_that_only_offers_xcode_is_none(monkeypatch):
+    monkeypatch.setattr(compiler, "MACOS", True)
+    asked = []
+
+    def run(command, **_):
+        asked.append(command[0])
+        return subprocess.CompletedProcess(command, 2)
+
+    monkeypatch.setattr(compiler.subprocess, "run", run)
+    assert compiler._is_stub("/usr/bin/clang")
+    assert not compiler._is_stub("/opt/homebrew/bin/gcc")
+    assert asked == ["xcode-select"]  # the stub itself, which would open a window, is not run
+
+
+def test_the_cache_of_windows_is_where_windows_keeps_caches(monkeypatch, tmp_path):
+    monkeypatch.setattr(compiler, "WINDOWS", True)
+    monkeypatch.delenv("CASACAL_CACHE", raising=False)
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "Local"))
+    assert compiler.cache_folder() == tmp_path / "Local" / "casacal"
+
+
+@pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 def test_a_user_without_a_home_gets_blocks(hsr, fresh, monkeypatch, caplog):
     for name in ("CASACAL_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)

@@ -363,3 +363,27 @@ def test_a_study_that_cannot_run_here_says_so(tmp_path, capsys):
     assert main(["study", str(tmp_path / "absent_study.py"), "--out", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out == "Skipped: no data\n"
     assert not (tmp_path / "out").exists()
+
+
+def test_without_flock_a_lock_of_windows_is_taken(tmp_path, monkeypatch):
+    """On Windows: the file is opened without translation of line ends, and a byte far beyond its end is locked."""
+    from types import SimpleNamespace
+
+    from casacal.study import records
+
+    locked = []
+    fake = SimpleNamespace(LK_NBLCK=2, locking=lambda handle, mode, size: locked.append((mode, size)))
+    monkeypatch.setitem(sys.modules, "msvcrt", fake)
+    monkeypatch.setattr(records, "fcntl", None)
+    with records.appending(tmp_path / "records.jsonl") as appender:
+        appender.append([{"fingerprint": "a", "trial": 0}])
+        appender.append([{"fingerprint": "a", "trial": 1}])
+    assert locked == [(2, 1)]
+    assert len(records.read_records(tmp_path / "records.jsonl")) == 2
+
+    def busy(*_):
+        raise OSError("locked")
+
+    fake.locking = busy
+    with pytest.raises(StudyError, match="Another run"), records.appending(tmp_path / "records.jsonl"):
+        pass

@@ -35,7 +35,11 @@ def fingerprint(value: Any) -> str:
 def code_fingerprint() -> str:
     """Sixteen hexadecimal digits for casacal's source, Python and the packages that numbers depend on."""
     package = Path(__file__).parent.parent
-    sources = {p.relative_to(package).as_posix(): _digest(p.read_bytes()) for p in sorted(package.rglob("*.py"))}
+    sources = {
+        p.relative_to(package).as_posix(): _digest(p.read_bytes())
+        for p in sorted(package.rglob("*.[pch]*"))
+        if p.suffix in (".py", ".c", ".h")
+    }
     versions = {name: metadata.version(name) for name in PACKAGES}
     return fingerprint({"sources": sources, "versions": versions, "python": platform.python_version()})
 

@@ -16,9 +16,9 @@ from typing import Any, TypeAlias
 from casacal.errors import StudyError
 from casacal.files import place_whole, write_text
 
-try:  # one writer a folder, where the system knows how
+try:
     import fcntl
-except ImportError:  # pragma: no cover - Windows
+except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 Record: TypeAlias = dict[str, Any]
@@ -71,26 +71,46 @@ def appending(path: Path) -> Iterator[Appender]:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() and _packed(path).is_file():
             place_whole(path, lambda place: place.write_bytes(_content_of(path)))
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
     except OSError as error:
         raise StudyError(f"'{path}' cannot be written ({error.strerror})", "Choose another folder") from error
     try:
-        if fcntl is not None:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise StudyError(f"Another run is writing '{path}'", "Wait for it, or choose another folder") from None
+        try:
+            _lock(handle)
+        except OSError:
+            raise StudyError(f"Another run is writing '{path}'", "Wait for it, or choose another folder") from None
         os.ftruncate(handle, path.read_bytes().rfind(b"\n") + 1)
-        yield Appender(handle)
+        yield Appender(handle, path)
     finally:
         os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    """Let one process write a file; raises OSError where another one does. The lock ends with the process."""
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    else:  # Windows: a byte far beyond the end, so that all others can be read
+        import msvcrt
+
+        os.lseek(handle, 1 << 40, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
 
 
 class Appender:
     """Appends records to an open file, some at a time in one write."""
 
-    def __init__(self, handle: int) -> None:
-        self._handle = handle
+    def __init__(self, handle: int, path: Path) -> None:
+        self._handle, self._path = handle, path
+
+    def rewrite(self, records: Iterable[Record]) -> None:
+        """Put other records in place of all, at once; where an open file cannot be replaced, over them."""
+        data = "".join(to_line(record) for record in records)
+        if os.name != "nt":
+            write_text(self._path, data)
+            return
+        os.ftruncate(self._handle, 0)
+        os.write(self._handle, data.encode())
+        os.fsync(self._handle)
 
     def append(self, records: Iterable[Record]) -> None:
         """Write whole lines and wait until they are on the disk."""
@@ -98,11 +118,6 @@ class Appender:
         while data:
             data = data[os.write(self._handle, data) :]
         os.fsync(self._handle)
-
-
-def write_records(path: Path, records: Iterable[Record]) -> None:
-    """Write a whole file of records, put in place at once."""
-    write_text(path, "".join(to_line(record) for record in records))
 
 
 def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:

@@ -107,7 +107,7 @@ def run(
             if progress is not None:
                 progress(count, total)
         ordered = _ordered(everything, records.read_records(path))
-        records.write_records(path, ordered)
+        appender.rewrite(ordered)
     asked = {key for task in everything for key in task.keys}
     return Run(study, tuple(r for r in ordered if records.key_of(r) in asked), out, quick)
 
@@ -133,12 +133,12 @@ def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False
         if not (part / RECORDS).is_file():
             raise StudyError(f"'{part}' holds no records", "Name folders that `casacal study` wrote")
     everything = tasks_of(study)
-    with records.appending(out / RECORDS):
+    with records.appending(out / RECORDS) as appender:
         _kept(study, out, everything, records.read_records(out / RECORDS), False)
         found = records.merged([records.read_records(part / RECORDS) for part in parts])
         _kept(study, out, everything, found, True)
         ordered = _ordered(everything, found)
-        records.write_records(out / RECORDS, ordered)
+        appender.rewrite(ordered)
     return Run(study, tuple(ordered), out, quick)
 
 
