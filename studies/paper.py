@@ -66,7 +66,7 @@ def report(run: Run) -> list[str]:
     paper_pictures.over_budget(run, run.out / "cost_over_budget.png")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
-    lines += ["What one sees (medians), what one wants (means with 95 % intervals), and what it takes:", ""]
+    lines += ["What one sees and what one wants (means with 95 % intervals), and what it takes (medians):", ""]
     lines += [
         *paper_tables.headline(run, shown, (ONE, THREE)),
         "",

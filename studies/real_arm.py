@@ -7,7 +7,7 @@ laser tracker, judge. The measurements are not part of this project: name their 
     CASACAL_MOTOMAN=FOLDER casacal study studies/real_arm.py [--quick] [--trials N] [--workers N] [--out DIR]
 """
 
-import dataclasses
+import hashlib
 import math
 import os
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ from studies.paper_pictures import COLOURS, base
 from studies.reporting import PROBLEMS, figure, save, script, table
 
 FOLDER = Path(os.environ.get("CASACAL_MOTOMAN", "-"))
+CONTACTS = "contacts.csv"
 TRACKED = {"tracker_free_mm": "tracker_free.csv", "tracker_wall_mm": "tracker_wall.csv"}
 TRACKER_STD = 0.1
 HELDOUT = 0.3
@@ -68,50 +69,47 @@ def tracker_rms(problem: BoundProblem, x: np.ndarray, tracked: BoundProblem) -> 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contacts of a real arm, split at random, and the tracker's runs."""
+    """Contacts of a real arm, split at random, and the tracker's runs; they are read when a trial asks for them."""
 
     problem: Problem
-    contacts: Samples
-    tracked: dict[str, Samples]
+    digests: tuple[str, ...]
+    """SHA-256 of the measurements; none where they are absent and only a report is made."""
 
     def trial(self, seed: int) -> ContactTrial:
         """One split: the given part of each plate's contacts is held out."""
-        fitted, held = split(self.contacts, HELDOUT, seed)
-        fit = bind(self.problem, self.contacts.take(fitted))
-        return ContactTrial(fit, fit.on(self.contacts.take(held)), self._seen)
+        contacts = self._contacts
+        fitted, held = split(contacts, HELDOUT, seed)
+        fit = bind(self.problem, contacts.take(fitted))
+        return ContactTrial(fit, fit.on(contacts.take(held)), self._seen)
+
+    @cached_property
+    def _contacts(self) -> Samples:
+        return self.problem.read(FOLDER / CONTACTS)
 
     @cached_property
     def _seen(self) -> dict[str, BoundProblem]:
         watched = Problem(self.problem.robot, TrackedPoint(noise_std=TRACKER_STD))
-        return {name: bind(watched, samples) for name, samples in self.tracked.items()}
+        return {name: bind(watched, watched.read(FOLDER / file)) for name, file in TRACKED.items()}
 
 
-def described(folder: Path, trials: int, population: int, budget: int) -> Study:
-    """The study over a folder of measurements."""
+def described(trials: int, population: int, budget: int) -> Study:
+    """The study over the folder of measurements."""
     problem = load_problem(PROBLEMS / "motoman_ma1400").problem
     loose = problem.with_prior({"a": 10.0, "d": 10.0, "alpha": 0.01, "theta": 0.01})
-    watched = Problem(problem.robot, TrackedPoint(noise_std=TRACKER_STD))
-    contacts = named(problem.read(folder / "contacts.csv"))
-    tracked = {name: named(watched.read(folder / file)) for name, file in TRACKED.items()}
+    files = [FOLDER / name for name in (CONTACTS, *TRACKED.values())]
+    digests = tuple(hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file())
     methods = {
         **{name: rivals.CONTROLS[name] for name in (rivals.BEFORE, rivals.PLANES, rivals.NULL_STEP)},
         **rivals.population(population, (budget,)),
         **rivals.LOCAL,
         **rivals.REFERENCES,
     }
-    settings = {name: Contacts(prior, contacts, tracked) for name, prior in ((DEFAULT, problem), (LOOSE, loose))}
+    settings = {name: Contacts(prior, digests) for name, prior in ((DEFAULT, problem), (LOOSE, loose))}
     return Study("real_arm", settings, methods, trials=trials)
 
 
-def named(samples: Samples) -> Samples:
-    """The samples without the folder they came from, which differs from machine to machine."""
-    return dataclasses.replace(samples, file=Path(samples.file).name)
-
-
-study = quick = skipped = None
-if (FOLDER / "contacts.csv").is_file():
-    study, quick = described(FOLDER, 20, 5, 1_000_000), described(FOLDER, 2, 1, 100_000)
-else:
+study, quick, skipped = described(20, 5, 1_000_000), described(2, 1, 100_000), None
+if not (FOLDER / CONTACTS).is_file():
     skipped = "the Motoman measurements are not here; name their folder in CASACAL_MOTOMAN"
 
 

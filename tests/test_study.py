@@ -387,3 +387,21 @@ def test_without_flock_a_lock_of_windows_is_taken(tmp_path, monkeypatch):
     fake.locking = busy
     with pytest.raises(StudyError, match="Another run"), records.appending(tmp_path / "records.jsonl"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("returned", "found"), [("'# Title\\n\\ntext'", "# Title\n\ntext\n"), ("['# Title', 3]", "# Title\n3\n")]
+)
+def test_a_report_may_be_lines_or_one_text(tmp_path, returned, found):
+    file = tmp_path / "told.py"
+    file.write_text(f"def report(run):\n    return {returned}\n")
+    assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "report.md").read_text().startswith(found)
+
+
+@pytest.mark.parametrize(("returned", "came"), [("None", "Nothing"), ("3", "An int")])
+def test_a_report_that_is_none_is_refused(tmp_path, capsys, returned, came):
+    file = tmp_path / "told.py"
+    file.write_text(f"def report(run):\n    return {returned}\n")
+    assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert f"{came} came from report(run)" in capsys.readouterr().err

@@ -51,7 +51,7 @@ def _study(options: argparse.Namespace) -> int:
     from casacal.study.study_file import load_study
 
     source = load_study(options.study)
-    if source.skipped:
+    if source.skipped and not options.report:
         print(f"Skipped: {source.skipped}")
         return DONE
     study = source.form(quick=options.quick, trials=options.trials)

@@ -1,8 +1,8 @@
 """Study files.
 
-A study file defines `report(run)`, which returns the lines of report.md and may draw into `run.out`. Unless it only
-computes, it also defines `study`, and may define `quick`, a smaller form of it. `skipped`, a sentence, says why it
-cannot run here, such as measurements that are absent.
+A study file defines `report(run)`, which returns report.md, as lines or as one text, and may draw into `run.out`.
+Unless it only computes, it also defines `study`, and may define `quick`, a smaller form of it. `skipped`, a sentence,
+says why it cannot run here, such as measurements that are absent; a report from records does not need them.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import importlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from casacal.errors import CasacalError, StudyError
+from casacal.errors import CasacalError, StudyError, came
 from casacal.study.description import Study
 
 
@@ -29,7 +29,7 @@ class StudyFile:
     path: str
     study: Study | None
     quick: Study | None
-    report: Callable[[Any], Sequence[str]]
+    report: Callable[[Any], Sequence[str] | str]
     skipped: str | None
 
     def commands(self, options: str) -> list[str]:
@@ -70,11 +70,16 @@ def _dotted(file: Path) -> tuple[list[str], Path]:
 
 
 def lines_of(source: StudyFile, run: Any) -> list[str]:
-    """What the study's report says of a run; raises StudyError when it fails."""
+    """What the study's report says of a run, as lines; raises StudyError when it fails, or says nothing."""
     try:
-        return [str(line) for line in source.report(run)]
+        said = source.report(run)
     except (Exception, SystemExit) as error:  # a user's function may raise anything
         raise _failure(Path(source.path), error) from error
+    if isinstance(said, str):
+        return said.splitlines()
+    if not isinstance(said, Iterable):
+        raise StudyError(f"{came(said)} came from report(run) of '{source.path}'", "Return the lines of report.md")
+    return [str(line) for line in said]
 
 
 def _failure(file: Path, error: BaseException) -> CasacalError:
