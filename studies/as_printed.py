@@ -205,7 +205,7 @@ def draw(at: Touches, path: Path, iterations: int) -> None:
     axes.semilogy(steps[:, 1], color="#1f6fb2", label="true distance from the plane")
     axes.set_xlabel("iteration of (29), lambda = 1")
     axes.set_ylabel("mm RMS")
-    axes.legend(frameon=False)
+    reporting.shared_legend(made, 2)
     axes.set_title("E16: the normal shrinks to zero", fontsize=10)
     reporting.save(made, path)
 

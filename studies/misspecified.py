@@ -168,7 +168,7 @@ def draw(run: Run, path: Path) -> None:
     axes.set_yticks(range(len(run.study.settings)), list(run.study.settings))
     axes.invert_yaxis()
     axes.set_xlabel("tip error over that of LM where all is as the model says")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
     axes.spines[["top", "right"]].set_visible(False)
     save(made, path)
 

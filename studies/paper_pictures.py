@@ -8,7 +8,7 @@ from casacal import Run
 from casacal.study.statistics import mean_interval
 from studies import rivals
 from studies.paper_tables import best_cost
-from studies.reporting import figure, save, save_both
+from studies.reporting import figure, save, save_both, shared_legend
 
 COLOURS = {
     rivals.BEFORE: "#9a9a9a", rivals.PLANES: "#8c8c8c", "M1 annealing": "#d1622b", "M2 swarm": "#e0a030",
@@ -50,7 +50,7 @@ def headline(run: Run, methods: list[str], settings: tuple[str, str], path: Path
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_yticks(range(len(methods)), [base(method) for method in methods])
     panels[0].invert_yaxis()
-    panels[0].legend(frameon=False, fontsize=8, loc="lower right")
+    shared_legend(made, 2)
     save(made, path)
 
 
@@ -89,7 +89,6 @@ def training(run: Run, methods: list[str], path: Path) -> None:
                 style = {"ls": "--", "zorder": 3} if method == rivals.SCKF else {}
                 axes.loglog(*curve, label=base(method), color=COLOURS[base(method)], lw=1.3, **style)
             axes.set_xlabel("rows of residuals")
-            axes.legend(frameon=False, fontsize=8)
         row[0].set_ylabel("objective above the best")
         row[0].set_title(f"(a) {setting}", fontsize=10)
         row[1].set_title("(b)", fontsize=10)
@@ -99,6 +98,7 @@ def training(run: Run, methods: list[str], path: Path) -> None:
         row[2].set_xlabel("seconds")
         row[2].set_title("(c)", fontsize=10)
         row[2].invert_yaxis()
+    shared_legend(made, 7)
     save_both(made, path)
 
 
@@ -134,11 +134,11 @@ def positions(run: Run, budget: int, path: Path) -> None:
                 style = {rivals.BOTH: "--", rivals.BEFORE: ":"}.get(name, "-")
                 axes.plot(range(1, len(errors) + 1), errors, style, lw=1.2, color=COLOURS[name], label=name,
                           zorder=3 if style == ":" else 2)  # fmt: skip
-            axes.legend(frameon=False, fontsize=7)
             axes.set_title(f"({letter}) {setting}", fontsize=9)
         row[0].set_ylabel("tip error, mm")
     for axes in panels[-1]:
         axes.set_xlabel("held-out touch")
+    shared_legend(made, 7)
     save_both(made, path)
 
 

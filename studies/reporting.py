@@ -41,6 +41,32 @@ def save_both(made: Figure, path: Path) -> None:
         made.set_layout_engine("none")  # laid out once: it takes longer than drawing
 
 
+def palette(count: int) -> list[str]:
+    """So many colours that can be told apart, also by those who see few."""
+    wheel = [
+        "#123a63",
+        "#d1622b",
+        "#3aa28f",
+        "#a8577e",
+        "#e0a030",
+        "#5b4a9e",
+        "#7a9a3a",
+        "#8c8c8c",
+        "#1f6fb2",
+        "#c02020",
+    ]
+    return [wheel[k % len(wheel)] for k in range(count)]
+
+
+def shared_legend(made: Figure, columns: int) -> None:
+    """One legend for all panels, below them, each label once."""
+    entries: dict[str, Any] = {}
+    for axes in made.axes:
+        handles, labels = axes.get_legend_handles_labels()
+        entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
+    made.legend(entries.values(), entries.keys(), frameon=False, fontsize=8, loc="outside lower center", ncols=columns)
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
     """Lines of a Markdown table."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]

@@ -75,7 +75,7 @@ def draw(table: dict[str, Table], path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(y=0.15)
     panels[0].set_ylabel("mm RMS, held out")
-    panels[0].legend(frameon=False, loc="upper left")
+    reporting.shared_legend(figure, 2)
     reporting.save(figure, path)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from casacal import Run, lm
 from casacal.kernels.compiler import CompilerError
 from studies import speed_contenders, speed_scale
-from studies.reporting import figure, save, script, table
+from studies.reporting import figure, palette, save, script, table
 from studies.speed_case import CANDIDATES, Case, agreement, case
 from studies.speed_contenders import medians
 
@@ -135,16 +135,19 @@ def judged(aim: str, value: float) -> str:
 
 def draw(growth: dict[str, dict[int, dict[str, float]]], path: Path) -> None:
     """Time over the number of rows, one panel a task, with the exponent of each contender in the legend."""
-    made = figure(13, 4.2)
+    made = figure(13, 5.2)
+    contenders = dict.fromkeys(name for found in growth.values() for times in found.values() for name in times)
+    colours = dict(zip(contenders, palette(len(contenders)), strict=True))  # one contender, one colour in all panels
     for axes, (title, found) in zip(made.subplots(1, len(growth)), growth.items(), strict=True):
         for name in dict.fromkeys(name for times in found.values() for name in times):
             points = [(rows, times[name]) for rows, times in found.items() if name in times]
             rows, values = np.array(points).T
             exponent = np.polyfit(np.log(rows[-2:]), np.log(values[-2:]), 1)[0]
-            axes.loglog(rows, values, "o-", ms=3, lw=1.2, label=f"{name}, N^{exponent:.2f}")
+            axes.loglog(rows, values, "o-", ms=3, lw=1.2, color=colours[name],
+                        label=f"{name}, N^{exponent:.2f}")  # fmt: skip
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("rows")
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(frameon=False, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16))
         axes.spines[["top", "right"]].set_visible(False)
     made.axes[0].set_ylabel("seconds")
     save(made, path)
