@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibration import Calibration, Reference
+from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
@@ -37,6 +39,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile) -> dict[
     without = calibration.tip_std_without_prior
     return {
         **_head(source, result, calibration.seed, fit.backend),
+        "verdict": asdict(verdict_of(calibration)),
         "data": {
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,

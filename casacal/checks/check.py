@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +17,7 @@ from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.prior_scatter import prior_scatter
 
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""
@@ -45,7 +44,7 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
         return (*findings, Finding("error", "cannot be bound", error.what, error.fix))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
-    bad, stray = _strays(problem, samples, prior_scatter(some))
+    bad, stray = _strays(problem, samples, prior_scatter(some).rms)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _spread(good, MOST_ROWS)
     base = misfit(problem, few)
@@ -62,16 +61,6 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
 def _spread(samples: Samples, count: int) -> Samples:
     """So many rows, evenly over all; all where there are fewer."""
     return samples.take(np.unique(np.linspace(0, len(samples) - 1, count).astype(int)))
-
-
-def prior_scatter(bound: BoundProblem) -> float:
-    """Distance (mm, RMS) from fitted planes that the prior errors of the arm and the noise explain."""
-    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
-    slopes = bound.jacobian(bound.x0) * noise[:, None]
-    arm = ~bound.datum & np.isfinite(bound.prior_std)
-    moved, planes = slopes[:, arm] * bound.prior_std[arm], slopes[:, bound.datum]
-    left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    return math.sqrt(float((left**2).sum(axis=1).mean() + (noise**2).mean()))
 
 
 def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:

@@ -96,9 +96,13 @@ def name_fault(problem: Problem, samples: Samples, base: float) -> Finding | Non
     return Finding(
         "error",
         fault.about,
-        f"{fault.cause}: undone, the misfit falls from {base:.3g} to {best:.3g} times the stated noise{also}",
+        f"{fault.cause}: undone, the misfit falls from {_times(base)} to {_times(best)} times the stated noise{also}",
         fault.fix,
     )
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.2g}"
 
 
 def sign_before_fit(bound: BoundProblem) -> list[Finding]:
