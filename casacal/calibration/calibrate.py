@@ -40,7 +40,7 @@ def calibrate(
     problem: Problem,
     samples: Samples,
     *,
-    method: str = "sckf-lm",
+    method: str | None = None,
     holdout: float = 0.0,
     seed: int = 0,
     reference: bool = True,
@@ -54,7 +54,7 @@ def calibrate(
     Args:
         problem: robot and instrument.
         samples: rows of that instrument.
-        method: a name of `METHODS`.
+        method: a name of `METHODS`; by default "sckf-lm", and "lm" with a loss.
         holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
@@ -65,10 +65,11 @@ def calibrate(
     Raises UnknownNameError for the method, SamplesError when too few rows remain, ProblemError as `bind` does.
 
     """
+    method = method or ("sckf-lm" if loss is None else "lm")
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
     if loss is not None and method != "lm":
-        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
+        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm, or leave the method out")
     began = time.perf_counter()
     fitted, held = split(samples, holdout, seed)
     fit = bind(problem, samples.take(fitted) if held.size else samples, backend=backend, threads=threads)

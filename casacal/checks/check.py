@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.faults import ALIKE, SUSPICIOUS, flips, misfit, name_fault, sign_before_fit
 from casacal.checks.finding import Finding
+from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import exchanged_labels, gross_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
@@ -37,11 +38,11 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
     each found by undoing it, then outliers and noise. Deterministic.
     """
-    findings = [*repeated(samples), *outside(problem, samples)]
+    findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
-        return (*findings, Finding("error", "cannot be bound", error.what, error.fix))
+        return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     bad, stray = _strays(problem, samples, prior_scatter(some).rms)
@@ -55,6 +56,10 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
         findings += [*stray, _unexplained(base, findings + stray)]
     else:
         findings += [*stray, *_untold(problem, few, base), *_single_rows(bind(problem, good))]
+    return _in_order(findings)
+
+
+def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
 
 

@@ -96,7 +96,7 @@ def _directions(probe: Probe, normals: Array) -> list[Finding]:
                 "no length was measured",
                 "faces fix angles; the size of the arm comes from the prior"
                 + (" and a few millimetres of dial travel" if probe.column is not None else ""),
-                "Measure one known length: a gauge block's step, declared with steps=...",
+                "Measure one known length: a gauge block's step, declared with steps in the problem",
             )
         )
     return findings

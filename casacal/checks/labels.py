@@ -1,0 +1,112 @@
+"""Labels that look like slips of the pen: rare ones, and ones that hardly differ from another."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.checks.finding import Finding
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+MARGIN = 2
+"""Rows that a label needs beside one for each unknown of its own."""
+RARE = 0.03
+FEW = 3
+"""A label of no more rows, in no more than this part of all, is rare."""
+SHORTEST = 4
+"""Letters from which one letter more or less is a slip and not another name."""
+MOST_LABELS = 200
+"""Labels that are compared with one another; where there are more they are numbers, not names."""
+
+
+def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings on labels that occur in few rows or hardly differ from another one; a label is named once."""
+    column = problem.instrument.groups
+    if column is None or column not in samples.labels:
+        return []
+    labels = samples.labels[column]
+    counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
+    alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
+    findings = []
+    for k, name in enumerate(labels.names):
+        lines = _lines(samples, labels.codes == k)
+        if name in alike:
+            cause = (
+                f"'{name}' ({_rows(counts[name])}) hardly differs from '{alike[name]}' ({_rows(counts[alike[name]])})"
+            )
+            fix = f"Write '{alike[name]}' there if it is the same face; as it stands it is a face of its own"
+            findings.append(Finding("warning", "labels alike", cause, fix, lines))
+    shares = _rows_of_one_instance(problem, counts, column)
+    for k, name in enumerate(labels.names):
+        own = _own_unknowns(problem, name, column)
+        few = shares[name] < own + MARGIN if own else False
+        rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * len(samples)
+        if name not in alike and (few or rare):
+            cause = f"'{name}' occurs in {_rows(counts[name])}" + (
+                f"; a face has {own} unknowns of its own" if own else ""
+            )
+            others = [other for other in counts if other != name]
+            slip = f"Correct it if {' or '.join(map(repr, others[:FEW]))} is meant, or take" if others else "Take"
+            fix = f"{slip} {own + MARGIN} rows or more there"
+            findings.append(Finding("warning", "rare label", cause, fix, _lines(samples, labels.codes == k)))
+    return findings
+
+
+def _alike(counts: dict[str, int]) -> dict[str, str]:
+    """For each label that looks like a slip of another one, that other one: of two, the one of fewer rows."""
+    close: dict[str, list[str]] = defaultdict(list)
+    for one, two in combinations(counts, 2):
+        rare, often = (one, two) if counts[one] < counts[two] else (two, one)
+        if _slip(rare, often, both_common=2 * counts[rare] > counts[often]):
+            close[rare].append(often)
+    return {name: max(others, key=lambda other: counts[other]) for name, others in close.items()}
+
+
+def _slip(one: str, two: str, *, both_common: bool) -> bool:
+    """Whether two labels differ by case, blanks or one letter; 'face1' and 'face2' do not, nor 'sideA' and 'sideB'."""
+    if "".join(one.split()).casefold() == "".join(two.split()).casefold():
+        return True
+    short, long = sorted((one.casefold(), two.casefold()), key=len)
+    if len(short) < SHORTEST - 1 or len(long) < SHORTEST or len(long) - len(short) > 1:
+        return False
+    start = next((i for i, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short))
+    if len(short) == len(long):
+        if short[start + 1 :] != long[start + 1 :] or not (short[start].isalpha() and long[start].isalpha()):
+            return False
+        return not (both_common and start == len(short) - 1)
+    return short[start:] == long[start + 1 :] and long[start].isalpha()
+
+
+def _own_unknowns(problem: Problem, name: str, column: str) -> int:
+    """Unknowns of the instrument that a label has for itself; none where it shares the plane of another one."""
+    instrument = problem.instrument
+    return sum(
+        unknown.size
+        for key, unknown in instrument.unknowns.items()
+        if unknown.per == column and instrument.instance(key, name) == name
+    )
+
+
+def _rows_of_one_instance(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
+    """Rows that tell of a label's own unknowns: its own, and those of labels that share them, such as a step's."""
+    instrument = problem.instrument
+    keys = [key for key, unknown in instrument.unknowns.items() if unknown.per == column]
+    return {
+        name: min(
+            (sum(n for other, n in counts.items() if instrument.instance(key, other) == name) for key in keys),
+            default=counts[name],
+        )
+        for name in counts
+    }
+
+
+def _rows(count: int) -> str:
+    return f"{count} row{'' if count == 1 else 's'}"
+
+
+def _lines(samples: Samples, rows: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(samples.lines[i] for i in np.flatnonzero(rows).tolist())
