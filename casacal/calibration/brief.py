@@ -41,7 +41,8 @@ def brief(
     tail.append(f"Next: {next_step(calibration, verdict, about=about, out=out)}")
     above, below = (_wrapped(lines, width) for lines in (head, tail))
     left = room - len(above) - len(below)
-    reasons = _reasons(verdict.reasons, width, left)
+    told = verdict.words.lower()
+    reasons = _reasons([reason for reason in verdict.reasons if reason.lower() not in told], width, left)
     cure = "" if denied else best_cure(calibration)
     more = _wrapped([f"To know more: {cure}"], width) if cure else []
     if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result

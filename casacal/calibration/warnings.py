@@ -21,6 +21,9 @@ NOISE_BAND = (0.9, 1.1)
 IMPROBABLE = 0.01
 """Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
 
+SETTLED = 0.1
+"""Expected tip error over that before, below which the samples decide, however loose the priors."""
+
 SHOWN = 6
 
 
@@ -91,8 +94,11 @@ def _noise(calibration: Calibration) -> Doubt | None:
 
 
 def _loose_priors(calibration: Calibration) -> Doubt | None:
+    prior_tip, tip = calibration.tip_std
     before = calibration.metrics["before"]["fit"]
     assert before is not None
+    if tip < SETTLED * prior_tip:
+        return None
     scatter = prior_scatter(calibration.fit)
     if scatter.chance_below(before["rmse_mm"]) > IMPROBABLE:
         return None
