@@ -98,9 +98,9 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
 
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
-    inside = None if box is None else accuracy_in_box(calibration.fit, calibration.result.x, box)
+    inside = None if box is None or denied else accuracy_in_box(calibration.fit, calibration.result.x, box)
     expected = []
-    if inside is not None and not denied:
+    if inside is not None:
         expected = [f"Inside {options.box} mm: {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples cannot tell: --verbose"

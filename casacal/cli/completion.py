@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from casacal.cli.common import DONE
 from casacal.cli.terminal import say
@@ -159,7 +159,7 @@ fi"""
 def _zsh_specs(parser: argparse.ArgumentParser) -> Iterator[str]:
     """Arguments of zsh's _arguments, quoted."""
     for action in _options(parser):
-        said = _plain(action.help or "", "[]:\\")
+        said = "".join(f"\\{letter}" if letter in "[]:\\" else letter for letter in action.help or "")
         for name in action.option_strings:
             often = "*" if isinstance(action, argparse._AppendAction) else ""
             value = f":{action.metavar or action.dest}:{_zsh_offer(action)}" if _takes_value(action) else ""
@@ -173,8 +173,3 @@ def _zsh_offer(action: argparse.Action) -> str:
     if action.choices is not None:
         return f"({' '.join(map(str, action.choices))})"
     return "_files" if action.metavar in PLACES else " "
-
-
-def _plain(text: str, unwanted: Sequence[str]) -> str:
-    """Text without the letters that mean something to the shell."""
-    return "".join(" " if letter in unwanted else letter for letter in text)
