@@ -70,6 +70,7 @@ def calibrate(
         raise UnknownNameError("method", method, METHODS)
     if loss is not None and method != "lm":
         raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm, or leave the method out")
+    _ = problem.instrument  # refuses a problem with several
     began = time.perf_counter()
     fitted, held = split(samples, holdout, seed)
     fit = bind(problem, samples.take(fitted) if held.size else samples, backend=backend, threads=threads)
