@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.faults import ALIKE, SUSPICIOUS, flips, misfit, name_fault, sign_before_fit
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import exchanged_labels, gross_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
@@ -81,14 +81,16 @@ def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray
 
 def _unexplained(base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
-    cause = f"residuals of a robust fit are {base:.3g} times what the stated noise explains"
+    cause = f"the residuals of a robust fit are {times(base)} times what the stated noise explains"
     if known:
-        return Finding("remark", "misfit", f"{cause}, as {', '.join(known)} would", "Mend those first")
+        return Finding(
+            "remark", "misfit", f"{cause}, which {', '.join(known)} would account for", "Correct those first"
+        )
     return Finding(
         "error",
         "misfit",
         f"{cause}, and no single sign, unit, swap or flip accounts for it",
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a bent face do this too",
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face do it too",
     )
 
 
@@ -96,7 +98,12 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
     """Remarks on flips that these samples would not notice."""
     unseen = [fault.about for fault in flips(problem) if misfit(problem, fault.undo(samples)) <= ALIKE * base]
     return [
-        Finding("remark", f"{about}?", "these samples would look the same, so this cannot be told", "Check it by hand")
+        Finding(
+            "remark",
+            f"{about}?",
+            "these samples would look the same if it were, so they cannot tell",
+            "Check it by hand",
+        )
         for about in unseen
     ]
 
@@ -114,7 +121,7 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
         Finding(
             "warning",
             "noise",
-            f"residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})",
+            f"the residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f})",
             "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model lacks",
         )
     ]

@@ -6,9 +6,8 @@ from collections import defaultdict
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, counted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
@@ -30,30 +29,34 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
         return []
     labels = samples.labels[column]
     counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
+    declared = {label for known in problem.instrument.known_columns.values() for label in known}
     alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
     findings = []
     for k, name in enumerate(labels.names):
-        lines = _lines(samples, labels.codes == k)
+        if name in declared:
+            continue
+        lines = tuple(samples.lines[i] for i in np.flatnonzero(labels.codes == k).tolist())
         if name in alike:
-            cause = (
-                f"'{name}' ({_rows(counts[name])}) hardly differs from '{alike[name]}' ({_rows(counts[alike[name]])})"
-            )
-            fix = f"Write '{alike[name]}' there if it is the same face; as it stands it is a face of its own"
+            other = alike[name]
+            cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
+            fix = f"Write '{other}' there if it is the same face; as it stands it is a face of its own"
             findings.append(Finding("warning", "labels alike", cause, fix, lines))
-    shares = _rows_of_one_instance(problem, counts, column)
-    for k, name in enumerate(labels.names):
-        own = _own_unknowns(problem, name, column)
-        few = shares[name] < own + MARGIN if own else False
-        rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * len(samples)
-        if name not in alike and (few or rare):
-            cause = f"'{name}' occurs in {_rows(counts[name])}" + (
-                f"; a face has {own} unknowns of its own" if own else ""
-            )
-            others = [other for other in counts if other != name]
-            slip = f"Correct it if {' or '.join(map(repr, others[:FEW]))} is meant, or take" if others else "Take"
-            fix = f"{slip} {own + MARGIN} rows or more there"
-            findings.append(Finding("warning", "rare label", cause, fix, _lines(samples, labels.codes == k)))
+        elif said := _rare(problem, name, counts, column):
+            findings.append(Finding("warning", "rare label", *said, lines))
     return findings
+
+
+def _rare(problem: Problem, name: str, counts: dict[str, int], column: str) -> tuple[str, str] | None:
+    """Cause and fix for a label of too few rows; None where it has enough."""
+    own = _own_unknowns(problem, name, column)
+    few = own > 0 and _rows_of_its_unknowns(problem, name, counts, column) < own + MARGIN
+    rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * sum(counts.values())
+    if not few and not rare:
+        return None
+    others = [repr(other) for other in counts if other != name]
+    slip = f"Correct it if {' or '.join(others[:FEW])} is meant, or take" if others else "Take"
+    beside = f"; a face has {counted(own, 'unknown')} of its own" if own else ""
+    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {own + MARGIN} rows or more there"
 
 
 def _alike(counts: dict[str, int]) -> dict[str, str]:
@@ -91,22 +94,9 @@ def _own_unknowns(problem: Problem, name: str, column: str) -> int:
     )
 
 
-def _rows_of_one_instance(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
-    """Rows that tell of a label's own unknowns: its own, and those of labels that share them, such as a step's."""
+def _rows_of_its_unknowns(problem: Problem, name: str, counts: dict[str, int], column: str) -> int:
+    """Rows that tell of a label's unknowns: its own, and those of labels that share them, such as a step's."""
     instrument = problem.instrument
     keys = [key for key, unknown in instrument.unknowns.items() if unknown.per == column]
-    return {
-        name: min(
-            (sum(n for other, n in counts.items() if instrument.instance(key, other) == name) for key in keys),
-            default=counts[name],
-        )
-        for name in counts
-    }
-
-
-def _rows(count: int) -> str:
-    return f"{count} row{'' if count == 1 else 's'}"
-
-
-def _lines(samples: Samples, rows: NDArray[np.bool_]) -> tuple[int, ...]:
-    return tuple(samples.lines[i] for i in np.flatnonzero(rows).tolist())
+    shared = [sum(n for other, n in counts.items() if instrument.instance(key, other) == name) for key in keys]
+    return min(shared, default=counts[name])

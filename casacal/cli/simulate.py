@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="FILE", help="samples to write, such as x.csv; the truth goes to x.truth.json"
     )
-    parser.add_argument("--samples", type=int, default=120, metavar="N", help="default: 120")
-    parser.add_argument("--seed", type=int, default=0, metavar="K")
+    parser.add_argument("--samples", type=int, default=120, metavar="N", help="how many touches; default: 120")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="another seed, another arm; default: 0")
     numbers = {
         "tilt": ("DEG", "largest angle between plunger and face normal"),
         "travel": ("MM", "range of the dial"),
