@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import math
 from typing import TYPE_CHECKING, Any
 
 from casacal.array_types import Array
@@ -11,6 +10,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import parameter_rows
 from casacal.calibration.summary import summary
+from casacal.calibration.verdict import verdict_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,7 @@ class Calibrated(Calibration):
         return table.rename(columns={"identifiable": "known_from"})
 
     def summary(self) -> str:
-        """What the command line prints: residuals, expected accuracy, parameters, blind spots, reference."""
+        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots, reference."""
         return summary(self, self.fit.problem.robot.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
@@ -78,12 +78,10 @@ class Calibrated(Calibration):
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:
-        before, now = self.tip_std
-        shown = "infinite" if math.isinf(now) else f"{now:.3g} mm"
-        return (
-            f"<casacal calibration of {self.fit.problem.robot.name} by {self.method}: {len(self.samples)} samples, "
-            f"expected tip error {before:.3g} to {shown} RMS, {'success' if self.success else 'no success'}>"
-        )
+        (before, now), level = self.tip_std, verdict_of(self).level
+        shown = "" if level == "do not use" else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
+        name = self.fit.problem.robot.name
+        return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
 
     def _repr_html_(self) -> str:
         table = self.parameters.drop(columns="note").to_html(float_format=lambda value: f"{value:.5g}")
