@@ -62,7 +62,7 @@ class Calibrated(Calibration):
         return table.rename(columns={"identifiable": "known_from"})
 
     def summary(self) -> str:
-        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots, reference."""
+        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots."""
         return summary(self, self.fit.problem.robot.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
