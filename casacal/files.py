@@ -42,8 +42,12 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:
     """Write a document as JSON; numbers that are not finite become null, as JSON has none."""
-    text = json.dumps(jsonable(document), indent=1, ensure_ascii=False, allow_nan=False)
-    write_text(path, text + "\n")
+    write_text(path, json_text(document))
+
+
+def json_text(document: Mapping[str, Any], *, ascii_only: bool = False) -> str:
+    """The same as text; `ascii_only` escapes every other letter."""
+    return json.dumps(jsonable(document), indent=1, ensure_ascii=ascii_only, allow_nan=False) + "\n"
 
 
 def jsonable(value: Any) -> Any:

@@ -93,19 +93,28 @@ def test_the_summary_says_what_a_person_needs(run):
     code, out, err = run("calibrate", HSR, "--holdout", 0.25)
     assert code == 0
     assert err == ""
-    for words in ("before", "after", "held out", "not accuracy", "std", "known from", "rank", "ipopt agrees"):
+    for words in ("Calibrated", "before", "held out", "not accuracy", "Next: ", "ipopt agrees"):
+        assert words in out
+    assert "known from" not in out
+    code, out, err = run("calibrate", HSR, "--holdout", 0.25, "--verbose")
+    assert (code, err) == (0, "")
+    for words in ("Calibrated", "before", "after", "held out", "std", "known from", "rank", "ipopt agrees"):
         assert words in out
 
 
 @pytest.mark.parametrize("method", METHOD_NAMES)
-def test_every_method_runs(run, method):
+def test_every_method_runs_and_its_exit_code_is_that_of_the_verdict(run, method):
     code, out, _ = run("calibrate", HSR, "--method", method)
-    assert code == 0
-    assert method in out.splitlines()[0]
+    assert f": {method} from 120 samples" in out.splitlines()[0]
+    far = method in ("annealing", "swarm", "evolution", "plane-only")  # they end far above the minimum
+    assert code == (1 if far else 0)
+    assert ("Do not use" in out) == far
+    assert ("expect a tip error" in out) != far
 
 
 def test_fixing_and_priors(run, tmp_path):
-    code, out, _ = run("calibrate", HSR, "--fix", "alpha,a3", "--prior", "d=0.1", "--no-reference", "--out", tmp_path)
+    options = ("--fix", "alpha,a3", "--prior", "d=0.1", "--no-reference", "--verbose")
+    code, out, _ = run("calibrate", HSR, *options, "--out", tmp_path)
     assert code == 0
     assert "Reference: not run" in out
     rows = {row["name"]: row for row in json.loads((tmp_path / "result.json").read_text())["parameters"]}
@@ -223,7 +232,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "COMMAND"),
+        (["--json"], "unrecognized"),
         (["nonsense"], "invalid choice"),
         (["calibrate"], "PROBLEM"),
         (["calibrate", "nowhere"], "no problem at 'nowhere'"),
@@ -240,6 +249,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
         (["calibrate", HSR, "--prior", "a3=nan"], "NAME=STD"),
         (["calibrate", HSR, "--method", "lm", "--loss", "cauchy"], "invalid choice"),
         (["calibrate", HSR, "--method", "ekf", "--loss", "huber"], "no robust loss"),
+        (["calibrate", HSR, "--method", "sckf-lm", "--loss", "huber"], "leave the method out"),
         (["calibrate", HSR, "--accuracy", "0"], "positive"),
         (["check", "nowhere"], "no problem"),
         (["check", HSR, "none.csv"], "no such file"),

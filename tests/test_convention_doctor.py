@@ -396,7 +396,7 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
         ("q1_deg,q2_rad,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", [], "state different units"),
         ("q1,q1_deg,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,1,2,3,4,5,6,1,2,3,4,5,6", [], "'q1' and 'q1_deg' both give q1"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,x", [], "'x' is not a finite number"),
-        ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tool", "1,2"], "--tool 1,2 is no pose"),
+        ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tool", "1,2"], "--tool 1,2 is not a pose"),
         ("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c", "1,2,3,4,5,6,1,2,3,4,5,6", ["--tolerance", "0"], "The tolerance is 0 mm"),
     ],
 )  # fmt: skip

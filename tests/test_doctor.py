@@ -8,10 +8,12 @@ import sys
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, bind, check, lm, simulate
+from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, simulate
+from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import _spreads
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
+from casacal.tables.labels import Labels
 
 REPLACE = dataclasses.replace
 
@@ -139,7 +141,7 @@ def test_clean_corners_raise_nothing_above_a_remark(hsr, seed):
 
 def test_the_wrong_sign_is_seen_before_any_fit(hsr, corner_simulation):
     findings = check(hsr.problem, wrong_sign(hsr, corner_simulation.samples))
-    assert any("already at the nominal" in finding.cause for finding in findings)
+    assert any("with the arm as drawn the residuals already" in finding.cause for finding in findings)
 
 
 def test_what_cannot_be_told_is_said(hsr, corner_simulation):
@@ -166,3 +168,82 @@ def test_few_rows_and_parallel_faces_are_warned_about(hsr):
 def test_unexplained_misfit_is_an_error(hsr):
     bent = simulate(hsr.problem, REPLACE(hsr.cell, joint_std=1e-3), seed=1).samples
     assert "misfit" in {f.about for f in check(hsr.problem, bent) if f.severity == "error"}
+
+
+def labelled(samples, changes):
+    """With other labels in some rows, counted from 0."""
+    labels = list(samples.labels["plane"])
+    for rows, label in changes.items():
+        for i in rows:
+            labels[i] = label
+    return REPLACE(samples, labels={"plane": Labels.of(labels)})
+
+
+def rows_of(samples, label, count):
+    return tuple(i for i, each in enumerate(samples.labels["plane"]) if each == label)[:count]
+
+
+@pytest.mark.parametrize(
+    ("label", "slip", "count", "about"),
+    [
+        ("wall", "wal", 1, "labels alike"),
+        ("wall", "walll", 2, "labels alike"),
+        ("floor", "flour", 3, "labels alike"),
+        ("wall", "Wall", 15, "labels alike"),
+        ("wall", "w all", 6, "labels alike"),
+        ("wall", "table", 3, "rare label"),
+        ("wall", "table", 4, "rare label"),
+    ],
+)
+def test_odd_labels_are_named_with_their_lines(hsr, corner_simulation, label, slip, count, about):
+    rows = rows_of(corner_simulation.samples, label, count)
+    samples = labelled(corner_simulation.samples, {rows: slip})
+    (finding,) = (f for f in check(hsr.problem, samples) if f.about in ("labels alike", "rare label"))
+    assert (finding.severity, finding.about) == ("warning", about)
+    assert finding.lines == tuple(samples.lines[i] for i in rows)
+    assert f"'{slip}'" in finding.cause
+    assert f"'{label}'" in finding.fix
+
+
+def test_labels_that_are_only_named_in_a_row_are_not_odd(hsr, corner_simulation):
+    samples = corner_simulation.samples
+    for names in (("face1", "face2", "face3"), ("side A", "side B", "side C"), ("a", "b", "c"), ("top", "tip", "tap")):
+        by_name = dict(zip(samples.labels["plane"].names, names, strict=True))
+        renamed = REPLACE(samples, labels={"plane": Labels.of([by_name[each] for each in samples.labels["plane"]])})
+        assert not [f for f in check(hsr.problem, renamed) if "label" in f.about], names
+
+
+def test_a_step_may_have_few_rows_of_the_plane_it_stands_on(hsr, corner_simulation):
+    rows = rows_of(corner_simulation.samples, "floor", 3)
+    samples = labelled(corner_simulation.samples, {rows: "block"})
+    dial = REPLACE(hsr.problem.instruments[0], steps={"block": Step(on="floor", height=100.0)})
+    assert not odd_labels(Problem(hsr.problem.robot, dial), samples)
+    assert odd_labels(hsr.problem, samples)
+    certified = DialOnBody(noise_std=0.01, normals={"floor": (0, 0, 1), "wall": (-1, 0, 0), "side": (0, -1, 0)})
+    assert not odd_labels(Problem(hsr.problem.robot, certified), corner_simulation.samples)
+
+
+def test_an_odd_label_is_named_where_binding_fails(hsr, corner_simulation):
+    (row,) = rows_of(corner_simulation.samples, "wall", 1)
+    refused, named = check(hsr.problem, labelled(corner_simulation.samples, {(row,): "wal"}))
+    assert (refused.severity, refused.about) == ("error", "cannot be bound")
+    assert (named.about, named.lines) == ("labels alike", (corner_simulation.samples.lines[row],))
+
+
+def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, capsys):
+    file = tmp_path / "spoiled.csv"
+    write_samples(file, hsr.problem.robot, with_outliers(corner_simulation.samples), [])
+    assert main(["check", str(hsr.path), str(file)]) == 1
+    advice = re.search(r"calibrate with (--loss \w+)", capsys.readouterr().out)[1]
+    assert main(["calibrate", str(hsr.path), str(file)]) == 1
+    assert main(["calibrate", str(hsr.path), str(file), *advice.split()]) == 0
+
+
+def test_numbers_in_findings_agree_with_their_nouns(hsr, corner_simulation):
+    samples = corner_simulation.samples
+    one = check(hsr.problem, samples.take([*range(120), 3]))
+    assert any(f.cause.startswith("1 row with the same joints") for f in one)
+    single = check(hsr.problem, in_cell(faces=hsr.cell.faces[:1])(hsr, samples))
+    assert any(f.cause == "there is only one face" for f in single)
+    for finding in (*one, *single):
+        assert not re.search(r"\b1 \w+s\b", str(finding)), finding

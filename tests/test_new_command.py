@@ -99,6 +99,13 @@ def test_what_is_made_simulates_checks_calibrates_and_predicts(place, capsys):
     assert main(["predict", "out/mine/result.json", "out/mine.csv", "--out", "out/p.csv"]) == 0
 
 
+def test_a_column_type_is_told_to_be_kind(place, capsys):
+    rows = "1,0,350,200,0,R\n2,180,250,0,0,R\n"
+    (place / "typed.csv").write_text("# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,type\n" + rows)
+    assert main(["new", "mine", "--dh", "typed.csv"]) == 2
+    assert "there is no field 'type'. Did you mean 'kind'?" in capsys.readouterr().err
+
+
 def test_a_scara_is_told_why_no_cell_was_found(place, capsys):
     rows = "1,0,350,200,0,R\n2,180,250,0,0,R\n3,0,0,0,0,P\n4,0,0,50,0,R\n"
     (place / "scara.csv").write_text("# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,kind\n" + rows)

@@ -1,5 +1,7 @@
 """Work at a prompt: a calibration's figures, frames and pictures are those of result.json and of the library."""
 
+import dataclasses
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -39,9 +41,11 @@ def test_parameters_are_a_frame_of_what_result_json_holds(found, hsr):
 
 def test_what_is_shown_says_what_it_is(found):
     before, now = found.tip_std
-    assert f"up to the base frame: {now:.3f} mm RMS (before: {before:.3f} mm)" in found.summary()
+    assert f"apart from where the base stands: {now:.3f} mm RMS (before: {before:.3f} mm)" in found.summary()
     assert "HSR-JR680 by sckf-lm: 120 samples" in repr(found)
-    assert "success" in repr(found)
+    assert "mm RMS, calibrated>" in repr(found)
+    denied = dataclasses.replace(found, method="plane-only", result=found.before)
+    assert repr(denied).endswith("120 samples, do not use>")
     page = found._repr_html_()
     assert page.count("<tr") == len(found.parameters) + 2
     assert "<casacal" not in page

@@ -49,7 +49,7 @@ def calibrate(
     problem: Problem | ProblemFile | str | Path,
     samples: Samples | Mapping[str, Any] | str | Path | Any = None,
     *,
-    method: str | Method = "sckf-lm",
+    method: str | Method | None = None,
     holdout: float = 0.0,
     seed: int = 0,
     reference: bool = True,
@@ -64,7 +64,8 @@ def calibrate(
         problem: robot and instrument: a `Problem`, what `load_problem` returns, or the path of a problem.
         samples: rows of that instrument: `Samples`, a file, a pandas DataFrame, or arrays by column; by default the
             samples.csv beside a problem file.
-        method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,).
+        method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
+            default "sckf-lm", and "lm" with a loss.
         holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
@@ -134,8 +135,10 @@ def samples_from(given: Any, source: ProblemFile) -> Samples:
     )
 
 
-def _chosen(method: str | Method, loss: Loss | None) -> tuple[Method, str]:
+def _chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
     """The function that estimates, and what it is called."""
+    if method is None:
+        method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):
         if not callable(method):
             raise CasacalError(
@@ -147,7 +150,7 @@ def _chosen(method: str | Method, loss: Loss | None) -> tuple[Method, str]:
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
     if loss is not None and method != "lm":
-        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm")
+        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm, or leave the method out")
     return METHODS[method], method
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import math
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from casacal.calibration.page import report_page
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, parameter_rows, write_calibration
 from casacal.calibration.summary import summary
+from casacal.calibration.verdict import verdict_of
 from casacal.compensation.arm import CalibratedArm
 from casacal.files import jsonable, write_text
 from casacal.uncertainty.expectation import Box
@@ -86,7 +86,7 @@ class Calibrated(Calibration, AsArm):
         return Path(path)
 
     def summary(self) -> str:
-        """What the command line prints: residuals, expected accuracy, parameters, blind spots, reference."""
+        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots."""
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
@@ -102,12 +102,10 @@ class Calibrated(Calibration, AsArm):
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:
-        before, now = self.tip_std
-        shown = "infinite" if math.isinf(now) else f"{now:.3g} mm"
-        return (
-            f"<casacal calibration of {self.fit.problem.robot.name} by {self.method}: {len(self.samples)} samples, "
-            f"expected tip error {before:.3g} to {shown} RMS, {'success' if self.success else 'no success'}>"
-        )
+        (before, now), level = self.tip_std, verdict_of(self).level
+        shown = "" if level == "do not use" else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
+        name = self.fit.problem.robot.name
+        return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
 
     def _repr_html_(self) -> str:
         table = self.parameters.drop(columns="note").to_html(float_format=lambda value: f"{value:.5g}")

@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.checks import Finding, check
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
@@ -40,6 +41,14 @@ NOT_NEEDED = "none needed"
 AGREEMENT = 1e-8
 """Largest relative gap between the costs of two solvers that found the same minimum."""
 
+NEGLIGIBLE = 1e-6
+"""A gap in cost that means nothing, however small the costs are.
+
+The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
+deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
+is their ratio.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class Reference(Value):
@@ -53,9 +62,19 @@ class Reference(Value):
     """(cost of the method - cost of the reference) / cost of the reference."""
 
     @property
+    def gap(self) -> float:
+        """Cost of the method less that of the reference."""
+        return self.relative_gap * max(self.cost, 1e-300)
+
+    @property
+    def limit(self) -> float:
+        """Largest gap of two solvers that found the same minimum."""
+        return max(AGREEMENT * self.cost, NEGLIGIBLE)
+
+    @property
     def agrees(self) -> bool:
         """Whether both found the same minimum."""
-        return self.result.converged and abs(self.relative_gap) <= AGREEMENT
+        return self.result.converged and abs(self.gap) <= self.limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,7 +122,7 @@ class Calibration(Value):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Expected tip error (mm RMS over the workspace, up to the base frame): from the prior alone, and now."""
+        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now."""
         return expected_accuracy(self.fit, self.result.x)
 
     @cached_property
@@ -139,6 +158,11 @@ class Calibration(Value):
         per_row = self.fit.rows // len(samples)
         low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
         return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
+
+    @cached_property
+    def data_errors(self) -> tuple[Finding, ...]:
+        """Errors that the data check finds in all samples; it fits several times, so ask only where there is cause."""
+        return tuple(found for found in check(self.fit.problem, self.samples) if found.severity == "error")
 
     @cached_property
     def noise(self) -> tuple[float, float, float]:

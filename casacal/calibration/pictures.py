@@ -80,7 +80,7 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
 
 
 def plot_tip_std(calibration: Calibration, axes: Any) -> None:
-    """Standard deviation of the tip (mm, all axes, up to the base frame) over radius and height in the workspace."""
+    """Standard deviation of the tip (mm, all axes, apart from where the base stands) over radius and height."""
     _, tips, slopes = calibration.workspace
     spread = np.linalg.norm(tip_stds(calibration.result.covariance, without_rigid(slopes, tips)), axis=1)
     radius = np.hypot(tips[:, 0], tips[:, 1])
@@ -90,7 +90,7 @@ def plot_tip_std(calibration: Calibration, axes: Any) -> None:
     axes.set_xlabel("distance from the first axis, mm")
     axes.set_ylabel("height, mm")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title("Where the tip is how uncertain, up to the base frame", fontsize=10)
+    axes.set_title("How uncertain the tip is, apart from where the base stands", fontsize=10)
 
 
 def _short(label: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibration import Calibration, Reference
+from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result_file import save_problem
 from casacal.files import write_json, write_text
@@ -38,6 +40,7 @@ def calibration_document(calibration: Calibration, source: ProblemFile | None = 
     without = calibration.tip_std_without_prior
     return {
         **_head(source or calibration.source, result, calibration.seed, fit.backend),
+        "verdict": asdict(verdict_of(calibration)),
         "data": {
             "file": calibration.samples.file,
             "sha256": calibration.samples.sha256,

@@ -1,4 +1,4 @@
-"""A calibration as text that a person reads at a glance."""
+"""All that is said of a calibration, as text: verdict, residuals, accuracy, parameters, blind spots, reference."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.calibration import AGREEMENT, NOT_NEEDED, Calibration
+from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.result_json import parameter_rows
-from casacal.calibration.warnings import warnings
+from casacal.calibration.verdict import verdict_of
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.version import __version__
 
@@ -19,11 +19,13 @@ SHOWN_PAIRS = 4
 
 
 def summary(calibration: Calibration, name: str) -> str:
-    """Before and after, parameters with standard deviation and verdict, blind spots, reference; plain text."""
+    """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
+    verdict = verdict_of(calibration)
     parts = [
         _opening(calibration, name),
+        "\n".join([verdict.words, *(f"- {reason}" for reason in verdict.reasons)]),
         _residuals(calibration),
-        _accuracy(calibration),
+        "" if verdict.level == "do not use" else _accuracy(calibration),
         parameter_table(calibration),
         _blind_spots(calibration),
         _reference(calibration),
@@ -60,7 +62,7 @@ def _opening(calibration: Calibration, name: str) -> str:
     counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
     rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
     return (
-        f"casacal {__version__} · {fit.problem.robot.name} ({name}) · {calibration.method}\n"
+        f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
         f"{counted}{fit.unknowns} unknowns"
@@ -87,15 +89,16 @@ def _figures(figures: Mapping[str, Any]) -> str:
 def _accuracy(calibration: Calibration) -> str:
     before, after = calibration.tip_std
     alone, unseen = calibration.tip_std_without_prior
-    samples_alone = f"unbounded; directions that move the tip unseen: {unseen}" if unseen else f"{_mm(alone)} RMS"
-    lines = [
-        "The residuals above are not accuracy: a fit can look perfect where it touched and the arm be wrong elsewhere.",
-        f"Expected tip error over the workspace, up to the base frame: {_mm(after)} RMS (before: {_mm(before)}),",
-        "if the stated noise and priors are right and nothing else bends the arm.",
-        f"From the samples alone, without any prior: {samples_alone}.",
-    ]
-    lines += [f"Warning: {sentence}" for sentence in warnings(calibration)]
-    return "\n".join(lines)
+    samples_alone = f"unbounded, with {unseen} unseen directions that move the tip" if unseen else f"{_mm(alone)} RMS"
+    return "\n".join(
+        [
+            "The residuals above are not accuracy: a fit can look perfect on them and the arm be wrong elsewhere.",
+            f"Expected tip error over the workspace, apart from where the base stands: {_mm(after)} RMS (before: "
+            f"{_mm(before)}),",
+            "if the stated noise and priors are right and nothing else bends the arm.",
+            f"From the samples alone, without any prior: {samples_alone}.",
+        ]
+    )
 
 
 def _blind_spots(calibration: Calibration) -> str:
@@ -115,7 +118,7 @@ def _blind_spots(calibration: Calibration) -> str:
     named.sort(key=lambda entry: -entry[0])  # the costly ones first
     lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
     if len(named) > SHOWN_DIRECTIONS:
-        lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight, all in result.json")
+        lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight; result.json has them all")
     arm = np.flatnonzero(~calibration.fit.datum)  # planes are always correlated with each other and with the base
     names = [calibration.fit.names[j] for j in arm]
     pairs = correlated_pairs(calibration.result.covariance[np.ix_(arm, arm)], names)
@@ -129,12 +132,12 @@ def _blind_spots(calibration: Calibration) -> str:
 def _reference(calibration: Calibration) -> str:
     reference = calibration.reference
     if reference is None:
-        return "Reference: not run" + (", IPOPT knows no robust loss." if calibration.result.loss else ".")
+        return "Reference: not run" + ("; IPOPT knows no robust loss." if calibration.result.loss else ".")
     verdict = "agrees" if reference.agrees else "DIFFERS"
     words = (
         f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.10g}, its cost {reference.cost:.10g} "
-        f"(relative gap {reference.relative_gap:.1e}, agreement within {AGREEMENT:.0e}), KKT residual "
-        f"{reference.result.kkt:.1e}, {reference.result.steps} iterations."
+        f"(gap {reference.gap:.1e}, agreement within {reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, "
+        f"{reference.result.steps} iterations."
     )
     return words if reference.result.converged else f"{words}\n{reference.solver}: {reference.result.message}"
 

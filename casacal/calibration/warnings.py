@@ -3,37 +3,59 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
+from casacal.uncertainty.prior_scatter import prior_scatter
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
-FAR = 3.0
-"""Prior standard deviations beyond which a parameter has moved too far for its prior."""
+FAR = 4.0
+"""Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""
+
 NOISE_BAND = (0.9, 1.1)
 """Found over stated noise: an interval outside this band is worth a warning."""
+
+IMPROBABLE = 0.01
+"""Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
+
+SETTLED = 0.1
+"""Expected tip error over that before, below which the samples decide, however loose the priors."""
+
 SHOWN = 6
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence."""
+
+    clause: str
+    sentence: str
 
 
 def warnings(calibration: Calibration) -> list[str]:
     """Sentences, most telling first; empty when there is nothing to warn of."""
-    return [
-        sentence
-        for sentence in (
-            _far_parameters(calibration),
-            _tip_beyond_what_was_seen(calibration),
-            _noise(calibration),
-            _ignored_rows(calibration),
-        )
-        if sentence
-    ]
+    return [doubt.sentence for doubt in doubts(calibration)]
+
+
+def doubts(calibration: Calibration) -> list[Doubt]:
+    """The same, each with its clause."""
+    found = (_far_parameters, _noise, _loose_priors, _unknown_places, _ignored_rows)
+    return [doubt for look in found if (doubt := look(calibration)) is not None]
+
+
+def moves(calibration: Calibration) -> Array:
+    """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior."""
+    fit = calibration.fit
+    return np.asarray(np.abs(calibration.result.x - fit.x0) / fit.prior_std)
 
 
 def tip_extremes(calibration: Calibration) -> tuple[float, float]:
     """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
 
-    Both up to the base frame; lengths of the three axes together.
+    Both apart from where the base stands; lengths of the three axes together.
     """
     fit = calibration.fit
     joints, tips, slopes = calibration.workspace
@@ -42,53 +64,74 @@ def tip_extremes(calibration: Calibration) -> tuple[float, float]:
     return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
 
 
-def _far_parameters(calibration: Calibration) -> str:
-    fit, x = calibration.fit, calibration.result.x
-    moves = np.abs(x - fit.x0) / fit.prior_std
-    far = [j for j in np.argsort(-moves) if moves[j] > FAR]
+def _far_parameters(calibration: Calibration) -> Doubt | None:
+    moved, names = moves(calibration), calibration.fit.names
+    far = [j for j in np.argsort(-moved) if moved[j] > FAR]
     if not far:
-        return ""
-    named = ", ".join(f"{fit.names[j]} ({moves[j]:.1f})" for j in far[:SHOWN])
+        return None
+    named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
     more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
-    return (
-        f"parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Either the prior is too "
-        "tight or the samples pull them where they do not belong; run casacal check."
+    return Doubt(
+        "parameters moved far beyond their priors",
+        f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Either their priors are too "
+        "tight, or the samples pull them where they do not belong; casacal check may tell.",
     )
 
 
-def _tip_beyond_what_was_seen(calibration: Calibration) -> str:
-    before = calibration.metrics["before"]
-    seen = before["heldout"] or before["fit"]
-    assert seen is not None
-    moved, std = tip_extremes(calibration)
-    limit = seen["rmse_mm"]
-    if moved <= limit and std <= limit:
-        return ""
-    things = calibration.fit.problem.instrument.words.things
-    where = things if before["heldout"] is None else f"held-out {things}"
-    spread = f"{std:.2f} mm" if math.isfinite(std) else "without bound"
-    return (
-        f"the nominal arm misses the {where} by {limit:.2f} mm RMS, yet somewhere in the workspace the "
-        f"calibrated tip lies {moved:.2f} mm from the nominal one, with a standard deviation of up to {spread}. "
-        "The samples cannot vouch for that; verify there before you rely on it."
-    )
-
-
-def _noise(calibration: Calibration) -> str:
+def _noise(calibration: Calibration) -> Doubt | None:
     ratio, low, high = calibration.noise
     if low <= NOISE_BAND[1] and high >= NOISE_BAND[0]:
-        return ""
-    reason = "the model lacks something or the noise is larger" if ratio > 1 else "the stated noise is too large"
-    return (
-        f"residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f}): {reason}, and "
-        "standard deviations are off by about as much."
+        return None
+    said = f"The residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})"
+    if ratio < 1:
+        advice = "the stated noise is too large, and the standard deviations with it. Lower noise_std."
+        return Doubt("the stated noise is too large", f"{said}: {advice}")
+    return Doubt(
+        "the residuals exceed the stated noise",
+        f"{said}: the noise is larger than stated, or the model lacks something. The standard deviations are too small "
+        "by about as much. Raise noise_std, or find what is missing.",
     )
 
 
-def _ignored_rows(calibration: Calibration) -> str:
+def _loose_priors(calibration: Calibration) -> Doubt | None:
+    prior_tip, tip = calibration.tip_std
+    before = calibration.metrics["before"]["fit"]
+    assert before is not None
+    if tip < SETTLED * prior_tip:
+        return None
+    scatter = prior_scatter(calibration.fit)
+    if scatter.chance_below(before["rmse_mm"]) > IMPROBABLE:
+        return None
+    things = calibration.fit.problem.instrument.words.things
+    moved, _ = tip_extremes(calibration)
+    return Doubt(
+        "the priors look too loose",
+        f"The priors expect the drawn arm to miss the {things} by {scatter.rms:.2f} mm RMS; it misses them by "
+        f"{before['rmse_mm']:.2f} mm. They look too loose, and the tip moves by up to {moved:.2f} mm somewhere. The "
+        "samples cannot vouch for that: tighten the priors (--accuracy, --prior), or verify there.",
+    )
+
+
+def _unknown_places(calibration: Calibration) -> Doubt | None:
+    before, now = calibration.tip_std
+    _, worst = tip_extremes(calibration)
+    if worst < before or not math.isfinite(now):
+        return None
+    return Doubt(
+        "in some places the tip is known no better than before",
+        f"Somewhere in the workspace the tip's standard deviation is {worst:.2f} mm; the drawn arm's is {before:.2f} "
+        "mm on average. The samples cannot vouch for that place: take samples there, or verify before you rely on it.",
+    )
+
+
+def _ignored_rows(calibration: Calibration) -> Doubt | None:
     lines = calibration.down_weighted
     if not lines:
-        return ""
+        return None
     named = ", ".join(str(line) for line in lines[: 2 * SHOWN])
     more = f" and {len(lines) - 2 * SHOWN} more" if len(lines) > 2 * SHOWN else ""
-    return f"the robust loss gave less than half of their weight to {len(lines)} rows: lines {named}{more}."
+    rows = "1 row: line" if len(lines) == 1 else f"{len(lines)} rows: lines"
+    return Doubt(
+        f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
+        f"The robust loss gave less than half of its weight to {rows} {named}{more}. Measure there again.",
+    )

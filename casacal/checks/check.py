@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.faults import ALIKE, SUSPICIOUS, flips, misfit, name_fault, sign_before_fit
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, times
+from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import exchanged_labels, gross_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
@@ -19,6 +18,7 @@ from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.prior_scatter import prior_scatter
 
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""
@@ -38,14 +38,14 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
     each found by undoing it, then outliers and noise. Deterministic.
     """
-    findings = [*repeated(samples), *outside(problem, samples)]
+    findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
-        return (*findings, Finding("error", "cannot be bound", error.what, error.fix))
+        return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
-    bad, stray = _strays(problem, samples, prior_scatter(some))
+    bad, stray = _strays(problem, samples, prior_scatter(some).rms)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _spread(good, MOST_ROWS)
     base = misfit(problem, few)
@@ -56,22 +56,16 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
         findings += [*stray, _unexplained(base, findings + stray)]
     else:
         findings += [*stray, *_untold(problem, few, base), *_single_rows(bind(problem, good))]
+    return _in_order(findings)
+
+
+def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
 
 
 def _spread(samples: Samples, count: int) -> Samples:
     """So many rows, evenly over all; all where there are fewer."""
     return samples.take(np.unique(np.linspace(0, len(samples) - 1, count).astype(int)))
-
-
-def prior_scatter(bound: BoundProblem) -> float:
-    """Distance (mm, RMS) from fitted planes that the prior errors of the arm and the noise explain."""
-    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
-    slopes = bound.jacobian(bound.x0) * noise[:, None]
-    arm = ~bound.datum & np.isfinite(bound.prior_std)
-    moved, planes = slopes[:, arm] * bound.prior_std[arm], slopes[:, bound.datum]
-    left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    return math.sqrt(float((left**2).sum(axis=1).mean() + (noise**2).mean()))
 
 
 def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
@@ -87,14 +81,16 @@ def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray
 
 def _unexplained(base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
-    cause = f"residuals of a robust fit are {base:.3g} times what the stated noise explains"
+    cause = f"the residuals of a robust fit are {times(base)} times what the stated noise explains"
     if known:
-        return Finding("remark", "misfit", f"{cause}, as {', '.join(known)} would", "Mend those first")
+        return Finding(
+            "remark", "misfit", f"{cause}, which {', '.join(known)} would account for", "Correct those first"
+        )
     return Finding(
         "error",
         "misfit",
         f"{cause}, and no single sign, unit, swap or flip accounts for it",
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a bent face do this too",
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face do it too",
     )
 
 
@@ -102,7 +98,12 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
     """Remarks on flips that these samples would not notice."""
     unseen = [fault.about for fault in flips(problem) if misfit(problem, fault.undo(samples)) <= ALIKE * base]
     return [
-        Finding("remark", f"{about}?", "these samples would look the same, so this cannot be told", "Check it by hand")
+        Finding(
+            "remark",
+            f"{about}?",
+            "these samples would look the same if it were, so they cannot tell",
+            "Check it by hand",
+        )
         for about in unseen
     ]
 
@@ -120,7 +121,7 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
         Finding(
             "warning",
             "noise",
-            f"residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})",
+            f"the residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f})",
             "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model lacks",
         )
     ]

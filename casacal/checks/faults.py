@@ -12,7 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.slots import nominal_sight
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, times
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
@@ -55,7 +55,7 @@ def suspected(problem: Problem) -> Iterator[Fault]:
         if turns[i] == turns[j]:
             order = np.eye(len(turns))
             order[[i, j]] = order[[j, i]]
-            cause, fix = f"columns q{i + 1} and q{j + 1} seem to hold each other's values", "Exchange their names"
+            cause, fix = f"columns q{i + 1} and q{j + 1} seem to hold each other's values", "Swap the two column names"
             yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _map_joints(order))
 
 
@@ -65,8 +65,8 @@ def flips(problem: Problem) -> Iterator[Fault]:
     for i in range(count):
         signs = np.ones(count)
         signs[i] = -1.0
-        cause = f"joint {i + 1} seems to be counted the other way round"
-        fix = f"Turn the sign of column q{i + 1}, or of the joint in the problem"
+        cause = f"joint {i + 1} seems to be counted in the other direction"
+        fix = f"Reverse the sign of column q{i + 1}, or of the joint in the problem"
         yield Fault(f"joint {i + 1} flipped", cause, fix, _map_joints(np.diag(signs)))
 
 
@@ -97,7 +97,8 @@ def name_fault(problem: Problem, samples: Samples, base: float) -> Finding | Non
     return Finding(
         "error",
         fault.about,
-        f"{fault.cause}: undone, the misfit falls from {base:.3g} to {best:.3g} times the stated noise{also}",
+        f"{fault.cause}: with that undone, the misfit falls from {times(base)} to {times(best)} times the stated "
+        f"noise{also}",
         fault.fix,
     )
 
@@ -113,8 +114,8 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
             Finding(
                 "remark",
                 "dial sign not tested",
-                "the readings are nearly constant, so a wrong sign of the dial cannot be told from these samples",
-                "Vary the reading over the travel in a few touches",
+                "the readings are nearly constant, so these samples cannot tell whether the dial's sign is wrong",
+                "Let the reading vary over the dial's travel in a few touches",
             )
         ]
     sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
@@ -145,9 +146,9 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
         Finding(
             "error",
             "wrong dial sign",
-            f"already at the nominal the residuals follow the reading with a slope of {slope:.2f} +- {std:.2f} "
-            "(0 expected, 2 if the sign is wrong)",
-            "Turn the sign of the dial in the problem",
+            f"with the arm as drawn the residuals already follow the reading, with a slope of {slope:.2f} +- {std:.2f} "
+            "(0 is expected, 2 if the sign is wrong)",
+            "Reverse the sign of the dial in the problem",
         )
     ]
 

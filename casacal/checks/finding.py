@@ -27,6 +27,16 @@ class Finding:
         return f"{self.severity}: {self.about}{where}: {self.cause}. {self.fix}."
 
 
+def counted(number: int, word: str = "row") -> str:
+    """Number with its noun: 1 row, 2 rows."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def times(ratio: float) -> str:
+    """A ratio as people read it."""
+    return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.2g}"
+
+
 def shown(lines: Sequence[int], most: int = 12) -> str:
     """Line numbers in words, the first dozen of them."""
     text = ", ".join(str(line) for line in lines[:most])

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_tips
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, counted
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -69,7 +69,7 @@ def exchanged_labels(
             lost.append(samples.lines[i])
     findings = [
         Finding(
-            "error", "labels exchanged", f"{len(lines)} rows are labelled '{label}' and lie on '{fits}'",
+            "error", "labels exchanged", f"{counted(len(lines))} labelled '{label}' lie on '{fits}'",
             "Correct the labels", tuple(lines),
         )
         for (label, fits), lines in home.items()
@@ -77,7 +77,7 @@ def exchanged_labels(
     if lost:
         findings.append(
             Finding(
-                "error", "outliers", "their tips lie far off every plane even with the arm as drawn",
+                "error", "outliers", "the tips lie far off every plane, even with the arm as drawn",
                 "Check joints and readings of these rows, or remove them", tuple(lost),
             )
         )  # fmt: skip
@@ -106,8 +106,8 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
         Finding(
             "error",
             "outliers",
-            f"{len(lines)} rows lie up to {size.max():.0f} standard deviations off (beyond {limit:.1f} is not chance)",
-            "Measure them again or remove them, or fit with --loss huber",
+            f"{counted(len(lines))} up to {size.max():.0f} standard deviations off; beyond {limit:.1f} is not chance",
+            "Measure them again or remove them, or calibrate with --loss huber",
             tuple(sorted(lines)),
         )
     ]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, counted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
@@ -34,7 +34,7 @@ def repeated(samples: Samples) -> list[Finding]:
         Finding(
             "warning",
             "repeated rows",
-            f"{len(again)} rows hold the same joints and readings as an earlier row and would count its noise again",
+            f"{counted(len(again))} with the same joints and readings as an earlier row would count its noise again",
             "Remove them, unless the arm really went there twice and the dial read the same",
             tuple(again),
         )
@@ -53,7 +53,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
                 Finding(
                     "error",
                     "readings outside travel",
-                    f"{int(bad.sum())} readings lie outside 0 to {probe.travel:g} mm "
+                    f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
                     f"(from {reading.min():g} to {reading.max():g} mm)",
                     "Check the unit of the column and the dial's zero, or declare its travel",
                     _lines(samples, bad),
@@ -66,7 +66,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
                 Finding(
                     "warning",
                     f"joint {i + 1} outside its limits",
-                    f"{int(bad.sum())} values lie outside the limits that the problem declares",
+                    f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares",
                     "Check the order, signs and units of the joint columns, or the limits",
                     _lines(samples, bad),
                 )

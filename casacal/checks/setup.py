@@ -56,7 +56,7 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             Finding(
                 "warning",
                 "faces too small",
-                f"touches span little of the arm's reach of {reach:.0f} mm: {', '.join(small)}",
+                f"the touches span little for an arm that reaches {reach:.0f} mm: {', '.join(small)}",
                 "Use larger faces, or spread the touches over them",
             )
         )
@@ -72,21 +72,24 @@ def _enough_rows(bound: BoundProblem) -> list[Finding]:
             "error" if ratio < 1 else "warning",
             "few rows",
             f"{bound.rows} rows for {bound.unknowns} unknowns",
-            f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)}, or hold parameters",
+            f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)} rows, or hold parameters with --fix",
         )
     ]
 
 
 def _directions(probe: Probe, normals: Array) -> list[Finding]:
     findings = []
+    same = "there is only one face"
     angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
+    if len(normals) > 1:
+        same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
     if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
         findings.append(
             Finding(
                 "warning",
                 "faces nearly parallel",
-                f"all {len(normals)} faces look the same way to {angles.max():.0f} degrees",
-                "Add a face at an angle, best three at right angles",
+                same,
+                "Add a face at an angle; three at right angles are best",
             )
         )
     if not probe.knows_length:
@@ -96,7 +99,7 @@ def _directions(probe: Probe, normals: Array) -> list[Finding]:
                 "no length was measured",
                 "faces fix angles; the size of the arm comes from the prior"
                 + (" and a few millimetres of dial travel" if probe.column is not None else ""),
-                "Measure one known length: a gauge block's step, declared with steps=...",
+                "Measure one known length, such as a gauge block's step, declared as a Step in the problem",
             )
         )
     return findings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -11,11 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FAILED, add_problem, add_samples, samples_of
+from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of
+from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.calibration.calibration import Calibration
     from casacal.problem.problem import Problem
+    from casacal.problem.problem_file import ProblemFile
     from casacal.uncertainty.expectation import Box
 
 HELP = "fit the arm's parameters to samples"
@@ -24,47 +28,57 @@ METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal calibrate` takes."""
-    parser.description = "Fit the arm's parameters to samples, and cross-check the minimum with IPOPT."
+    parser.description = (
+        "Fit the arm's parameters to samples, cross-check the minimum with IPOPT, and say how far to trust the result. "
+        "Exit 1 when the result must not be used."
+    )
     add_problem(parser)
     add_samples(parser)
-    parser.add_argument("--method", choices=METHOD_NAMES, default="sckf-lm", help="default: sckf-lm")
-    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each plane's rows to hold out")
-    parser.add_argument("--seed", type=int, default=0, metavar="K", help="of held-out rows and of random methods")
-    parser.add_argument("--fix", action="append", default=[], metavar="NAMES", help="hold at nominal: alpha,a3,...")
+    parser.add_argument("--method", choices=METHOD_NAMES, help="default: sckf-lm; with --loss, lm")
+    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each face's rows to hold out")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="for held-out rows and random methods")
     parser.add_argument(
-        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation, mm or rad, or inf"
+        "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
     )
-    parser.add_argument("--accuracy", type=float, metavar="MM", help="maker's accuracy: scale the arm's priors to it")
-    parser.add_argument("--loss", choices=("huber", "tukey"), help="robust against gross rows; with --method lm")
     parser.add_argument(
-        "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also say what tip error to expect inside this box, mm, base frame"
+        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation in mm or rad, or inf"
     )
-    parser.add_argument("--no-reference", action="store_true", help="skip the cross-check")
     parser.add_argument(
-        "--backend", choices=("auto", "c", "blocks"), help="what evaluates rows; default: CASACAL_BACKEND, else auto"
+        "--accuracy", type=float, metavar="MM", help="scale the arm's priors to the accuracy that its maker states"
+    )
+    parser.add_argument("--loss", choices=("huber", "tukey"), help="keep gross rows from pulling the fit; method lm")
+    parser.add_argument(
+        "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also give the tip error expected inside this box, mm, base frame"
+    )
+    parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
+    parser.add_argument(
+        "--backend", choices=("auto", "c", "blocks"), help="what evaluates the rows; default: CASACAL_BACKEND, or auto"
     )
     parser.add_argument(
         "--out", metavar="DIR", help="write report.html, result.json, parameters.csv and pictures there"
     )
+    parser.add_argument(
+        "--verbose", action="store_true", help="print parameters, weak directions and the reference as well"
+    )
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate as the options say; returns 0, or 1 when the result fails."""
+    """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
     from casacal.calibration.calibrate import calibrate
-    from casacal.calibration.summary import summary
     from casacal.least_squares.losses import huber, tukey
     from casacal.problem.problem_file import load_problem
-    from casacal.uncertainty.expectation import accuracy_in_box
 
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
     samples = problem.read(samples_of(source, options.samples), readings=options.readings, key=options.id)
     box = None if options.box is None else _box(options.box)
-    with _Progress(options.method) as progress:
+    method = options.method or ("sckf-lm" if options.loss is None else "lm")
+    with _Progress(method) as progress:
         calibration = calibrate(
             replace(source, problem=problem),
             samples,
-            method=options.method,
+            method=method,
             holdout=options.holdout,
             seed=options.seed,
             reference=not options.no_reference,
@@ -72,16 +86,43 @@ def run(options: argparse.Namespace) -> int:
             backend=options.backend,
             progress=progress,
         )
-    print(summary(calibration, source.name), end="")
-    if box is not None:
-        rms, worst = accuracy_in_box(calibration.fit, calibration.result.x, box)
-        print(f"\nExpected tip error inside {options.box} mm: {rms:.3f} mm RMS, {worst:.3f} mm at worst.")
-    if options.out is not None:
-        from casacal.calibration.result_json import write_calibration
+    return _told(calibration, source, box, options)
 
-        paths = write_calibration(calibration, Path(options.out), command=options.typed, box=box)
-        print(f"\nWritten: {', '.join(path.as_posix() for path in paths)}")
-    return DONE if calibration.passed else FAILED
+
+def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
+    """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
+    from casacal.calibration.brief import MOST_LINES, brief
+    from casacal.calibration.result_json import calibration_document, write_calibration
+    from casacal.calibration.summary import summary
+    from casacal.calibration.verdict import verdict_of
+    from casacal.uncertainty.expectation import accuracy_in_box
+
+    verdict = verdict_of(calibration)
+    denied = verdict.level == "do not use"
+    inside = None if box is None or denied else accuracy_in_box(calibration.fit, calibration.result.x, box)
+    expected = []
+    if inside is not None:
+        expected = [f"Inside {options.box} mm: {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
+    folder = None if options.out is None else Path(options.out).as_posix()
+    last = "Parameters and what the samples cannot tell: --verbose"
+    if folder is not None:
+        last = f"Written: {folder}/report.html, with result.json and the rest beside it"
+    if options.json:
+        found = (
+            {} if inside is None else {"box": {"range_mm": box, "expected_rms_mm": inside[0], "worst_mm": inside[1]}}
+        )
+        say_json({**calibration_document(calibration, source), **found})
+    elif options.verbose:
+        say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
+    else:
+        about = shlex.join([options.problem, *([options.samples] if options.samples else [])])
+        room = MOST_LINES - len(wrapped(last))
+        say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
+    if folder is not None:
+        write_calibration(calibration, Path(folder), command=options.typed, box=box)
+    if not options.json and (folder is not None or not options.verbose):
+        say("\n".join(wrapped(last)))
+    return FAILED if denied else DONE
 
 
 def _box(text: str) -> Box:
@@ -113,7 +154,7 @@ def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], acc
 
 
 class _Progress:
-    """A line on standard error, from the second second on, and only where someone looks."""
+    """A line on standard error, after the first second, and only where someone looks."""
 
     def __init__(self, method: str) -> None:
         self.method, self.began, self.shown = method, time.monotonic(), 0.0
@@ -125,8 +166,8 @@ class _Progress:
         now = time.monotonic()
         if now - self.began > 1.0 and now - self.shown > 0.5 and sys.stderr.isatty():
             self.shown = now
-            print(f"\r{self.method}: step {step}, {value:.6g}   ", end="", file=sys.stderr, flush=True)
+            write_progress(f"\r{self.method}: step {step}, {value:.6g}   ")
 
     def __exit__(self, *_: object) -> None:
         if self.shown:
-            print(file=sys.stderr)
+            write_progress("\n")

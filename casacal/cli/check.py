@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 
-from casacal.cli.common import DONE, FAILED, add_problem, add_samples, samples_of
+from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of
+from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "what is wrong with samples, before anyone trusts a fit"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal check` takes."""
-    parser.description = "Say what is wrong, weak or worth knowing about samples; exit 1 when a result would be wrong."
+    parser.description = (
+        "Say what is wrong, weak or worth knowing about samples. Exit 1 when a result from them would be wrong."
+    )
     add_problem(parser)
     add_samples(parser)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -25,9 +30,13 @@ def run(options: argparse.Namespace) -> int:
     place = samples_of(source, options.samples)
     samples = source.problem.read(place, readings=options.readings, key=options.id, absurd=True)
     findings = check(source.problem, samples)
-    for finding in findings:
-        print(finding)
     counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
-    said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
-    print(f"{len(samples)} samples of {samples.file}: {said}")
+    if options.json:
+        data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
+        say_json({"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]})
+    else:
+        for finding in findings:
+            say_paragraph(str(finding))
+        said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
+        say_paragraph(f"{len(samples)} samples of {samples.file}: {said}")
     return FAILED if counts["error"] else DONE

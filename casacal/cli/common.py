@@ -20,7 +20,14 @@ def add_problem(parser: argparse.ArgumentParser) -> None:
 
 def add_result(parser: argparse.ArgumentParser) -> None:
     """The result a command is about."""
-    parser.add_argument("result", metavar="RESULT", help="result.json of calibrate, or truth.json of simulate")
+    parser.add_argument(
+        "result", metavar="RESULT", help="result.json of casacal calibrate, or the .truth.json of casacal simulate"
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Whether the answer is for another program."""
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON, and nothing else")
 
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
@@ -29,11 +36,11 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
         "samples",
         metavar="SAMPLES",
         nargs="?",
-        help="CSV, .xlsx, .npy, .npz; default: samples.csv beside the problem",
+        help="CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem",
     )
-    parser.add_argument("--readings", metavar="FILE", help="readings in a file of their own, CSV or .xlsx")
+    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
     parser.add_argument(
-        "--id", default="pose", metavar="COLUMN", help="column by which they find their pose; default: pose"
+        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
     )
 
 

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_result
+from casacal.cli.common import DONE, FAILED, add_json, add_result
+from casacal.cli.terminal import say_json, say_paragraph
+
+if TYPE_CHECKING:
+    from casacal.compensation.outcome import Compensation
 
 HELP = "joint targets at which the calibrated arm hits the poses"
 SHOWN = 5
@@ -16,20 +21,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal compensate` takes."""
     parser.description = (
         "Write joint targets for which the calibrated robot takes the poses that the nominal one was meant to take. "
-        "Joint targets keep their branch. Pose targets (a column qw) take the branch of joint columns beside them; "
-        "without, each takes the posture nearest to that of the row before, the first the one nearest to mid-range. "
-        "Exit 1 when a target is not reached; all rows are written."
+        "Joint targets keep their branch. Pose targets (with a column qw) take the branch of the joint columns beside "
+        "them; without such columns each takes the posture nearest to that of the row before, and the first the one "
+        "nearest to the middle of the joints' ranges. Exit 1 when a target is not reached; every row is written."
     )
     add_result(parser)
     parser.add_argument(
         "targets", metavar="TARGETS", help="CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz"
     )
-    parser.add_argument("--out", required=True, metavar="FILE", help="corrected targets")
+    parser.add_argument("--out", required=True, metavar="FILE", help="file for the corrected targets")
     parser.add_argument("--format", choices=("csv", "rapid", "krl", "urscript"), default="csv", help="default: csv")
-    parser.add_argument("--frame", choices=("flange", "tip"), default="flange", help="of poses; default: flange")
     parser.add_argument(
-        "--largest", type=float, default=10.0, metavar="DEG", help="joint motion above which it is a jump; default: 10"
+        "--frame",
+        choices=("flange", "tip"),
+        default="flange",
+        help="what pose targets are of: the flange, or the tip, where the instrument touches; default: flange",
     )
+    parser.add_argument(
+        "--largest",
+        type=float,
+        default=10.0,
+        metavar="DEG",
+        help="correction of a joint above which a target counts as a jump; default: 10",
+    )
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -43,7 +58,9 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
 
     if not 0 < options.largest < math.inf:
-        raise CasacalError(f"--largest {options.largest:g} is no joint motion", "Give degrees above zero, such as 10")
+        raise CasacalError(
+            f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
+        )
     result = read_result(options.result)
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)
@@ -51,16 +68,31 @@ def run(options: argparse.Namespace) -> int:
         result, targets, frame=options.frame, largest=math.radians(options.largest), rounding=rounding
     )
     write_text(options.out, text_of(compensation, options.format, result))
-    for note in notes(compensation, result):
-        print(f"{note[0].upper()}{note[1:]}")
     missed = [i for i, outcome in enumerate(compensation.outcomes) if outcome is not Outcome.REACHED]
-    for i in missed[:SHOWN]:
-        outcome = compensation.outcomes[i]
-        print(
-            f"Not reached: line {targets.lines[i]}, {outcome.value}: {outcome.meaning}; "
-            f"{compensation.residual_mm[i]:.3f} mm and {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
-        )
+    lost = [_lost(compensation, i) for i in missed]
+    said = [f"{note[0].upper()}{note[1:]}" for note in notes(compensation, result)]
+    if options.json:
+        say_json({"targets": len(targets), "missed": lost, "notes": said, "written": [options.out]})
+        return FAILED if missed else DONE
+    said += [
+        f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}; {one['residual_mm']:.3f} mm and "
+        f"{one['residual_mrad']:.3f} mrad remain"
+        for one in lost[:SHOWN]
+    ]
     if len(missed) > SHOWN:
-        print(f"... and {len(missed) - SHOWN} more; the file's column status names them all")
-    print(f"Written: {options.out}")
+        said.append(f"... and {len(missed) - SHOWN} more; the file's column status names them all")
+    for sentence in (*said, f"Written: {options.out}"):
+        say_paragraph(sentence)
     return FAILED if missed else DONE
+
+
+def _lost(compensation: Compensation, i: int) -> dict[str, Any]:
+    """A target that is not reached."""
+    outcome = compensation.outcomes[i]
+    return {
+        "line": compensation.targets.lines[i],
+        "outcome": outcome.value,
+        "meaning": outcome.meaning,
+        "residual_mm": float(compensation.residual_mm[i]),
+        "residual_mrad": 1e3 * float(compensation.residual_rad[i]),
+    }

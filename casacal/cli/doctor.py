@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_problem
+from casacal.cli.common import DONE, FAILED, add_json, add_problem
+from casacal.cli.terminal import say, say_json
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from casacal.doctor.diagnosis import Diagnosis
 
 
 HELP = "a controller's conventions, from poses that its pendant shows"
@@ -20,18 +24,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal doctor` takes."""
     parser.description = (
         "Find joint signs, quarter-turn offsets, joints measured against others, units and the convention of "
-        "orientation from pendant rows, and print them as [conventions]. Exit 1 when they are not certain or none fits."
+        "orientation from poses that the pendant shows, and print them as a [conventions] block. Exit 1 when they are "
+        "not certain or none fits."
     )
     add_problem(parser)
     parser.add_argument(
-        "poses", metavar="POSES", help="CSV, three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c"
+        "poses", metavar="POSES", help="CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c"
     )
     parser.add_argument(
-        "--tool", metavar="POSE", help="what the pendant shows, in the flange frame; default: the flange"
+        "--tool", metavar="POSE", help="frame whose pose the pendant shows, seen from the flange; default: the flange"
     )
-    parser.add_argument("--base", metavar="POSE", help="the robot's base in the pendant's frame; default: the same")
-    parser.add_argument("--tolerance", type=float, default=3.0, metavar="MM", help="mm, and mrad; default: 3")
-    parser.epilog = "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. It looks at poses; casacal check looks at samples."
+    parser.add_argument(
+        "--base", metavar="POSE", help="the robot's base, seen from the frame the pendant shows poses in; default: it"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, default=3.0, metavar="MM", help="how far a row may miss, in mm and mrad; default: 3"
+    )
+    add_json(parser)
+    parser.epilog = (
+        "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. The doctor looks at poses; casacal check looks at samples."
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -44,8 +56,35 @@ def run(options: argparse.Namespace) -> int:
     rows = read_pendant_rows(options.poses, robot.revolute.tolist())
     base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
     found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
-    print(diagnosis_text(found, robot.axes), end="")
+    if options.json:
+        say_json(_document(found))
+    else:
+        say(diagnosis_text(found, robot.axes).rstrip("\n"))
     return DONE if found.certain else FAILED
+
+
+def _document(found: Diagnosis) -> dict[str, Any]:
+    """A diagnosis for another program; angles in rad, lengths in mm."""
+    return {
+        "certain": found.certain,
+        "more": found.more,
+        "rows": len(found.rows),
+        "postures": found.postures,
+        "tolerance_mm": found.tolerance,
+        "meanings": [
+            {
+                "conventions": [asdict(each) for each in meaning.conventions],
+                "joint_unit": meaning.joint_unit,
+                "length_unit": meaning.length_unit,
+                "rotations": [{"name": n, "unit": u, "miss_rad": miss} for (n, u), miss in meaning.rotations.items()],
+                "miss_mm": meaning.miss_mm,
+            }
+            for meaning in found.meanings
+        ],
+        "further": None if found.further is None else asdict(found.further),
+        "nearest": None if found.nearest is None else asdict(found.nearest),
+        "odd_lines": found.odd_lines,
+    }
 
 
 def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
@@ -60,7 +99,7 @@ def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) not in (3, 7) or not np.isfinite(numbers).all() or (len(numbers) == 7 and not numbers[3:].any()):
-        raise CasacalError(f"{option} {text} is no pose", "Give X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ")
+        raise CasacalError(f"{option} {text} is not a pose", "Give X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ")
     pose = np.eye(4)
     pose[:3, 3] = numbers[:3]
     if len(numbers) == 7:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_result
+from casacal.cli.common import DONE, add_json, add_result
+from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -17,17 +18,23 @@ HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal export` takes."""
-    parser.description = "Write a calibrated arm in a form that others read."
+    parser.description = "Write a calibrated arm in a form that other programs read."
     add_result(parser)
     parser.add_argument(
         "--to",
         required=True,
         choices=("dh", "urdf", "zeros", "ur", "c"),
-        help="DH table (CSV, or TOML by --out), URDF, zero corrections (CSV), ur_description kinematics (YAML), C99",
+        help="DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
+        "ur_description (YAML), or C99",
     )
-    parser.add_argument("--out", required=True, metavar="FILE")
-    parser.add_argument("--source", metavar="FILE", help="dh, urdf: file written back with only its numbers changed")
-    parser.add_argument("--prefix", metavar="WORD", help="c: what functions' names begin with; default: the problem's")
+    parser.add_argument("--out", required=True, metavar="FILE", help="file to write")
+    parser.add_argument(
+        "--source", metavar="FILE", help="for dh and urdf: a file to write back with only its numbers changed"
+    )
+    parser.add_argument(
+        "--prefix", metavar="WORD", help="for c: what names of functions begin with; default: the problem's name"
+    )
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,9 +47,12 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     result = read_result(options.result)
     write_text(options.out, _exported(result, options))
-    print(f"Written: {options.out}")
+    if options.json:
+        say_json({"form": options.to, "remarks": remark(result), "written": [options.out]})
+        return DONE
+    say_paragraph(f"Written: {options.out}")
     for line in remark(result):
-        print(line)
+        say_paragraph(line)
     return DONE
 
 

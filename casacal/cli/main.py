@@ -8,10 +8,12 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from casacal.cli import calibrate, check, compensate, doctor, export, new, predict, simulate, study
-from casacal.cli.common import BAD_INPUT, FAILED, INTERRUPTED
+from casacal.cli import calibrate, check, compensate, completion, doctor, export, new, predict, simulate, study
+from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
+from casacal.cli.terminal import complain, finish, prepare
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
+from casacal.version import __version__
 
 COMMANDS = {
     "calibrate": calibrate,
@@ -23,8 +25,15 @@ COMMANDS = {
     "study": study,
     "new": new,
     "export": export,
+    "completion": completion,
 }
 """Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
+
+EPILOG = (
+    "The flange is what robot.pose of the problem gives; the tip is where the instrument touches. Lengths are in mm "
+    "and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not be used, a "
+    "check failed or a target was not reached; 2 bad input."
+)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -36,8 +45,10 @@ class _Parser(argparse.ArgumentParser):
 
 def build_parser() -> argparse.ArgumentParser:
     """Parser whose `run` is one command's; it raises CasacalError in place of printing usage."""
-    parser = _Parser(prog="casacal", description="Calibrate a robot arm with a dial indicator and a flat face.")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    description = "Calibrate a robot arm with a dial indicator and a flat face."
+    parser = _Parser(prog="casacal", description=description, epilog=EPILOG)
+    parser.add_argument("--version", action="version", version=f"casacal {__version__}")
+    subparsers = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
     for name, command in COMMANDS.items():
         below = subparsers.add_parser(name, help=command.HELP)
         command.add_arguments(below)
@@ -46,19 +57,34 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns 0 done, 1 not converged or a check failed, 2 bad input."""
+    """Run one command; returns 0 done, 1 a result not to be used or a check failed, 2 bad input, 130 interrupted."""
     one_thread_each()
+    prepare()
+    code = _caught(sys.argv[1:] if arguments is None else list(arguments))
     try:
-        typed = sys.argv[1:] if arguments is None else list(arguments)
-        options = build_parser().parse_args(typed)
-        options.typed = shlex.join(["casacal", *typed])
+        finish()
+    except CasacalError as error:
+        complain(" ".join(str(error).split()))
+        return BAD_INPUT
+    return code
+
+
+def _caught(typed: list[str]) -> int:
+    try:
+        parser = build_parser()
+        if not typed:
+            parser.print_help()
+            return DONE
+        options = parser.parse_args(typed)
+        if "run" not in options:
+            parser.error("a COMMAND is missing")
+        options.typed, options.parser = shlex.join(["casacal", *typed]), parser
         return int(options.run(options))
     except CasacalError as error:
-        print(f"casacal: {' '.join(str(error).split())}", file=sys.stderr)
+        complain(" ".join(str(error).split()))
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("casacal: Interrupted. Nothing was written half.", file=sys.stderr)
+        complain("Interrupted. No file was left half-written.")
         return INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return FAILED
+    except SystemExit as end:  # argparse's, after --help and --version
+        return DONE if end.code is None else int(end.code)

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add_result
+from casacal.cli.common import DONE, add_json, add_result
+from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "poses of a calibrated arm at joint values"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal predict` takes."""
-    parser.description = "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values."
+    parser.description = (
+        "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
+        "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, tool included, "
+        "and the reading where JOINTS has that column."
+    )
     add_result(parser)
     parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
     parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
-    parser.add_argument("--frame", choices=("flange", "tip"), default="flange", help="default: flange")
-    parser.add_argument("--std", action="store_true", help="add std_mm: standard deviation up to the base frame")
+    parser.add_argument(
+        "--frame", choices=("flange", "tip"), default="flange", help="what the poses are of; default: flange"
+    )
+    parser.add_argument(
+        "--std",
+        action="store_true",
+        help="add a column std_mm: standard deviation of the position, apart from where the base stands",
+    )
     parser.add_argument("--nominal", action="store_true", help="the arm as drawn, not as calibrated")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -29,5 +41,9 @@ def run(options: argparse.Namespace) -> int:
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
     write_prediction(options.out, prediction)
-    print(f"Written: {options.out} ({len(prediction.positions)} poses of the {options.frame})")
+    count = len(prediction.positions)
+    if options.json:
+        say_json({"poses": count, "frame": options.frame, "nominal": options.nominal, "written": [options.out]})
+    else:
+        say_paragraph(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
     return DONE

@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_problem
+from casacal.cli.common import DONE, add_json, add_problem
+from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -19,26 +20,29 @@ HELP = "samples of a simulated cell, with the truth behind them"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal simulate` takes."""
-    parser.description = "Let a simulated arm, drawn from the problem's prior, touch the faces of a cell."
+    parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
     add_problem(parser)
-    parser.add_argument("--out", required=True, metavar="FILE", help="samples CSV; the truth goes to FILE.truth.json")
-    parser.add_argument("--samples", type=int, default=120, metavar="N", help="default: 120")
-    parser.add_argument("--seed", type=int, default=0, metavar="K")
+    parser.add_argument(
+        "--out", required=True, metavar="FILE", help="samples to write, such as x.csv; the truth goes to x.truth.json"
+    )
+    parser.add_argument("--samples", type=int, default=120, metavar="N", help="how many touches; default: 120")
+    parser.add_argument("--seed", type=int, default=0, metavar="K", help="another seed, another arm; default: 0")
     numbers = {
         "tilt": ("DEG", "largest angle between plunger and face normal"),
         "travel": ("MM", "range of the dial"),
-        "repeatability": ("MM", "standard deviation of the reading, or of the touch without a dial"),
-        "resolution": ("MM", "step of the dial's display, 0 for none"),
-        "joint-std": ("RAD", "standard deviation of joint repeatability"),
-        "backlash": ("RAD", "play of each joint"),
+        "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
+        "resolution": ("MM", "step of the dial's display; 0 for none"),
+        "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
+        "backlash": ("RAD", "backlash of each joint"),
         "flatness": ("MM", "peak-to-valley form error of the faces"),
-        "compliance": ("MM", "sag of the tip under gravity, RMS"),
-        "outliers": ("F", "fraction of gross rows"),
-        "outlier-size": ("MM", "their size"),
-        "error-scale": ("X", "size of the true errors in prior standard deviations"),
+        "compliance": ("MM", "RMS sag of the tip under gravity"),
+        "outliers": ("F", "fraction of rows with a gross error"),
+        "outlier-size": ("MM", "size of those errors"),
+        "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
     }
     for name, (unit, words) in numbers.items():
         parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,15 +59,21 @@ def run(options: argparse.Namespace) -> int:
     simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
     paths = write_simulation(simulation, source, Path(options.out))
     before, after = planned_accuracy(bind(source.problem, simulation.samples))
+    faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
+    written = [path.as_posix() for path in paths]
+    if options.json:
+        tip = {"before_rms_mm": before, "after_rms_mm": after}
+        say_json({"samples": options.samples, "faces": faces, "tip": tip, "written": written})
+        return DONE
     where = "in random postures"
     if isinstance(cell, Cell):
-        where = f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
-    print(f"Simulated, not measured: {options.samples} samples {where}")
-    print(
-        f"Such touches can bring the tip error, over the workspace and up to the base frame, from {before:.2f} to "
-        f"{after:.2f} mm RMS, if the stated noise and priors are right"
+        where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+    say_paragraph(f"Simulated, not measured: {options.samples} samples {where}")
+    say_paragraph(
+        "Samples like these can bring the tip error over the workspace, apart from where the base stands, from "
+        f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
     )
-    print(f"Written: {', '.join(path.as_posix() for path in paths)}")
+    say_paragraph(f"Written: {', '.join(written)}")
     return DONE
 
 

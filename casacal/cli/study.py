@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, INTERRUPTED
+from casacal.cli.terminal import complain, say_paragraph, write_progress
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -23,17 +24,19 @@ SAID_EVERY = {True: 0.5, False: 20.0}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal study` takes."""
-    parser.description = "Run a study file and write its report; trials are recorded one by one and can be resumed."
+    parser.description = (
+        "Run a study file and write its report. Trials are recorded one by one, so a run can be resumed."
+    )
     parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
-    parser.add_argument("--quick", action="store_true", help="the study's small form, under a minute")
-    parser.add_argument("--trials", type=int, metavar="N", help="trials a setting; default: what the study says")
+    parser.add_argument("--quick", action="store_true", help="the study's small form, which takes less than a minute")
+    parser.add_argument("--trials", type=int, metavar="N", help="trials per setting; default: what the study says")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
-    parser.add_argument("--shard", metavar="I/N", help="only the I-th of N parts of the trials, to merge later")
-    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing: put the records of shards together")
-    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and make the missing ones")
-    parser.add_argument("--report", action="store_true", help="run nothing: write the report from the records in DIR")
-    parser.add_argument("--out", metavar="DIR", help="records and report; default: out/NAME")
+    parser.add_argument("--shard", metavar="I/N", help="run only the I-th of N parts of the trials, to be merged later")
+    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing; put the records of shards together")
+    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only the missing trials")
+    parser.add_argument("--report", action="store_true", help="run nothing; write the report from the records in DIR")
+    parser.add_argument("--out", metavar="DIR", help="folder for records and report; default: out/NAME")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -41,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         return _study(options)
     except KeyboardInterrupt:
-        print("casacal: Interrupted. What is recorded stays; --resume goes on from there.", file=sys.stderr)
+        complain("Interrupted. The records so far are kept; --resume goes on from there.")
         return INTERRUPTED
 
 
@@ -52,7 +55,7 @@ def _study(options: argparse.Namespace) -> int:
 
     source = load_study(options.study)
     if source.skipped and not options.report:
-        print(f"Skipped: {source.skipped}")
+        say_paragraph(f"Skipped: {source.skipped}")
         return DONE
     study = source.form(quick=options.quick, trials=options.trials)
     out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
@@ -61,13 +64,13 @@ def _study(options: argparse.Namespace) -> int:
         note_machines(out, [machine()])
     else:
         run = _made(source, study, out, options)
-        print(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+        say_paragraph(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
         if options.shard is not None:
-            print(
+            say_paragraph(
                 f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
             )
             return DONE
-    print(f"Written: {write_report(source, run, _options(options)).as_posix()}")
+    say_paragraph(f"Written: {write_report(source, run, _options(options)).as_posix()}")
     return DONE
 
 
@@ -83,7 +86,7 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
         found = runs.merge(study, parts, out, quick=options.quick)
         note_machines(out, [made for part in parts for made in read_machines(part)])
         if runs.missing(study, found):
-            print(f"{runs.missing(study, found)} records are missing; --resume makes them", file=sys.stderr)
+            complain(f"{runs.missing(study, found)} records are missing; --resume makes them")
         return found
     made_here = machine(options.workers, cluster=options.scheduler is not None)
     with _Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
@@ -134,16 +137,16 @@ class _Progress:
             self.began, self.shown, self.at_first = now, now, done
             self.started()  # the run is accepted; who makes it is known even if it is killed
             if done:
-                print(f"{self.name}: {done} of {total} records exist", file=sys.stderr)
+                write_progress(f"{self.name}: {done} of {total} records exist\n")
             return
         if now - self.shown < SAID_EVERY[looked_at] and done < total:
             return
         self.shown = now
         rate = (done - self.at_first) / max(now - self.began, 1e-9)
         left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
-        line = f"{self.name}: {done} of {total} records, {rate:.1f} a second, {left}"
-        print(f"\r{line}   " if looked_at else line, end="" if looked_at else "\n", file=sys.stderr, flush=True)
+        line = f"{self.name}: {done} of {total} records, {rate:.1f} per second, {left}"
+        write_progress(f"\r{line}   " if looked_at else f"{line}\n")
 
     def __exit__(self, *_: object) -> None:
         if self.shown and sys.stderr.isatty():
-            print(file=sys.stderr)
+            write_progress("\n")

@@ -18,8 +18,8 @@ POSTURES = 8192
 class Workspace:
     """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
 
-    Both up to the base frame. The error is the standard deviation, its three axes together; the correction is how far
-    the calibrated tip lies from the nominal one.
+    Both apart from where the base stands. The error is the standard deviation, its three axes together; the
+    correction is how far the calibrated tip lies from the nominal one.
     """
 
     tips: Array

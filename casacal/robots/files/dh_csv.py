@@ -12,7 +12,7 @@ from casacal.errors import ProblemError, SamplesError
 from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.decimals import degrees, plain
-from casacal.robots.files.dh_fields import BLOCK_FIELDS, OFFSETS, Fields
+from casacal.robots.files.dh_fields import BLOCK_FIELDS, OFFSETS, ROW_FIELDS, Fields, check_names
 from casacal.tables.text import read_table
 
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
@@ -27,6 +27,7 @@ def read_csv(path: str | Path) -> Fields:
         fix = error.fix.replace("one line a sample", "one line a joint")
         raise ProblemError(error.what, fix) from None
     rows: list[dict[str, Any]] = []
+    check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read
     for cells, line in zip(table.rows, table.lines, strict=True):
         row: dict[str, Any] = {}
         for name, cell in zip(table.header, cells, strict=True):

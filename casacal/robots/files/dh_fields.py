@@ -28,6 +28,8 @@ ROW_FIELDS = (
 )
 OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
 BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
+MISNAMED = {"type": "kind", "joint_type": "kind"}
+"""What other tables call a field that is called otherwise here."""
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
 
@@ -156,7 +158,7 @@ def check_names(names: Row, known: Sequence[str], where: str) -> None:
     """Refuse a name that is none of the known ones; never a silent guess."""
     for name in names:
         if name not in known:
-            close = get_close_matches(name, known, n=1)
+            close = [MISNAMED[name]] if MISNAMED.get(name) in known else get_close_matches(name, known, n=1)
             hint = f"Did you mean '{close[0]}'? " if close else ""
             raise ProblemError(f"{where}: there is no field '{name}'", f"{hint}Known: {', '.join(known)}")
 

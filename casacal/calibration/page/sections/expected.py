@@ -28,17 +28,21 @@ MARKED = 240
 
 def expected_section(touches: Touches, document: Mapping[str, Any], box: Box | None) -> Markup:
     """Figures, then a side view and a top view of error and correction."""
+    title = "Tip error to expect over the workspace"
+    if document["verdict"]["level"] == "do not use":
+        words = "Not stated: a figure would be worth nothing while the verdict is not to use this result."
+        return section("expected", title, paragraph(words))
     calibration = touches.calibration
     workspace = Workspace.of(calibration)
     faces = [touches.places(label, max(MARKED // len(touches.faces), 3)) for label in touches.faces[:MARKED]]
     marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
     return section(
         "expected",
-        "Tip error to expect over the workspace",
+        title,
         paragraph(
             "This, not the residual, is the arm's accuracy as far as the samples can tell: the standard deviation "
-            "of the tip, its three axes together, up to the base frame, which the samples cannot see; it holds if the "
-            "stated noise and priors are right and nothing bends that the model does not know."
+            "of the tip, its three axes together, apart from where the base stands, which the samples cannot see; it "
+            "holds if the stated noise and priors are right and nothing bends that the model does not know."
         ),
         _figures(calibration, document, box),
         _maps("error", "expected tip error, mm", workspace.tips, workspace.error, marks, box),
@@ -76,8 +80,8 @@ def _maps(name: str, words: str, tips: Array, values: Array, marks: Array, box: 
         "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
         "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
         "dark before you rely on it.",
-        "correction": "How far the calibrated tip lies from the nominal one, up to the base frame: what the "
-        "calibration changes.",
+        "correction": "How far the calibrated tip lies from the nominal one, apart from where the base stands: what "
+        "the calibration changes.",
     }[name]
     if box is not None:
         caption += " The black frame is the box that was asked for."

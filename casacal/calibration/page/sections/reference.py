@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from casacal.calibration.calibration import AGREEMENT, Calibration
+from casacal.calibration.calibration import Calibration
 from casacal.calibration.page.markup import Markup, paragraph, section
 from casacal.calibration.page.table import facts
 
@@ -21,7 +21,7 @@ def reference_section(calibration: Calibration, document: Mapping[str, Any]) -> 
     words = (
         f"{reference.solver.upper()} solved the same objective in another parametrisation and "
         + ("found the same minimum" if agrees else "DID NOT find the same minimum")
-        + f": the costs differ by {abs(found['relative_gap']):.1e} of their size (limit {AGREEMENT:.0e})."
+        + f": the costs differ by {abs(reference.gap):.1e} (limit {reference.limit:.0e})."
     )
     pairs = [
         (f"Cost, {calibration.method}", f"{document['cost']:.10g}"),

@@ -1,0 +1,99 @@
+"""The answer on one screen: the verdict, why, what to expect, what to do next."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.next_step import best_cure, next_step
+from casacal.calibration.verdict import Verdict
+
+MOST_LINES = 15
+"""Lines of the whole, files written included."""
+
+
+def brief(
+    calibration: Calibration,
+    verdict: Verdict,
+    *,
+    about: str = "PROBLEM SAMPLES",
+    out: str | None = None,
+    expected: Sequence[str] = (),
+    width: int = 100,
+    room: int = MOST_LINES,
+) -> str:
+    """At most `room` lines of at most `width` characters, unless a single word is longer.
+
+    Args:
+        calibration: what was found.
+        verdict: on it.
+        about: problem and samples, as a command line names them.
+        out: folder where the files are; None when none are written.
+        expected: further sentences on accuracy, left out when the verdict denies it.
+        width: characters in a line.
+        room: lines there are.
+
+    """
+    denied = verdict.level == "do not use"
+    head = [_subject(calibration), verdict.words]
+    tail = [] if denied else [*expected, _residual(calibration)]
+    tail.append(f"Next: {next_step(calibration, verdict, about=about, out=out)}")
+    above, below = (_wrapped(lines, width) for lines in (head, tail))
+    left = room - len(above) - len(below)
+    told = verdict.words.lower()
+    reasons = _reasons([reason for reason in verdict.reasons if reason.lower() not in told], width, left)
+    cure = "" if denied else best_cure(calibration)
+    more = _wrapped([f"To know more: {cure}"], width) if cure else []
+    if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result
+        more = []
+    return "\n".join([*above, *reasons, *below, *more]) + "\n"
+
+
+def _subject(calibration: Calibration) -> str:
+    held = calibration.heldout
+    rows = f"{len(calibration.samples)} samples"
+    if held is not None:
+        rows += f", {len(held.block.samples)} of them held out"
+    checked = ""
+    if calibration.reference is not None:
+        checked = f"; {calibration.reference.solver} {'agrees' if calibration.reference.agrees else 'DIFFERS'}"
+    return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{checked}"
+
+
+def _residual(calibration: Calibration) -> str:
+    part = "fit" if calibration.heldout is None else "heldout"
+    before, after = (calibration.metrics[when][part] for when in ("before", "after"))
+    assert before is not None
+    assert after is not None
+    said = calibration.fit.problem.instrument.words
+    held = "" if part == "fit" else "held-out "
+    return (
+        f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (before: "
+        f"{before['rmse_mm']:.4f})."
+    )
+
+
+def _reasons(reasons: Sequence[str], width: int, room: int) -> list[str]:
+    """As many reasons as fit, a bullet each; the first is cut short rather than left out, the rest are counted."""
+    lines: list[str] = []
+    for k, reason in enumerate(reasons):
+        bullet = textwrap.wrap(reason, width, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
+        left = max(room - len(lines) - (k + 1 < len(reasons)), 1)  # a line to count the rest, unless this is the last
+        if len(bullet) <= left:
+            lines += bullet
+        elif k == 0:
+            lines += [*bullet[: left - 1], f"{bullet[left - 1][: width - 4]} ..."]
+        else:
+            return [*lines, f"- {len(reasons) - k} more with --verbose"]
+    return lines
+
+
+def _wrapped(sentences: Sequence[str], width: int) -> list[str]:
+    return [
+        line
+        for sentence in sentences
+        for line in textwrap.wrap(
+            sentence, width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+        )
+    ]

@@ -1,0 +1,132 @@
+"""The verdict: how far a result may be used. Terminal, report, result.json and exit code all take it from here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from casacal.calibration.calibration import MINIMISERS, Calibration
+from casacal.calibration.warnings import FAR, NOISE_BAND, Doubt, doubts, moves
+
+Level = Literal["calibrated", "use with care", "do not use"]
+
+GAIN = 0.9
+"""Expected tip error over the one before, above which little was gained."""
+
+EXPLAINED = 0.5
+"""Residual after over before, above which a fit that does not reach the noise has explained nothing."""
+
+LACK_OF_FIT = 2.0
+"""Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
+
+BENT = 10.0
+"""Prior standard deviations by which only a fit that does not reach the noise would bend an arm."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far a result may be used: a level, one sentence, and the reasons when it is not simply calibrated."""
+
+    level: Level
+    words: str
+    reasons: tuple[str, ...] = ()
+
+
+def verdict_of(calibration: Calibration) -> Verdict:
+    """Whether to use a result; what speaks against it decides, the weightiest first."""
+    against = _against(calibration)
+    if against:
+        return Verdict(
+            "do not use", f"Do not use this result: {against[0][0]}.", tuple(sentence for _, sentence in against)
+        )
+    before, now = calibration.tip_std
+    found = [*doubts(calibration), *_further_doubts(calibration)]
+    least = "at least " if calibration.noise[1] > NOISE_BAND[1] else ""
+    expected = (
+        f"expect a tip error of {least}{now:.3f} mm RMS over the workspace, apart from where the base stands (before: "
+        f"{f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if the stated noise and priors are right"
+    )
+    if found:
+        words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
+        return Verdict("use with care", words, tuple(doubt.sentence for doubt in found))
+    return Verdict("calibrated", f"Calibrated: {expected}.")
+
+
+def _against(calibration: Calibration) -> list[tuple[str, str]]:
+    """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
+    found = [
+        (f"the samples look wrong ({error.about})", _sentence(str(error).removeprefix("error: ").removesuffix(".")))
+        for error in (calibration.data_errors if suspicious(calibration) else ())
+        if error.about != "misfit"
+    ]
+    if not calibration.result.converged:
+        found.append(("the method did not finish", calibration.result.message))
+    found += [(words, _sentence(words)) for words in _missed_minimum(calibration)]
+    if not found:
+        found += [(words, _sentence(words)) for words in _unexplained(calibration)]
+    if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
+        clause = "the tip error has no bound with these samples"
+        found.append((clause, "Neither the samples nor a prior hold every direction that moves the tip."))
+    return found
+
+
+def suspicious(calibration: Calibration) -> bool:
+    """Whether something about the fit calls for a look at the samples themselves."""
+    # a robust fit has already set aside the rows that pull parameters far
+    far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
+    return far or not calibration.passed or calibration.noise[1] > LACK_OF_FIT
+
+
+def _missed_minimum(calibration: Calibration) -> list[str]:
+    """Why the estimate is not the minimum, or nothing.
+
+    A method that promises the minimum must meet the reference; any other may miss it by what the estimate's own spread
+    explains: twice the cost above the minimum is then about chi-square with as many degrees of freedom as unknowns.
+    """
+    reference = calibration.reference
+    if reference is None or reference.agrees or not calibration.result.converged:
+        return []
+    if calibration.method in MINIMISERS:
+        return [
+            f"the costs of {calibration.method} and {reference.solver} differ, so one of them is not at the minimum"
+        ]
+    if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
+        return []
+    return [
+        f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
+        f"that {reference.solver} found"
+    ]
+
+
+def _unexplained(calibration: Calibration) -> list[str]:
+    """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
+    ratio, low, _ = calibration.noise
+    if low <= LACK_OF_FIT:
+        return []
+    moved = float(moves(calibration).max(initial=0.0))
+    before, after = (calibration.metrics[when]["fit"] for when in ("before", "after"))
+    assert before is not None
+    assert after is not None
+    said = f"the residuals are {ratio:.3g} times what the stated noise explains"
+    if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
+        return [f"{said}, and calibrating hardly lowered them"]
+    if moved > BENT:
+        return [f"{said}, although parameters moved by up to {moved:.0f} prior standard deviations"]
+    return []
+
+
+def _further_doubts(calibration: Calibration) -> list[Doubt]:
+    before, now = calibration.tip_std
+    found = []
+    if calibration.reference is None and calibration.method not in MINIMISERS:
+        clause = "no second solver checked that this is the minimum"
+        found.append(Doubt(clause, f"{_sentence(clause)} Run it again without --no-reference."))
+    if now > GAIN * before:
+        words = "Little was gained: these samples tell almost nothing about the tip that the priors did not."
+        found.append(Doubt("little was gained", words))
+    return found
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[:1].upper()}{clause[1:]}."

@@ -1,0 +1,102 @@
+"""Labels that look like slips of the pen: rare ones, and ones that hardly differ from another."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import combinations
+
+import numpy as np
+
+from casacal.checks.finding import Finding, counted
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+MARGIN = 2
+"""Rows that a label needs beside one for each unknown of its own."""
+RARE = 0.03
+FEW = 3
+"""A label of no more rows, in no more than this part of all, is rare."""
+SHORTEST = 4
+"""Letters from which one letter more or less is a slip and not another name."""
+MOST_LABELS = 200
+"""Labels that are compared with one another; where there are more they are numbers, not names."""
+
+
+def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings on labels that occur in few rows or hardly differ from another one; a label is named once."""
+    column = problem.instrument.groups
+    if column is None or column not in samples.labels:
+        return []
+    labels = samples.labels[column]
+    counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
+    declared = {label for known in problem.instrument.known_columns.values() for label in known}
+    alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
+    findings = []
+    for k, name in enumerate(labels.names):
+        if name in declared:
+            continue
+        lines = tuple(samples.lines[i] for i in np.flatnonzero(labels.codes == k).tolist())
+        if name in alike:
+            other = alike[name]
+            cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
+            fix = f"Write '{other}' there if it is the same face; as it stands it is a face of its own"
+            findings.append(Finding("warning", "labels alike", cause, fix, lines))
+        elif said := _rare(problem, name, counts, column):
+            findings.append(Finding("warning", "rare label", *said, lines))
+    return findings
+
+
+def _rare(problem: Problem, name: str, counts: dict[str, int], column: str) -> tuple[str, str] | None:
+    """Cause and fix for a label of too few rows; None where it has enough."""
+    own = _own_unknowns(problem, name, column)
+    few = own > 0 and _rows_of_its_unknowns(problem, name, counts, column) < own + MARGIN
+    rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * sum(counts.values())
+    if not few and not rare:
+        return None
+    others = [repr(other) for other in counts if other != name]
+    slip = f"Correct it if {' or '.join(others[:FEW])} is meant, or take" if others else "Take"
+    beside = f"; a face has {counted(own, 'unknown')} of its own" if own else ""
+    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {own + MARGIN} rows or more there"
+
+
+def _alike(counts: dict[str, int]) -> dict[str, str]:
+    """For each label that looks like a slip of another one, that other one: of two, the one of fewer rows."""
+    close: dict[str, list[str]] = defaultdict(list)
+    for one, two in combinations(counts, 2):
+        rare, often = (one, two) if counts[one] < counts[two] else (two, one)
+        if _slip(rare, often, both_common=2 * counts[rare] > counts[often]):
+            close[rare].append(often)
+    return {name: max(others, key=lambda other: counts[other]) for name, others in close.items()}
+
+
+def _slip(one: str, two: str, *, both_common: bool) -> bool:
+    """Whether two labels differ by case, blanks or one letter; 'face1' and 'face2' do not, nor 'sideA' and 'sideB'."""
+    if "".join(one.split()).casefold() == "".join(two.split()).casefold():
+        return True
+    short, long = sorted((one.casefold(), two.casefold()), key=len)
+    if len(short) < SHORTEST - 1 or len(long) < SHORTEST or len(long) - len(short) > 1:
+        return False
+    start = next((i for i, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short))
+    if len(short) == len(long):
+        if short[start + 1 :] != long[start + 1 :] or not (short[start].isalpha() and long[start].isalpha()):
+            return False
+        return not (both_common and start == len(short) - 1)
+    return short[start:] == long[start + 1 :] and long[start].isalpha()
+
+
+def _own_unknowns(problem: Problem, name: str, column: str) -> int:
+    """Unknowns of the instrument that a label has for itself; none where it shares the plane of another one."""
+    instrument = problem.instrument
+    return sum(
+        unknown.size
+        for key, unknown in instrument.unknowns.items()
+        if unknown.per == column and instrument.instance(key, name) == name
+    )
+
+
+def _rows_of_its_unknowns(problem: Problem, name: str, counts: dict[str, int], column: str) -> int:
+    """Rows that tell of a label's unknowns: its own, and those of labels that share them, such as a step's."""
+    instrument = problem.instrument
+    keys = [key for key, unknown in instrument.unknowns.items() if unknown.per == column]
+    shared = [sum(n for other, n in counts.items() if instrument.instance(key, other) == name) for key in keys]
+    return min(shared, default=counts[name])

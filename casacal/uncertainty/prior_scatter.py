@@ -1,0 +1,49 @@
+"""How far from fitted planes the priors let the drawn arm be, and how surprising it is to find it nearer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem
+
+MOST_ROWS = 20_000
+"""Rows that the scatter is worked out from; more add memory, not insight."""
+
+
+@dataclass(frozen=True)
+class PriorScatter:
+    """What prior errors of the arm and the noise predict for the residuals of the drawn arm, planes fitted."""
+
+    rms: float
+    """Root mean square residual to expect, mm."""
+    freedom: float
+    """Degrees of freedom of a chi-square with the same mean and variance as the mean square, scaled."""
+
+    def chance_below(self, rms: float) -> float:
+        """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
+        from scipy.special import gammainc  # scipy.stats takes half a second to import
+
+        return float(gammainc(self.freedom / 2, self.freedom * (rms / self.rms) ** 2 / 2))
+
+
+def prior_scatter(bound: BoundProblem) -> PriorScatter:
+    """The scatter at the nominal; a flat prior of the arm counts as none, so that it is never overstated.
+
+    The mean square residual is a sum of squares of independent normal numbers, weighted with eigenvalues; two moments
+    of it are matched (Satterthwaite).
+    """
+    samples = bound.block.samples
+    if len(samples) > MOST_ROWS:
+        bound = bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
+    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
+    slopes = bound.jacobian(bound.x0) * noise[:, None]
+    arm = ~bound.datum & np.isfinite(bound.prior_std)
+    moved, planes = slopes[:, arm] * bound.prior_std[arm], slopes[:, bound.datum]
+    left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
+    powers = left.T @ left / len(noise)
+    mean = float(np.trace(powers) + (noise**2).mean())
+    variance = float((powers**2).sum() + (noise**4).mean() / len(noise))
+    return PriorScatter(math.sqrt(mean), mean**2 / variance)

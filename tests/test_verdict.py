@@ -1,0 +1,252 @@
+"""One place decides how far a result may be used; terminal, report, result.json and exit code say the same."""
+
+import dataclasses
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from page_reader import Page
+from test_doctor import PLANTED
+
+import casacal
+from casacal import DialOnPlane, Problem, calibrate, ipopt, lm, simulate
+from casacal.calibration.brief import MOST_LINES, brief
+from casacal.calibration.calibration import Reference
+from casacal.calibration.next_step import best_cure, next_step
+from casacal.calibration.verdict import verdict_of
+from casacal.calibration.warnings import warnings
+from casacal.cli.main import main
+from casacal.least_squares.losses import huber
+from casacal.samples.write import write_samples
+from casacal.uncertainty.prior_scatter import prior_scatter
+
+ACCURACY = re.compile(r"tip error of|Inside .* mm RMS|expected to be wrong")
+ERRORS = {name for name, (*_, wrong, _) in PLANTED.items() if wrong}
+
+
+def in_cell(hsr, seed=1, **changes):
+    return simulate(hsr.problem, dataclasses.replace(hsr.cell, **changes), seed=seed).samples
+
+
+@pytest.fixture(scope="module")
+def clean(hsr, corner_simulation):
+    return calibrate(hsr.problem, corner_simulation.samples)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_clean_well_specified_samples_are_calibrated(hsr, seed):
+    verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, seed), reference=False))
+    assert (verdict.level, verdict.reasons) == ("calibrated", ())
+    assert verdict.words.startswith("Calibrated: expect a tip error of 0.5")
+
+
+@pytest.mark.parametrize("name", sorted(ERRORS))
+def test_what_check_calls_an_error_must_not_be_used(hsr, corner_simulation, name):
+    plant, about, *_ = PLANTED[name]
+    calibration = calibrate(hsr.problem, plant(hsr, corner_simulation.samples))
+    verdict = verdict_of(calibration)
+    assert verdict.level == "do not use"
+    assert about in verdict.words or any(about in reason.lower() for reason in verdict.reasons)
+    assert not ACCURACY.search(verdict.words + " ".join(verdict.reasons))
+    assert next_step(calibration, verdict).endswith("then casacal check PROBLEM SAMPLES.")
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"repeatability": 0.016}, "the residuals exceed the stated noise"),
+        ({"repeatability": 0.005}, "the stated noise is too large"),
+        ({"error_scale": 8.0}, "parameters moved far beyond their priors"),
+        ({"joint_std": 1e-4}, "the residuals exceed the stated noise"),
+    ],
+)
+def test_doubts_are_named(hsr, changes, says):
+    verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, **changes), reference=False))
+    assert verdict.level == "use with care"
+    assert says in verdict.words
+    assert ("at least" in verdict.words) == ("exceed" in verdict.words)
+    assert verdict.reasons
+
+
+def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):
+    calibration = calibrate(hsr.problem, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False)
+    verdict = verdict_of(calibration)
+    assert "in some places the tip is known no better than before" in verdict.words
+    assert "second face" in best_cure(calibration)
+
+
+def test_loose_priors_matter_only_where_the_samples_do_not_decide(hsr):
+    loose = hsr.problem.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})
+    corner = calibrate(loose, in_cell(hsr), reference=False)
+    assert prior_scatter(corner.fit).chance_below(corner.metrics["before"]["fit"]["rmse_mm"]) < 0.01
+    assert verdict_of(corner).level == "calibrated"
+    one = calibrate(loose, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False)
+    assert "the priors look too loose" in verdict_of(one).words
+
+
+def test_the_prior_scatter_is_that_of_drawn_arms(hsr):
+    """By drawing: the scatter's size, and that its chance is uniform over arms of the prior."""
+    chances, sizes = [], []
+    for seed in range(60):
+        calibration = calibrate(hsr.problem, in_cell(hsr, seed), method="lm", reference=False)
+        scatter, before = prior_scatter(calibration.fit), calibration.metrics["before"]["fit"]["rmse_mm"]
+        chances.append(scatter.chance_below(before))
+        sizes.append(before / scatter.rms)
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(1, abs=0.12)
+    ranks = np.sort(chances) - (np.arange(60) + 0.5) / 60
+    assert np.abs(ranks).max() < 1.63 / math.sqrt(60)  # Kolmogorov and Smirnov, 1 %
+
+
+def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
+    samples = clean.samples
+    control = verdict_of(calibrate(hsr.problem, samples, method="plane-only"))
+    assert control.level == "do not use"
+    assert "far above" in control.words
+    bare = verdict_of(calibrate(hsr.problem, samples, method="sckf", reference=False))
+    assert bare.level == "use with care"
+    assert "no second solver" in bare.words
+    import casacal.calibration.calibrate as module
+
+    monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
+    stopped = calibrate(hsr.problem, samples, method="lm")
+    said = verdict_of(stopped)
+    assert said.words == "Do not use this result: the method did not finish."
+    assert stopped.result.message in said.reasons
+
+
+def test_little_gain_and_no_bound(clean):
+    for figures, level, says in (
+        ((3.0, 2.9), "use with care", "little was gained"),
+        ((3.0, math.inf), "do not use", "no bound"),
+    ):
+        other = dataclasses.replace(clean)
+        other.__dict__["tip_std"] = figures
+        verdict = verdict_of(other)
+        assert verdict.level == level
+        assert says in verdict.words
+        assert "inf" not in brief(other, verdict)
+
+
+def test_a_robust_fit_that_sets_rows_aside_is_not_blamed_for_them(hsr, corner_simulation):
+    spoiled = PLANTED["two gross outliers"][0](hsr, corner_simulation.samples)
+    calibration = calibrate(hsr.problem, spoiled, loss=huber())
+    assert calibration.method == "lm"
+    verdict = verdict_of(calibration)
+    assert verdict.level == "use with care"
+    assert "the robust loss set aside" in verdict.words
+
+
+def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
+    reference = clean.reference
+    exact = dataclasses.replace(reference, cost=2.1e-10, relative_gap=2.3e-6)
+    assert exact.agrees
+    assert exact.gap == pytest.approx(4.83e-16)
+    assert not dataclasses.replace(reference, cost=38.0, relative_gap=1e-6).agrees
+    assert not dataclasses.replace(reference, cost=2.1e-10, relative_gap=1e5).agrees
+    assert dataclasses.replace(reference, cost=5e6, relative_gap=0.9e-8).agrees
+    assert dataclasses.replace(reference, cost=0.0, relative_gap=0.0).agrees
+    assert isinstance(exact, Reference)
+
+
+def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
+    exact = in_cell(hsr, error_scale=0.0, repeatability=0.0, resolution=0.0)
+    write_samples(tmp_path / "exact.csv", hsr.problem.robot, exact, [])
+    assert main(["calibrate", str(hsr.path), str(tmp_path / "exact.csv")]) == 0
+    out = capsys.readouterr().out
+    assert "ipopt agrees" in out
+    assert "Use with care" in out  # nobody's noise is zero
+    calibration = calibrate(hsr.problem, exact)
+    assert calibration.result.cost < 1e-3
+    assert ipopt(calibration.fit).converged
+    assert lm(calibration.fit).converged
+
+
+def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    cases = {
+        "calibrated": (lambda _, s: s, 0),
+        "use with care": (lambda h, _: in_cell(h, repeatability=0.016), 0),
+        "do not use": (PLANTED["joint 2 flipped"][0], 1),
+    }
+    for level, (plant, code) in cases.items():
+        file, out = tmp_path / "s.csv", tmp_path / level.replace(" ", "")
+        write_samples(file, hsr.problem.robot, plant(hsr, corner_simulation.samples), [])
+        options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(out)]
+        assert main(["calibrate", str(hsr.path), str(file), *options]) == code
+        printed = " ".join(capsys.readouterr().out.split())
+        document = json.loads((out / "result.json").read_text(encoding="utf-8"))
+        assert document["verdict"]["level"] == level
+        assert document["verdict"]["words"] in printed
+        page = Page((out / "report.html").read_text(encoding="utf-8"))
+        assert page.by_class("verdict") == [document["verdict"]["words"]]
+        shown = page.text_of("verdict")
+        for reason in document["verdict"]["reasons"]:
+            assert " ".join(reason.split()) in shown
+        denied = level == "do not use"
+        assert bool(ACCURACY.search(printed)) != denied
+        assert ("Not stated" in page.text_of("expected")) == denied
+        assert main(["calibrate", str(hsr.path), str(file), "--verbose", *options[:2]]) == code
+        long = capsys.readouterr().out
+        assert ("Expected tip error" in long) != denied
+        assert "known from" in long
+
+
+MANY = {
+    "wrong dial sign": PLANTED["wrong dial sign"][0],
+    "radians as degrees": PLANTED["radians as degrees"][0],
+    "labels exchanged": PLANTED["labels exchanged"][0],
+    "clean": lambda _, s: s,
+    "backlash": lambda h, _: in_cell(h, backlash=2e-4),
+    "one face, large errors": lambda h, _: in_cell(h, faces=h.cell.faces[:1], error_scale=8.0, joint_std=1e-4),
+}
+
+
+@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    file = tmp_path / "s.csv"
+    write_samples(file, hsr.problem.robot, MANY[name](hsr, corner_simulation.samples), [])
+    options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(tmp_path / "out")]
+    main(["calibrate", str(hsr.path), str(file), *options])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= MOST_LINES
+    assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
+    assert [line for line in lines if line.startswith("Next: ")]
+    assert [line for line in lines if line.startswith("Written:")]
+
+
+def test_reasons_that_do_not_fit_are_counted(clean):
+    sentence = "Something is not quite as it should be, and this sentence takes more than a line to say so."
+    verdict = dataclasses.replace(verdict_of(clean), reasons=tuple(f"{k}. {sentence}" for k in range(12)))
+    for room in (9, 10, 12, 15):
+        lines = brief(clean, verdict, width=80, room=room).splitlines()
+        assert len(lines) <= room
+        told = sum(line.startswith("- ") and "more with --verbose" not in line for line in lines)
+        assert f"- {12 - told} more with --verbose" in lines
+        assert told >= 1
+
+
+def test_warnings_are_sentences(hsr):
+    for seed, changes in enumerate(({"repeatability": 0.03}, {"error_scale": 9.0}, {"faces": hsr.cell.faces[:1]})):
+        said = warnings(calibrate(hsr.problem, in_cell(hsr, seed, **changes), method="lm", reference=False))
+        assert said
+        for sentence in said:
+            assert sentence[0].isupper()
+            assert sentence.endswith(".")
+            assert "up to the base frame" not in sentence
+
+
+def test_planes_that_are_all_held_leave_nothing_to_the_control(capsys):
+    folder = str(ROOT / "problems" / "hsr_jr680")
+    assert main(["calibrate", folder, "--fix", "plane"]) == 0
+    assert "Use with care" in capsys.readouterr().out
+
+
+def test_a_contact_problem_is_judged_too(hsr):
+    contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.02, reading=False))
+    samples = simulate(contact, hsr.cell, seed=2).samples
+    assert verdict_of(calibrate(contact, samples, reference=False)).level == "calibrated"
