@@ -232,7 +232,7 @@ def test_an_odd_label_is_named_where_binding_fails(hsr, corner_simulation):
 
 def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, capsys):
     file = tmp_path / "spoiled.csv"
-    write_samples(file, hsr.problem.robot, with_outliers(corner_simulation.samples), [])
+    write_samples(file, hsr.problem.layout(), with_outliers(corner_simulation.samples), [])
     assert main(["check", str(hsr.path), str(file)]) == 1
     advice = re.search(r"calibrate with (--loss \w+)", capsys.readouterr().out)[1]
     assert main(["calibrate", str(hsr.path), str(file)]) == 1

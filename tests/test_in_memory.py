@@ -207,6 +207,7 @@ def test_targets_come_in_any_form(found):
         (lambda c: c.predict(Q, nominal=True, std=True), "no standard deviation"),
         (lambda c: c.compensate(np.ones((2, 4, 4))), "no rotation"),
         (lambda c: c.compensate(np.ones((2, 3, 3))), "shape"),
+        (lambda c: c.compensate(np.diag([1.0, 1.0, -1.0, 1.0])), "no rotation"),
         (lambda c: c.export("stl"), "no form named 'stl'"),
         (lambda c: c.export("c", source="x"), "writes no file back"),
         (lambda c: c.export("dh", prefix="x"), "no prefix"),
@@ -271,6 +272,16 @@ def test_a_problem_made_in_python_is_saved_with_its_result(hsr, tmp_path):
     (tmp_path / "a" / "problem.pickle").write_bytes(pickle.dumps(3))
     with pytest.raises(CasacalError, match="holds no problem"):
         load(tmp_path / "a")
+
+
+def test_a_problem_saved_by_another_result_is_not_taken(tmp_path):
+    """A truth beside a saved calibration of another arm: the saved problem is not its own."""
+    place = written(tmp_path, "stylus")
+    assert main(["simulate", str(place), "--out", str(tmp_path / "out" / "s.csv"), "--samples", "40"]) == 0
+    shutil.rmtree(place)
+    calibrate(ROOT / "problems" / "ur5", method="lm").save(tmp_path / "out")
+    with pytest.raises(CasacalError, match="There is no problem"):
+        load(tmp_path / "out" / "s.truth.json")
 
 
 def test_a_problem_that_changed_is_not_replaced_by_the_saved_one(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,9 @@ from scipy.spatial.transform import Rotation
 from casacal import (
     CasacalError,
     Disturbances,
+    Instrument,
+    Parameter,
+    Plane,
     ProblemError,
     bind,
     calibrate,
@@ -22,6 +26,7 @@ from casacal import (
     simulate,
 )
 from casacal.calibration.calibrate import METHODS
+from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 
 
@@ -139,11 +144,23 @@ def test_what_means_nothing_to_an_instrument_is_refused(place, tmp_path, capsys)
     assert not list(tmp_path.iterdir())
 
 
+def test_a_drawing_that_fits_is_no_calibration(tmp_path):
+    source = load_problem(written(tmp_path, "held"))
+    found = calibrate(source, simulate(source.problem, samples=50, seed=1).samples)
+    verdict = verdict_of(found)
+    assert verdict.level == "use with care"
+    assert "nothing was estimated" in verdict.words
+    assert "tip error" not in verdict.words
+
+
 def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsys):
     names = "alpha,a,d,theta,plane"
     for method in METHODS:
         found = calibrate(hsr.problem.fix(*names.split(",")), hsr.problem.read(hsr.samples), method=method)
         assert found.fit.unknowns == 0
+        assert found.result.method == method
+        assert verdict_of(found).level == "do not use"  # the arm as drawn misses its planes by far
+        assert "tip error" not in verdict_of(found).words
         assert "nothing was estimated" in found.message
         assert found.summary()
         assert math.isfinite(found.cost)
@@ -163,7 +180,7 @@ def test_planes_may_be_held_where_they_are_proposed(hsr, capsys):
 
 
 def test_what_an_instrument_cannot_say_is_asked_for(hsr):
-    from casacal import Instrument, Plane, Problem
+    from casacal import Problem
 
     class Blind(Instrument):
         residual_std = 0.1
@@ -196,5 +213,35 @@ def test_a_problem_file_leaves_no_module_behind(tmp_path):
     (two / "anchors.py").write_text("POST = (999.0, 0.0, 200.0)\n")
     posts = [load_problem(place).problem.instrument.unknowns["post"].values[0] for place in (one, two, one)]
     assert posts == [1500.0, 999.0, 1500.0]
+    assert "anchors" not in sys.modules
     assert set(sys.modules) - before <= {name for name in sys.modules if name.startswith("casacal.")}
     assert sys.path == path
+
+
+def test_a_module_of_the_same_name_elsewhere_is_neither_used_nor_lost(tmp_path, monkeypatch):
+    """The user's own program may have imported another `anchors` long before."""
+    mine = ModuleType("anchors")
+    mine.POST = (1.0, 2.0, 3.0)
+    monkeypatch.setitem(sys.modules, "anchors", mine)
+    place = written(tmp_path, "wire")
+    assert load_problem(place).problem.instrument.unknowns["post"].values[0] == 1500.0
+    assert sys.modules["anchors"] is mine
+
+
+def test_the_datum_is_what_nobody_knew_beforehand(hsr):
+    """By default the control M0 fits unknowns with flat priors: not those that are held or known to a tolerance."""
+
+    class Some(Instrument):
+        residual_std = 0.1
+        unknowns = {  # noqa: RUF012
+            "face": Plane((0, 0, 1), (0, 0, 5)),
+            "held": Plane((0, 0, 1), (0, 0, 5), free=False),
+            "known": Parameter(3.0, prior_std=0.1),
+            "partly": Plane((0, 0, 1), (0, 0, 5), prior_std=(1e-3, math.inf)),
+        }
+
+        def residual(self, pose, p, row):
+            return p.face.distance(pose[:3, 3]) + p.known + p.partly.offset + p.held.offset
+
+    assert Some().datum == ("face",)
+    assert Some().words.before == "face fitted alone"

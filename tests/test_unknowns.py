@@ -9,6 +9,7 @@ from oracles import central_difference
 from scipy.spatial.transform import Rotation
 
 from casacal import CasacalError, Direction, Frame, Parameter, Plane
+from casacal.unknowns.fits import fitted_plane, rotation_between
 
 SOME = [
     Parameter((1.0, 2.0, 3.0), unit="mm", prior_std=0.5),
@@ -106,3 +107,26 @@ def test_coordinates_that_share_a_prior_change_together(hsr):
 def test_what_is_not_well_formed_is_refused_with_a_fix(make, says):
     with pytest.raises(CasacalError, match=says):
         make()
+
+
+def test_planes_and_rotations_fitted_to_points():
+    """Against planes and rotations that made the points; a mirrored set has no rotation that fits."""
+    rng = np.random.default_rng(5)
+    normal = np.array([2.0, -1.0, 2.0]) / 3
+    points = rng.normal(size=(30, 3)) * 100
+    points -= np.outer((points - [10.0, 20.0, 30.0]) @ normal, normal)
+    plane = fitted_plane(points)
+    assert plane.flat
+    assert abs(plane.normal @ normal) == pytest.approx(1.0, abs=1e-12)
+    assert np.abs((points - plane.centre) @ plane.normal).max() < 1e-11
+    np.testing.assert_allclose(plane.across @ plane.normal, 0.0, atol=1e-12)
+    line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
+    assert not fitted_plane(line).flat
+    assert not fitted_plane(points[:2]).flat
+    turn = Rotation.from_rotvec([0.3, -2.0, 1.0]).as_matrix()
+    found, fixed = rotation_between(points, points @ turn.T)
+    assert fixed
+    np.testing.assert_allclose(found, turn, atol=1e-12)
+    mirrored, _ = rotation_between(points[:3], points[:3] @ np.diag([1.0, 1.0, -1.0]) + 1e-3)
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+    assert not rotation_between(line, line)[1]

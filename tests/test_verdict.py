@@ -153,7 +153,7 @@ def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
 
 def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
     exact = in_cell(hsr, error_scale=0.0, repeatability=0.0, resolution=0.0)
-    write_samples(tmp_path / "exact.csv", hsr.problem.robot, exact, [])
+    write_samples(tmp_path / "exact.csv", hsr.problem.layout(), exact, [])
     assert main(["calibrate", str(hsr.path), str(tmp_path / "exact.csv")]) == 0
     out = capsys.readouterr().out
     assert "ipopt agrees" in out
@@ -173,7 +173,7 @@ def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path,
     }
     for level, (plant, code) in cases.items():
         file, out = tmp_path / "s.csv", tmp_path / level.replace(" ", "")
-        write_samples(file, hsr.problem.robot, plant(hsr, corner_simulation.samples), [])
+        write_samples(file, hsr.problem.layout(), plant(hsr, corner_simulation.samples), [])
         options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(out)]
         assert main(["calibrate", str(hsr.path), str(file), *options]) == code
         printed = " ".join(capsys.readouterr().out.split())
@@ -209,7 +209,7 @@ MANY = {
 def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     file = tmp_path / "s.csv"
-    write_samples(file, hsr.problem.robot, MANY[name](hsr, corner_simulation.samples), [])
+    write_samples(file, hsr.problem.layout(), MANY[name](hsr, corner_simulation.samples), [])
     options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(tmp_path / "out")]
     main(["calibrate", str(hsr.path), str(file), *options])
     lines = capsys.readouterr().out.splitlines()

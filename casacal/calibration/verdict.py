@@ -40,6 +40,10 @@ def verdict_of(calibration: Calibration) -> Verdict:
         return Verdict(
             "do not use", f"Do not use this result: {against[0][0]}.", tuple(sentence for _, sentence in against)
         )
+    if not calibration.fit.unknowns:
+        said = "every unknown is held, so nothing was estimated"
+        words = f"Use with care: {said}; the residuals are those of the arm as drawn."
+        return Verdict("use with care", words, (_sentence(said),))
     before, now = calibration.tip_std
     found = [*doubts(calibration), *_further_doubts(calibration)]
     least = "at least " if calibration.noise[1] > NOISE_BAND[1] else ""

@@ -42,6 +42,8 @@ def warnings(calibration: Calibration) -> list[str]:
 
 def doubts(calibration: Calibration) -> list[Doubt]:
     """The same, each with its clause."""
+    if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
+        return []
     found = (_far_parameters, _noise, _loose_priors, _unknown_places, _ignored_rows)
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.estimators.lm import lm
 from casacal.least_squares.objective import LeastSquares, Restricted
-from casacal.least_squares.result import Result, Status
+from casacal.least_squares.result import Result
 
 
 def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float = 1e-9) -> Result:
@@ -17,9 +17,6 @@ def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float 
     What a calibration must beat: it shows how much of a residual a better plane alone removes. The covariance of
     the held unknowns is their prior's. Arguments as for `lm`.
     """
-    if not problem.datum.any():  # every plane is held, so there is nothing to fit
-        held = np.diag(problem.prior_std**2)
-        return Result("plane-only", problem, problem.x0, Status.NOMINAL, {"cost": np.zeros(0)}, 0, 0, 0, belief=held)
     part = Restricted(problem, problem.datum, problem.x0)
     fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
     covariance = np.diag(problem.prior_std**2)
