@@ -7,8 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
-from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, simulate
+from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
 from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import _spreads
 from casacal.cli.main import main
@@ -247,3 +248,12 @@ def test_numbers_in_findings_agree_with_their_nouns(hsr, corner_simulation):
     assert any(f.cause == "there is only one face" for f in single)
     for finding in (*one, *single):
         assert not re.search(r"\b1 \w+s\b", str(finding)), finding
+
+
+@pytest.mark.parametrize(
+    ("folder", "silent"), [("ur5", "faces too small"), ("adept_cobra600", "no length was measured")]
+)
+def test_a_known_step_and_a_ruler_are_no_faults(folder, silent):
+    """A step is small and gives a length; on certified angles a sliding joint measures one."""
+    source = load_problem(ROOT / "problems" / folder)
+    assert silent not in {finding.about for finding in check(source.problem, source.problem.read(source.samples))}

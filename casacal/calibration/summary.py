@@ -38,16 +38,18 @@ def parameter_table(calibration: Calibration) -> str:
 
     Angles are shown in degrees, lengths in mm.
     """
-    lines = [f"{'parameter':<12}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
+    rows = parameter_rows(calibration.fit, calibration.result)
+    wide = max(12, *(len(row["name"]) + 2 for row in rows)) if rows else 12
+    lines = [f"{'parameter':<{wide}}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
     held = []
-    for row in parameter_rows(calibration.fit, calibration.result):
+    for row in rows:
         if row["note"] == "held at nominal":
             held.append(row["name"])
             continue
         unit, factor = ("deg", 180 / math.pi) if row["unit"] == "rad" else (row["unit"], 1.0)
         nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
         lines.append(
-            f"{row['name']:<12}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}{std:>10.4f}"
+            f"{row['name']:<{wide}}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}{std:>10.4f}"
             f"  {KNOWN_FROM[row['identifiable']]}"
         )
     if held:

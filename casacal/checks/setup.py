@@ -38,7 +38,7 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
         normals.append(plane.normal)
         tilts.append(np.degrees(np.arccos(np.clip(np.abs(sight.plungers[rows] @ plane.normal), 0, 1))))
         span = float(np.ptp((sight.tips[rows] - plane.centre) @ plane.across[1]))
-        if span < SMALLEST_FACE * reach:
+        if span < SMALLEST_FACE * reach and label not in probe.steps:  # a step gives a height, not a plane
             small.append(f"'{label}' {span:.0f} mm")
     tilt = float(np.concatenate(tilts).max())
     if tilt < SMALLEST_TILT:
@@ -60,7 +60,7 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
                 "Use larger faces, or spread the touches over them",
             )
         )
-    return findings + _directions(probe, np.array(normals))
+    return findings + _directions(bound, probe, np.array(normals))
 
 
 def _enough_rows(bound: BoundProblem) -> list[Finding]:
@@ -77,7 +77,7 @@ def _enough_rows(bound: BoundProblem) -> list[Finding]:
     ]
 
 
-def _directions(probe: Probe, normals: Array) -> list[Finding]:
+def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Finding]:
     findings = []
     same = "there is only one face"
     angles = np.degrees(np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1)))
@@ -92,7 +92,9 @@ def _directions(probe: Probe, normals: Array) -> list[Finding]:
                 "Add a face at an angle; three at right angles are best",
             )
         )
-    if not probe.knows_length:
+    # on faces of certified angles a sliding joint is a ruler
+    ruler = probe.knows_angles and not bound.problem.robot.revolute.all()
+    if not probe.steps and not ruler:
         findings.append(
             Finding(
                 "remark",

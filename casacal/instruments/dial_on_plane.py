@@ -158,7 +158,7 @@ class DialOnPlane(Instrument):
             travel=self.travel,
             label=self.plane.per,
             moves=("tool", "plunger"),
-            knows_length=bool(self.steps),
+            steps=tuple(self.steps),
         )
 
     @property

@@ -53,8 +53,8 @@ class Probe:
     noise_std: of one measurement, mm. contact_std: of touch and form beside it, mm. column: what the reading along the
     plunger is called, None for contact alone; sign: +1 where a larger reading lengthens the tool; travel: readings lie
     in 0 ... travel, mm. label: the column that names the faces, None where there is one face for all. moves: keys of
-    the instrument's unknowns that tip and plunger depend on. knows_length, knows_angles: whether a
-    length among the faces, or their angles to one another, are certified.
+    the instrument's unknowns that tip and plunger depend on. knows_angles: whether the
+    faces' angles to one another are certified. steps: labels of faces at a known height on another one.
     """
 
     noise_std: float
@@ -64,8 +64,8 @@ class Probe:
     travel: float = 0.0
     label: str | None = "plane"
     moves: tuple[str, ...] = ()
-    knows_length: bool = False
     knows_angles: bool = False
+    steps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
