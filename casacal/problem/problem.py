@@ -12,7 +12,8 @@ from typing import Any
 
 from casacal.errors import ProblemError, UnknownNameError
 from casacal.instruments import Instrument
-from casacal.problem.compile import RowModel, compile_rows
+from casacal.problem.compile import RowModel
+from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
@@ -92,7 +93,27 @@ class Problem(Value):
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
         """Compiled functions, one set an instrument; built on first use."""
-        return tuple(compile_rows(self.robot, instrument) for instrument in self.instruments)
+        return tuple(symbols.model for symbols in self._symbols)
+
+    @property
+    def symbols(self) -> Symbols:
+        """The robot with its only instrument as CasADi expressions; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self._symbols[0]
+
+    def symbols_of(self, instrument: int) -> Symbols:
+        """The robot with one of its instruments, by number from 0; raises ProblemError where there is no such one."""
+        if not 0 <= instrument < len(self._symbols):
+            count = len(self._symbols)
+            raise ProblemError(
+                f"There is no instrument {instrument} of '{self.robot.name}'",
+                f"Give 0 to {count - 1}, there are {count}",
+            )
+        return self._symbols[instrument]
+
+    @cached_property
+    def _symbols(self) -> tuple[Symbols, ...]:
+        return tuple(Symbols(self.robot, instrument) for instrument in self.instruments)
 
     def layout(self, instrument: int = 0) -> Layout:
         """Columns a samples file of one instrument must have."""
