@@ -23,7 +23,7 @@ from casacal.problem.jacobian import residual_jacobian, residual_noise
 from casacal.problem.symbols_in_c import c_text
 from casacal.problem.trace import Trace, trace
 from casacal.robots.robot import Robot
-from casacal.values import FrozenMapping, Value, short
+from casacal.values import FrozenMapping, Value, alike, short
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,6 +163,18 @@ class Symbols(Value):
         """
         return c_text(self.trace, prefix=prefix)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instrument, to the last operation of the residual."""
+        if self is other or not isinstance(other, Symbols):
+            return self is other
+        one, two = self.instrument, other.instrument
+        return self.robot == other.robot and (
+            one == two or (_declared_alike(one, two) and self.model.same_as(other.model))
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.robot, type(self.instrument).__qualname__))
+
     def __repr__(self) -> str:
         shapes = {key: _shape(unknown.packed(self.trace.values[key])) for key, unknown in self.trace.unknowns.items()}
         rows: list[tuple[str, Any, str]] = [
@@ -179,6 +191,11 @@ class Symbols(Value):
         ]
         head = f"Symbols of {self.robot.name}, measured by {type(self.instrument).__name__}"
         return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
+
+
+def _declared_alike(one: Instrument, two: Instrument) -> bool:
+    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
+    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
 
 
 def _shape(expression: Any) -> str:
