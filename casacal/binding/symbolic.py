@@ -27,7 +27,6 @@ from casacal.array_types import Array
 from casacal.binding.slots import Block, Slot
 from casacal.binding.symbolic_steps import cubature_step, damped_step
 from casacal.errors import ProblemError
-from casacal.kernels.replay import product
 from casacal.kinematics import Expression
 from casacal.least_squares.objective import LeastSquares
 from casacal.problem.compile import RowModel
@@ -203,4 +202,4 @@ class SymbolicProblem:
         """[J r]' [J r] of whitened rows (nz + 1 x nz + 1)."""
         e, slopes = model.jacobian.map("mapped", "serial", d.shape[1], [0, 1], [])(z, c, d)
         rows = ca.vertcat(slopes, ca.vec(e).T) / ca.repmat(ca.vec(w).T, z.numel() + 1, 1)
-        return product(rows, rows.T)
+        return ca.mtimes(rows, rows.T)  # plain, so that C code of it needs no BLAS
