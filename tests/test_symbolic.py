@@ -1,5 +1,6 @@
 """All rows as CasADi expressions: one's own program finds what lm and ipopt find, and steps are those of estimators."""
 
+import dataclasses
 import shutil
 import subprocess
 from functools import partial
@@ -47,8 +48,10 @@ def followed():
     errors = np.where(touching.datum, 0.0, touching.start_std) * rng.normal(size=touching.unknowns)
     tips = touching.tips(errors, np.radians(joints)) + rng.normal(scale=0.05, size=(40, 3))
     frame[["x_mm", "y_mm", "z_mm"]] = tips @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]).T + [900.0, -200.0, 50.0]
-    instrument = TrackedPoint(noise_std=0.05)
-    problem = Problem(problem.robot, instrument).with_prior({"tool": 5.0})
+    # joints that do not repeat give the three coordinates of a row different noises
+    joints = [dataclasses.replace(joint, repeatability_std=3e-5) for joint in problem.robot.axes]
+    robot = dataclasses.replace(problem.robot, joints=joints)
+    problem = Problem(robot, TrackedPoint(noise_std=0.05)).with_prior({"tool": 5.0})
     return bind(problem, Samples.from_frame(frame, problem.layout(0)))
 
 
@@ -119,6 +122,11 @@ def test_residuals_equal_the_arm_by_hand(name, by_hand):
         for i, d, w in zip(kind.samples, kind.data, kind.noise, strict=True):
             expected = by_hand(x[kind.columns], kind.constants, d)[2] / w
             np.testing.assert_allclose(found[i], expected, rtol=0, atol=1e-7)
+
+
+def test_the_coordinates_of_a_row_differ_in_noise():
+    (kind,) = followed().symbolic.kinds
+    assert (np.ptp(kind.noise, axis=1) > 0.002).mean() > 0.5
 
 
 def test_kinds_say_which_rows_see_what(ur5):
