@@ -118,11 +118,15 @@ class OwnTrial(SimulatedTrial):
     """A trial that also compares with the library: objective and estimate, under each loss and constraint."""
 
     def judge(self, result: Result) -> dict[str, float]:
-        """Figures of a simulated trial; gaps (relative) and distances (posterior standard deviations) from LM's."""
+        """Figures of a simulated trial, and how far it is from LM with the same loss and links.
+
+        gap_*: of the objective, relative, below zero where it is lower than LM's. apart_*: largest difference of an
+        unknown, in posterior standard deviations.
+        """
         figures = {**super().judge(result), "unequal_mm": abs(self._unequal(result.x))}
         for name, (x, std) in self._found.items():
             objective = self._plain if name == "square" else self._robust
-            figures[f"gap_{name}"] = abs(objective(result.x) / objective(x) - 1)
+            figures[f"gap_{name}"] = objective(result.x) / objective(x) - 1
             figures[f"apart_{name}"] = float(np.abs((result.x - x) / std).max())
         return figures
 

@@ -134,7 +134,11 @@ class SymbolicProblem:
 
     @cached_property
     def normal(self) -> ca.Function:
-        """x -> cost, gradient J'r (n), information J'J (n x n) of the data alone, as `BoundProblem.normal`."""
+        """x -> cost, gradient J'r (n), information J'J (n x n) of the data alone, as `BoundProblem.normal`.
+
+        With the prior's, the information is the Hessian of Gauss-Newton: as the option `hess_lag` of `casadi.nlpsol`
+        it keeps solvers such as sqpmethod on course where the exact one is not positive (studies/own_nlp.py).
+        """
         x, n = self._x, len(self.names)
         cost, gradient, information = ca.MX(0), ca.MX(n, 1), ca.MX(n, n)
         for kind in self.kinds:
