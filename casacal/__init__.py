@@ -13,6 +13,7 @@ from casacal.version import __version__ as __version__
 if TYPE_CHECKING:
     from casacal.binding.bound_problem import BoundProblem as BoundProblem
     from casacal.binding.bound_problem import bind as bind
+    from casacal.binding.symbolic import SymbolicProblem as SymbolicProblem
     from casacal.calibration.calibrate import calibrate as calibrate
     from casacal.calibration.calibrated import Calibrated as Calibrated
     from casacal.calibration.calibration import Calibration as Calibration
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from casacal.problem.problem import Problem as Problem
     from casacal.problem.problem_file import ProblemFile as ProblemFile
     from casacal.problem.problem_file import load_problem as load_problem
+    from casacal.problem.symbols import Symbols as Symbols
     from casacal.robots.conventions import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
@@ -94,6 +96,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "casacal.binding.bound_problem": ("BoundProblem", "bind"),
+    "casacal.binding.symbolic": ("SymbolicProblem",),
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
     "casacal.problem.cell": ("Cell", "Disturbances", "Face", "corner", "gauge_block", "plate"),
@@ -139,6 +142,7 @@ _HOMES = {
     "casacal.least_squares.losses": ("Loss", "huber", "tukey"),
     "casacal.least_squares.objective": ("LeastSquares",),
     "casacal.problem.problem": ("Problem",),
+    "casacal.problem.symbols": ("Symbols",),
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),

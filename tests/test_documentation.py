@@ -99,6 +99,61 @@ def test_the_architecture_page_lists_the_packages_in_their_order():
         assert list((ROOT / "casacal").rglob(name)), name
 
 
+def method_page():
+    """Rows of the table (equation, what, where, errata), and every dotted place that the page names."""
+    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| (")]
+    return rows, sorted(set(re.findall(r"`((?:\w+\.)+\w+)[^`]*`", text)) - {"module.name"})
+
+
+def exists(place):
+    """Whether a dotted name is a module of casacal, or an attribute in one; `bound` and `problem` are values."""
+    for value, home in (("bound.symbolic", "binding.symbolic.SymbolicProblem"),
+                        ("bound", "binding.bound_problem.BoundProblem"),
+                        ("problem.symbols", "problem.symbols.Symbols")):  # fmt: skip
+        if re.match(rf"{value}(\.[a-z]|$)", place):
+            place = place.replace(value, home, 1)
+            break
+    parts = place.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found = import_module(".".join(["casacal", *parts[:k]]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[k:]:
+            if not hasattr(found, name):
+                return False
+            found = getattr(found, name)
+        return True
+    return False
+
+
+def test_every_equation_has_a_place_that_exists():
+    rows, places = method_page()
+    assert [row[0] for row in rows] == [f"({i})" for i in range(1, 32)]
+    assert len(places) > 30
+    for place in places:
+        assert exists(place), place
+    for equation, _, where, _ in rows:
+        assert re.search(r"`(\w+\.)+\w+`", where) or "the same step" in where or "no step" in where, equation
+
+
+def test_every_erratum_stands_at_its_equation():
+    rows, _ = method_page()
+    text = (ROOT / "docs" / "errata.md").read_text(encoding="utf-8")
+    for erratum, where in re.findall(r"^\| (E\d+) \| (.*?) \|", text, re.M):
+        told = [int(row[0][1:-1]) for row in rows if erratum in re.findall(r"E\d+", row[3])]
+        spans = re.findall(r"\((\d+)\)(?:-\((\d+)\))?", where)
+        expected = {k for first, last in spans for k in range(int(first), int(last or first) + 1)}
+        assert set(told) == expected or (erratum in ("E1", "E3") and told == [1]), erratum
+
+
+def test_the_page_of_the_method_can_fail():
+    assert exists("kinematics.dh")
+    assert not exists("kinematics.no_such_link")
+    assert not exists("no_such_module.dh")
+
+
 def test_every_erratum_that_is_cited_stands_in_the_errata():
     text = (ROOT / "docs" / "errata.md").read_text(encoding="utf-8")
     explained = set(re.findall(r"^\| (E\d+) \|", text, re.M))

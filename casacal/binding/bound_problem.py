@@ -13,6 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import FEW, RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
+from casacal.binding.symbolic import SymbolicProblem
 from casacal.kernels.native_filter import extended_pass
 from casacal.kernels.native_normal import NativeNormal, PackedPieces
 from casacal.kernels.steps import all_rows_in_c
@@ -22,7 +23,6 @@ from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquar
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.unknowns import Parameter
 from casacal.values import alike, read_only, short
 
 COMPACT = 50_000
@@ -226,17 +226,17 @@ class BoundProblem(LeastSquares):
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
-        for slot in self.slots:
-            if isinstance(slot.unknown, Parameter):
-                free = dict(zip(slot.unknown.names(slot.name), slot.columns, strict=True))
-                names = slot.unknown.component_names(slot.name)
-                for name, nominal in zip(names, slot.nominal, strict=True):
-                    yield name, slot.unknown.unit, float(nominal), free.get(name)
+        return (number for slot in self.slots for number in slot.numbers())
 
     @cached_property
     def graph(self) -> RawGraph:
         """The symbolic form in raw coordinates, for the IPOPT reference."""
         return RawGraph.of(self.slots, self.blocks, self._threads)
+
+    @cached_property
+    def symbolic(self) -> SymbolicProblem:
+        """All rows as CasADi expressions of x, for one's own programs and solvers."""
+        return SymbolicProblem(self, self.slots, self.blocks)
 
     def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
         data = np.zeros((len(joints), joints.shape[1] + len(block.known)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels, combinations
-from casacal.unknowns import Unknown
+from casacal.unknowns import Parameter, Unknown
 from casacal.values import Value, read_only
 
 ENOUGH = 20_000
@@ -51,6 +51,14 @@ class Slot(Value):
     def value(self, x: Array) -> Any:
         """Its value at x (n,)."""
         return self.unknown.at(self.nominal, x[self.first : self.first + self.unknown.size])
+
+    def numbers(self) -> Iterator[tuple[str, str, float, int | None]]:
+        """Every number of a parameter: name, unit, nominal, position in x (None when held); none of another kind."""
+        if isinstance(self.unknown, Parameter):
+            free = dict(zip(self.unknown.names(self.name), self.columns, strict=True))
+            names = self.unknown.component_names(self.name)
+            for name, nominal in zip(names, self.nominal, strict=True):
+                yield name, self.unknown.unit, float(nominal), free.get(name)
 
 
 @dataclass(frozen=True)

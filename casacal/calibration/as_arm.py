@@ -6,6 +6,9 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Literal
 
+import casadi as ca
+
+from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.compensate import LARGEST, compensate
 from casacal.compensation.outcome import Compensation
@@ -13,6 +16,7 @@ from casacal.compensation.predict import Prediction, joints_from, predict
 from casacal.compensation.programs import rounding_of, text_of
 from casacal.compensation.targets import targets_from
 from casacal.export.forms import export
+from casacal.export.functions import pose_function, tip_function, values_of
 from casacal.files import write_text
 
 
@@ -98,3 +102,30 @@ class AsArm(ABC):
         source, prefix, errors: as for `casacal.export.forms.export`.
         """
         return export(self.arm, form, path, source=source, prefix=prefix)
+
+    def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
+
+        Args:
+            nominal: the arm as drawn in place of the calibrated one.
+            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
+
+        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
+
+        """
+        return pose_function(self.arm, nominal=nominal, free=free)
+
+    def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
+
+        nominal, free, errors: as for `pose_function`; free also what the tip depends on of instrument and columns.
+        Raises ProblemError where there are several instruments.
+        """
+        return tip_function(self.arm, nominal=nominal, free=free)
+
+    def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
+        """Values of the parameters by name, mm and rad, as functions with free parameters take them.
+
+        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn.
+        """
+        return values_of(self.arm, frame=frame, nominal=nominal)

@@ -46,7 +46,7 @@ class BlockCubature:
         up, down = points[:, :n], points[:, n:]
         center, turned, figures = mean.copy(), root.T.copy(), np.empty(3)
         new_center, new_turned = np.empty(n), np.empty((n, n))
-        kept = [Buffered(self._step(n, component)) for component in range(self.components)]
+        kept = [Buffered(self.step(n, component)) for component in range(self.components)]
         inputs, outputs = (points, data, w, center, turned), (new_center, new_turned, figures)
         steps = [step.bound(inputs, outputs) for step in kept]
         sights = [(seen, x0[seen], scale[seen], math.sqrt(n) * scale[seen, None]) for seen in columns]
@@ -67,7 +67,7 @@ class BlockCubature:
         mean[:], root[:] = center, turned.T
         return stop, means, trace[:, 0], trace[:, 1]
 
-    def _step(self, n: int, component: int) -> ca.Function:
+    def step(self, n: int, component: int) -> ca.Function:
         """One row, in coordinates (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as mended.
 
         (cubature points of z, constants and data, weight, mean, S) to the mean and S after it, and innovation, its

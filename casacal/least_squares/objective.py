@@ -94,7 +94,8 @@ class LeastSquares(ABC):
     """A least-squares problem with a Gaussian prior.
 
     A concrete problem sets the attributes and gives `residual`, `jacobian`, `row` and `row_jacobian`; what follows
-    from these is here. `graph` is the symbolic form for the IPOPT reference, None where there is none.
+    from these is here. `graph` is the symbolic form for the IPOPT reference, `symbolic` the rows as CasADi expressions
+    for one's own programs; both None where there are none.
     """
 
     names: tuple[str, ...]
@@ -105,6 +106,7 @@ class LeastSquares(ABC):
     datum: NDArray[np.bool_]
     """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
     graph: Any = None
+    symbolic: Any = None
 
     @property
     @abstractmethod

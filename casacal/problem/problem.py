@@ -12,14 +12,15 @@ from typing import Any
 
 from casacal.errors import ProblemError, UnknownNameError
 from casacal.instruments import Instrument
-from casacal.problem.compile import RowModel, compile_rows
+from casacal.problem.compile import RowModel
+from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.read import read_any_table
 from casacal.tables.workbooks import KEY, joined_tables
 from casacal.unknowns import Unknown
-from casacal.values import FrozenMapping, Value, alike
+from casacal.values import FrozenMapping, Value
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -50,14 +51,7 @@ class Problem(Value):
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instruments, to the last operation of their residuals."""
-        if self is other or not isinstance(other, Problem):
-            return self is other
-        if self.robot != other.robot or len(self.instruments) != len(other.instruments):
-            return False
-        return all(
-            one == two or (_declared_alike(one, two) and self.models[i].same_as(other.models[i]))
-            for i, (one, two) in enumerate(zip(self.instruments, other.instruments, strict=True))
-        )
+        return self is other or (isinstance(other, Problem) and self._symbols == other._symbols)
 
     def __hash__(self) -> int:
         return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
@@ -93,7 +87,27 @@ class Problem(Value):
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
         """Compiled functions, one set an instrument; built on first use."""
-        return tuple(compile_rows(self.robot, instrument) for instrument in self.instruments)
+        return tuple(symbols.model for symbols in self._symbols)
+
+    @property
+    def symbols(self) -> Symbols:
+        """The robot with its only instrument as CasADi expressions; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self._symbols[0]
+
+    def symbols_of(self, instrument: int) -> Symbols:
+        """The robot with one of its instruments, by number from 0; raises ProblemError where there is no such one."""
+        if not 0 <= instrument < len(self._symbols):
+            count = len(self._symbols)
+            raise ProblemError(
+                f"There is no instrument {instrument} of '{self.robot.name}'",
+                f"Give 0 to {count - 1}, there are {count}",
+            )
+        return self._symbols[instrument]
+
+    @cached_property
+    def _symbols(self) -> tuple[Symbols, ...]:
+        return tuple(Symbols(self.robot, instrument) for instrument in self.instruments)
 
     def layout(self, instrument: int = 0) -> Layout:
         """Columns a samples file of one instrument must have."""
@@ -197,11 +211,6 @@ class Problem(Value):
 
 def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
     return [name in (key, component) for component in unknown.names(key)]
-
-
-def _declared_alike(one: Instrument, two: Instrument) -> bool:
-    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
-    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
 
 
 def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:

@@ -16,7 +16,7 @@ class Metered(LeastSquares):
     """The same problem, with counters: rows of residuals and of Jacobians, and the best objective so far.
 
     best: one (residual rows, Jacobian rows, objective) each time an estimator evaluates a lower objective.
-    used_graph: whether the symbolic form was taken, beyond which nothing can be counted here.
+    used_graph: whether a symbolic form was taken, beyond which nothing can be counted here.
     """
 
     def __init__(self, problem: LeastSquares) -> None:
@@ -32,6 +32,12 @@ class Metered(LeastSquares):
         """The symbolic form."""
         self.used_graph = True
         return self.problem.graph
+
+    @property
+    def symbolic(self) -> Any:
+        """The rows as CasADi expressions, evaluated where nobody can count."""
+        self.used_graph = True
+        return self.problem.symbolic
 
     @property
     def rows(self) -> int:

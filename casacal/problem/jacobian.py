@@ -1,0 +1,39 @@
+"""Where the Jacobian is made: slopes of residual and tip by the unknowns, and the noise that slopes carry.
+
+The paper derives them by hand to first order: the error of a link in eqs (3) and (4) of arXiv:2208.02652, that of the
+tip, J, in (5), and the row of the identification matrix that a touch of a plane makes of it in (7) to (9). Here
+automatic differentiation of the symbolic graph takes the place of all of these. It is exact for any convention and any
+instrument, and at any estimate rather than at the drawing alone, so that errata E6 to E8 cannot arise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from casacal.instruments import Instrument
+from casacal.robots.robot import Robot
+
+
+def residual_jacobian(residual: ca.SX, z: ca.SX) -> ca.SX:
+    """de/dz (m, nz) of a residual e (m): the identification Jacobian, eqs (7)-(9) of arXiv:2208.02652."""
+    return ca.jacobian(residual, z)
+
+
+def position_jacobian(point: ca.SX, z: ca.SX) -> ca.SX:
+    """dP/dz (3, nz) of a point P (3, mm), the tip's or the flange's: the J of eqs (3)-(5) of arXiv:2208.02652."""
+    return ca.jacobian(point, z)
+
+
+def residual_noise(
+    robot: Robot, instrument: Instrument, residual: ca.SX, q: ca.SX, columns: Mapping[str, ca.SX]
+) -> ca.SX:
+    """Standard deviation (m) of the residual: errors of joints and columns, carried by its slope, beside its own."""
+    variance = ca.SX(instrument.residual_std**2) * ca.SX.ones(residual.shape)
+    for name, std in instrument.column_stds.items():
+        variance += (ca.jacobian(residual, columns[name]) * std) ** 2
+    for j, joint in enumerate(robot.axes):
+        if joint.repeatability_std > 0:
+            variance += (ca.jacobian(residual, q[j]) * joint.repeatability_std) ** 2
+    return ca.sqrt(variance)

@@ -1,0 +1,203 @@
+"""The public face of the symbols: what a robot and an instrument are to CasADi, as expressions with names and shapes.
+
+symbols = problem.symbols
+symbols.residual, symbols.z, symbols.c, symbols.q, symbols.columns["reading"]    expressions (SX)
+symbols.functions["residual"](z, c, d)                                           compiled, for SX, MX and numbers
+symbols.value_functions["pose"](alpha=..., a=..., d=..., theta=..., q=q)         the values p themselves as inputs
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from casacal.errors import ProblemError
+from casacal.instruments import Instrument
+from casacal.problem.compile import RowModel, compile_rows, row_function
+from casacal.problem.jacobian import residual_jacobian, residual_noise
+from casacal.problem.symbols_in_c import c_text
+from casacal.problem.trace import Trace, trace
+from casacal.robots.robot import Robot
+from casacal.values import FrozenMapping, Value, alike, short
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Symbols(Value):
+    """One robot with one instrument as CasADi expressions: lengths in mm, angles in rad; what `Problem.symbols` gives.
+
+    Expressions are SX and belong together: those of another `Symbols` do not mix with them. Raises ProblemError when
+    `pose`, `tip` or `residual` fails, has the wrong shape or depends on something else.
+    """
+
+    robot: Robot
+    instrument: Instrument
+
+    @cached_property
+    def trace(self) -> Trace:
+        """What was traced: everything else here, and all that estimators evaluate, is made of it."""
+        return trace(self.robot, self.instrument)
+
+    @cached_property
+    def model(self) -> RowModel:
+        """The functions that estimators evaluate."""
+        return compile_rows(self.trace)
+
+    @property
+    def z(self) -> ca.SX:
+        """Unknowns (nz): deviations from nominal of the robot's parameters, then of the instrument's unknowns."""
+        return self.trace.z
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each of z, without labels."""
+        return tuple(name for key, unknown in self.trace.unknowns.items() for name in unknown.names(key))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each of z."""
+        return tuple(unit for unknown in self.trace.unknowns.values() for unit in unknown.units)
+
+    @property
+    def c(self) -> ca.SX:
+        """Constants (nc): numbers that fix the nominal values which differ by label or are proposed by the data."""
+        return self.trace.c
+
+    @property
+    def constants(self) -> Mapping[str, int]:
+        """Keys of the unknowns whose nominal is part of c, in order, and how many numbers each takes."""
+        return FrozenMapping({key: self.trace.unknowns[key].nominal_size for key in self.trace.constants})
+
+    @property
+    def q(self) -> ca.SX:
+        """Joint values (n): rad, mm."""
+        return self.trace.q
+
+    @property
+    def columns(self) -> Mapping[str, ca.SX]:
+        """The row's columns by name: those that are read, then those known from labels."""
+        return FrozenMapping(self.trace.columns)
+
+    @property
+    def d(self) -> ca.SX:
+        """The row (nd): q, then the columns."""
+        return self.trace.d
+
+    @property
+    def p(self) -> SimpleNamespace:
+        """Values by name at z and c, as `pose` and `residual` take them: numbers, vectors, 4x4 frames, planes."""
+        return SimpleNamespace(**self.trace.values)
+
+    @property
+    def pose(self) -> ca.SX:
+        """Flange pose (4x4), mm: eqs (1) and (2) of arXiv:2208.02652."""
+        return ca.SX(self.trace.seen.pose)
+
+    @property
+    def tip(self) -> ca.SX:
+        """Where the instrument touches or is watched (3), mm, base frame."""
+        return self.trace.seen.tip
+
+    @property
+    def residual(self) -> ca.SX:
+        """Residual e (m): for a plane its signed distance from the tip, mm, eq (6) with a unit normal."""
+        return self.trace.seen.residual
+
+    @cached_property
+    def jacobian(self) -> ca.SX:
+        """de/dz (m x nz), by automatic differentiation: it takes the place of eqs (3)-(5) and (7)-(9).
+
+        Made by `casacal.problem.jacobian.residual_jacobian`.
+        """
+        return residual_jacobian(self.residual, self.z)
+
+    @cached_property
+    def noise(self) -> ca.SX:
+        """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
+        return residual_noise(self.robot, self.instrument, self.residual, self.q, self.trace.columns)
+
+    @cached_property
+    def functions(self) -> Mapping[str, ca.Function]:
+        """Compiled functions of one row, (z, c, d) -> residual, jacobian, noise, tip, pose: each by its name."""
+        outputs = {name: getattr(self, name) for name in ("residual", "jacobian", "noise", "tip", "pose")}
+        inputs = [self.z, self.c, self.d]
+        return FrozenMapping({k: row_function(k, inputs, [e], ["z", "c", "d"]) for k, e in outputs.items()})
+
+    @cached_property
+    def value_functions(self) -> Mapping[str, ca.Function]:
+        """Functions with the values free: "pose", "tip" and "residual" of values, q and columns, all inputs by name.
+
+        A value enters as `p` holds it: a number, a vector or a 4x4 frame; a plane as its normal (3), a point (3, mm)
+        and an offset (mm) along it. `pose` takes the robot's parameters and q; `tip` also what it depends on of the
+        instrument and the columns; `residual` everything. Raises ProblemError for a name that CasADi does not take.
+        """
+        free, built = self.trace.free
+        for name in (*free, *self.columns):
+            if name == "q" or not ca.Function.check_name(name):
+                raise ProblemError(
+                    f"'{name}' cannot name an input of a CasADi function",
+                    "Rename it: letters, digits and single _, and not q, null, jac or hess",
+                )
+        robot = {key: free[key] for key in self.robot.parameters}
+        row = {"q": self.q, **self.columns}
+        beside = {k: symbol for k, symbol in {**free, **row}.items() if k not in robot and k != "q"}
+        touching = {k: symbol for k, symbol in beside.items() if ca.depends_on(built.tip, symbol)}
+        others = {k: symbol for k, symbol in free.items() if k not in robot}
+        last = {k: touching.pop(k) for k in list(touching) if k in row}
+        inputs = {
+            "pose": (ca.SX(built.pose), {**robot, "q": self.q}),
+            "tip": (built.tip, {**robot, **touching, "q": self.q, **last}),
+            "residual": (built.residual, {**robot, **others, **row}),
+        }
+        return FrozenMapping({k: row_function(k, [*i.values()], [e], [*i]) for k, (e, i) in inputs.items()})
+
+    def c_code(self, *, prefix: str | None = None) -> str:
+        """Self-contained C99 with the parameters free: values, pose, tip, residual, Jacobian; see its head comment.
+
+        `prefix` begins the names of the functions; by default the robot's name. Raises ProblemError where it is no C
+        name.
+        """
+        return c_text(self.trace, prefix=prefix)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instrument, to the last operation of the residual."""
+        if self is other or not isinstance(other, Symbols):
+            return self is other
+        one, two = self.instrument, other.instrument
+        return self.robot == other.robot and (
+            one == two or (_declared_alike(one, two) and self.model.same_as(other.model))
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.robot, type(self.instrument).__qualname__))
+
+    def __repr__(self) -> str:
+        shapes = {key: _shape(unknown.packed(self.trace.values[key])) for key, unknown in self.trace.unknowns.items()}
+        rows: list[tuple[str, Any, str]] = [
+            ("z", len(self.names), short(self.names)),
+            ("c", self.c.numel(), ", ".join(f"{key} {size}" for key, size in self.constants.items())),
+            ("q", self.q.numel(), " ".join("rad" if joint.turns else "mm" for joint in self.robot.axes)),
+            ("columns", len(self.columns), ", ".join(self.columns)),
+            ("p", len(shapes), ", ".join(f"{key} {shape}" for key, shape in shapes.items())),
+            ("pose", _shape(self.pose), "mm"),
+            ("tip", _shape(self.tip), "mm"),
+            ("residual", _shape(self.residual), self.instrument.words.unit),
+            ("jacobian", f"{self.residual.numel()}x{len(self.names)}", "of the residual by z"),
+            ("noise", _shape(self.residual), self.instrument.words.unit),
+        ]
+        head = f"Symbols of {self.robot.name}, measured by {type(self.instrument).__name__}"
+        return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
+
+
+def _declared_alike(one: Instrument, two: Instrument) -> bool:
+    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
+    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
+
+
+def _shape(expression: Any) -> str:
+    rows, columns = ca.SX(expression).shape
+    return str(rows) if columns == 1 else f"{rows}x{columns}"
