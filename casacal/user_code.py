@@ -15,8 +15,8 @@ from typing import Any
 
 from casacal.errors import CasacalError
 
-_IMPORTING = threading.Lock()
-"""The import system is one for all threads: one file runs at a time."""
+_IMPORTING = threading.RLock()
+"""The import system is one for all threads: one file runs at a time, and those that it loads itself."""
 
 
 def run_file(path: str | Path, text: str | None = None) -> ModuleType:

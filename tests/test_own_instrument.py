@@ -245,3 +245,34 @@ def test_the_datum_is_what_nobody_knew_beforehand(hsr):
 
     assert Some().datum == ("face",)
     assert Some().words.before == "face fitted alone"
+
+
+def test_a_problem_file_may_load_another_one(tmp_path):
+    """With a module of the same name beside each: every file sees its own."""
+    inner, outer = written(tmp_path / "in", "wire"), tmp_path / "out"
+    outer.mkdir()
+    (outer / "anchors.py").write_text("POST = 'mine'\n")
+    (outer / "problem.py").write_text(
+        f"from anchors import POST\nfrom casacal import load_problem\n"
+        f"problem = load_problem({str(inner)!r}).problem.fix('post')\n"
+        "from anchors import POST as again\nassert POST == again == 'mine'\n"
+    )
+    assert load_problem(outer).problem == load_problem(inner).problem.fix("post")
+
+
+def test_unknowns_of_the_smallest_instrument_can_be_held_and_given_priors(tmp_path, capsys):
+    place = written(tmp_path, "wire")
+    source = load_problem(place)
+    assert bind_count(source.problem) == 12 + 3
+    assert bind_count(source.problem.fix("post")) == 12
+    assert bind_count(source.problem.fix("post2")) == 12 + 2
+    tight = source.problem.with_prior({"post": 0.25})
+    assert tight.instrument.unknowns["post"].prior_stds.tolist() == [0.25] * 3
+    assert source.problem.instrument.unknowns["post"].prior_stds.tolist() == [5.0] * 3
+    assert main(["simulate", str(place), "--out", str(place / "samples.csv"), "--samples", "60"]) == 0
+    assert main(["calibrate", str(place), "--fix", "post", "--prior", "a=0.1", "--method", "lm"]) == 0
+    capsys.readouterr()
+
+
+def bind_count(problem):
+    return bind(problem, simulate(problem, samples=40, seed=0).samples).unknowns

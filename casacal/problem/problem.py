@@ -214,9 +214,15 @@ def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
 
 
 def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:
-    if not dataclasses.is_dataclass(instrument) or key not in {field.name for field in dataclasses.fields(instrument)}:
+    """The instrument with another unknown: a field of a dataclass, or an entry of a plain `unknowns`."""
+    if dataclasses.is_dataclass(instrument) and key in {field.name for field in dataclasses.fields(instrument)}:
+        return dataclasses.replace(instrument, **{key: unknown})
+    if isinstance(getattr(type(instrument), "unknowns", None), property):
         raise ProblemError(
             f"'{key}' of {type(instrument).__name__} cannot be replaced",
             "Make the instrument a dataclass with that field",
         )
-    return dataclasses.replace(instrument, **{key: unknown})
+    changed: Instrument = object.__new__(type(instrument))
+    for name, item in {**vars(instrument), "unknowns": {**instrument.unknowns, key: unknown}}.items():
+        object.__setattr__(changed, name, item)
+    return changed
