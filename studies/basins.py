@@ -64,7 +64,7 @@ def report(run: Run) -> list[str]:
     lines = [
         "# From how far away is the minimum found?",
         "",
-        f"Simulated HSR-JR680, 85 touches fitted; {run.study.trials} trials a setting (fewer where the table says so).",
+        f"Simulated HSR-JR680, 85 touches fitted; {run.study.trials} trials per setting (fewer where the table says so).",
         "Errors x1 are 0.7 mm and 1 mrad; with the errors grow the priors, the start's standard deviations of the",
         "planes and the population methods' box, as they would for someone who knows how little the drawing says.",
         f"*Found*: the objective is within {FOUND:g} of the lowest that any minimiser found. *Near*: within {NEAR} per",

@@ -92,7 +92,7 @@ def report(run: Run) -> list[str]:
     lines = [
         "# When something is not as the model says",
         "",
-        f"Simulated HSR-JR680 on three faces, 85 touches fitted, 35 held out, {run.study.trials} trials an arm. Tip",
+        f"Simulated HSR-JR680 on three faces, 85 touches fitted, 35 held out, {run.study.trials} trials per arm. Tip",
         "error over 400 workspace poses, up to the base frame, mm RMS. *Noticed*: part of trials in which the 95 %",
         "interval of found over stated noise leaves out 1, which casacal warns about. *Coverage*: part of tip errors",
         "inside their 95 % intervals. Intervals are bootstrap ones, and Clopper and Pearson's for rates.",
@@ -121,7 +121,7 @@ def noticed(run: Run, setting: str, method: str) -> np.ndarray:
 
 
 def in_short(run: Run) -> list[str]:
-    """One line an arm: what it costs LM, who does best, and whether it is noticed."""
+    """One line per arm: what it costs LM, who does best, and whether it is noticed."""
     lines = []
     for setting in run.study.settings:
         costs = {method: paired(*over_right(run, setting, method)).ratio for method in (*rivals.LOCAL, ROBUST)}

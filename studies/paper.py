@@ -91,7 +91,7 @@ def report(run: Run) -> list[str]:
 def introduction(run: Run) -> list[str]:
     """What was simulated, and what the columns mean."""
     return [
-        f"Simulated HSR-JR680; {run.study.trials} trials a setting, in each the same arm, touches and noise for all",
+        f"Simulated HSR-JR680; {run.study.trials} trials per setting, in each the same arm, touches and noise for all",
         "methods. 120 touches, 85 fitted and 35 held out; dial noise 0.01 mm, travel 10 mm; true errors drawn from",
         f"the prior of 0.7 mm and 1 mrad. *{ONE}*: a plate of 600 mm, tilt up to 5 degrees. *{THREE}*: floor, wall",
         "and side wall. *Errors the model lacks*: compliance 0.3 mm RMS, backlash 40 urad, joint repeatability",

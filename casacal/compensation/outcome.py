@@ -64,7 +64,7 @@ class Rounding:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Value):
-    """Corrected targets and their proof, one entry a target (N) in each field.
+    """Corrected targets and their proof, one entry per target (N) in each field.
 
     joints: corrected (N, n; rad, mm), as written. start: nominal joint values (N, n) they began from. outcomes: how
     each ended. residual_mm, residual_rad: miss of the calibrated robot at `joints`, recomputed by `predict`.

@@ -146,7 +146,7 @@ def _spread(result: CalibratedArm, z: Array, data: Array, frame: str) -> Array:
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one, a row a pose."""
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose."""
     lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]

@@ -102,7 +102,7 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
 
 
 def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str:
-    """The file: notes on what it is and what to expect, then one entry a target."""
+    """The file: notes on what it is and what to expect, then one entry per target."""
     what = notes(compensation, result)
     if form == CSV:
         return "".join(

@@ -1,4 +1,4 @@
-"""A robot as its axes: the pose at any joint values as one motion a joint, whatever function the problem wrote."""
+"""A robot as its axes: the pose at any joint values as one motion per joint, whatever function the problem wrote."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Axes:
 def axes_of(robot: Robot) -> Axes:
     """Find the axes of a robot at its nominal parameters from its pose function.
 
-    Raises ProblemError when the pose is not one motion a joint (with joints coupled as the doctor's family knows).
+    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows).
     """
     pose = nominal_pose(robot)
     n, count = len(robot.axes), 12

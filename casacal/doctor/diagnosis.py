@@ -102,7 +102,7 @@ def diagnose(
         tool: pose (4, 4; mm) in the flange frame of what the pendant shows; default: the flange.
         tolerance: mm, and mrad, within which a row counts as explained.
 
-    Raises CasacalError when rows and robot do not match, ProblemError for a pose that is not one motion a joint.
+    Raises CasacalError when rows and robot do not match, ProblemError for a pose that is not one motion per joint.
 
     """
     if rows.joints.shape[1] != len(robot.axes):

@@ -64,7 +64,7 @@ def _count(found: Diagnosis) -> str:
 
 
 def _settings(found: Diagnosis) -> Iterable[str]:
-    """One line a joint, then units and orientation: the value, and whether it is certain or open."""
+    """One line per joint, then units and orientation: the value, and whether it is certain or open."""
     written = _alike(found.meanings)
     sure = found.postures >= ENOUGH and not found.more
     for i in range(len(written[0].signs)):

@@ -31,7 +31,7 @@ def evolution(
         seed: of all random numbers.
         budget: rows of residuals to evaluate at most; a population larger than it allows is made smaller.
         width: half width of the box, standard deviations.
-        population: candidates a generation.
+        population: candidates per generation.
         progress: called with (candidates, best cost) after each generation.
 
     """

@@ -21,7 +21,7 @@ from casacal.unknowns.fits import rotation_between
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedPoint(Instrument):
-    """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals a row.
+    """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals per row.
 
     Args:
         noise_std: standard deviation of each coordinate, mm.

@@ -50,7 +50,7 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
     Args:
         information: H (n, n), symmetric.
         gradient: g (n,).
-        damping: one number, or one a coordinate (n,).
+        damping: one number, or one per coordinate (n,).
 
     """
     if not gradient.size:

@@ -110,7 +110,7 @@ class Parameter(Unknown):
 
     @property
     def nominal_size(self) -> int:
-        """One number a component."""
+        """One number per component."""
         return self._all.size
 
     @property

@@ -57,7 +57,7 @@ def report_page(
         tag("style", Markup(STYLE)),
     )
     page = tag("html", head, tag("body", main), at={"lang": "en"})
-    # one line a block, so that two reports can be compared line by line
+    # one line per block, so that two reports can be compared line by line
     for block in ("section", "table", "tr", "figure", "svg", "path", "p", "li", "div", "head", "style"):
         page = Markup(page.replace(f"</{block}>", f"</{block}>\n"))
     return f"<!DOCTYPE html>\n{page}\n"
