@@ -170,7 +170,7 @@ def report(run: Run) -> list[str]:
         "",
         "## Where the tip stays uncertain",
         "",
-        "Predicted from the plan alone, up to the base frame, three axes together.",
+        "Predicted from the plan alone, apart from where the base stands, three axes together.",
         "",
         *uncertainty_map(problem, 120, 400 if run.quick else 3000, run.out),
         "",

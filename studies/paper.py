@@ -2,7 +2,7 @@
 
 The simulated HSR-JR680 touches 120 times, 85 touches are fitted and 35 held out; M0 to M7, IPOPT and SciPy answer the
 same 200 arms, poses and noises, in the paper's cell (one face, tool nearly normal), in a good one (three faces, tilt
-30 degrees), with errors that the model lacks, and with errors thirty times larger than usual.
+30 degrees), with effects that the model does not describe, and with errors thirty times larger than usual.
 
     casacal study studies/paper.py [--quick] [--trials N] [--workers N] [--out DIR]
 """
@@ -66,11 +66,11 @@ def report(run: Run) -> list[str]:
     paper_pictures.over_budget(run, run.out / "cost_over_budget.png")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
-    lines += ["What one sees and what one wants (means with 95 % intervals), and what it takes (medians):", ""]
+    lines += ["What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians):", ""]
     lines += [
         *paper_tables.headline(run, shown, (ONE, THREE)),
         "",
-        "![what one sees, what one wants](headline.png)",
+        "![what a user sees, what a user wants](headline.png)",
         "",
     ]
     for setting in run.study.settings:
@@ -95,12 +95,13 @@ def introduction(run: Run) -> list[str]:
         "methods. 120 touches, 85 fitted and 35 held out; dial noise 0.01 mm, travel 10 mm; true errors drawn from",
         f"the prior of 0.7 mm and 1 mrad. *{ONE}*: a plate of 600 mm, tilt up to 5 degrees. *{THREE}*: floor, wall",
         "and side wall. *Errors the model lacks*: compliance 0.3 mm RMS, backlash 40 urad, joint repeatability",
-        f"20 urad, a plate of grade I, all unknown to the fit. *Errors x{FACTOR}*: true errors and priors so many",
-        "times larger. Population methods search the prior's mean +- 4 standard deviations from a start that includes",
-        "the mean, each budget in a run of its own, in fewer trials where the tables say so.",
+        f"20 urad, a plate of grade I, all unknown to the fit. *Errors x{FACTOR}*: true errors and priors {FACTOR}",
+        "times as large. Population methods search the prior's mean +- 4 standard deviations from a start that",
+        "includes the mean, each budget in a separate run, in fewer trials where the tables say so.",
         "",
         "Plane residual: distance of held-out tips from the fitted plane, **not accuracy**. Tip error: distance of the",
-        "true tip from where the calibrated arm believes it, over 400 poses of the workspace, up to the base frame.",
+        "true tip from where the calibrated arm believes it to be, over 400 poses of the workspace, apart from where",
+        "the base stands.",
     ]
 
 

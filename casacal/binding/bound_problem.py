@@ -30,7 +30,7 @@ COMPACT = 50_000
 
 
 def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
-    """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
+    """Bind a problem to its samples, one set per instrument: nominal values, unknowns and weights are settled here.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
     noise of each row is evaluated there and held.
@@ -73,7 +73,7 @@ class BoundProblem(LeastSquares):
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it was made of; kernels and sums are made again."""
+        """What it was made from; kernels and sums are computed again."""
         return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads)
 
     def __eq__(self, other: object) -> bool:

@@ -58,7 +58,7 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """A row a number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
+        """One row per number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
 
         Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
         """

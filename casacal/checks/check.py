@@ -122,6 +122,8 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
             "warning",
             "noise",
             f"the residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f})",
-            "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model lacks",
+            "Correct noise_std in the problem"
+            if ratio < 1
+            else "Raise noise_std, or find the effect that the model does not describe",
         )
     ]

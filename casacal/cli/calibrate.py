@@ -154,7 +154,7 @@ def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], acc
 
 
 class _Progress:
-    """A line on standard error, after the first second, and only where someone looks."""
+    """A line on standard error, after the first second, and only on a terminal."""
 
     def __init__(self, method: str) -> None:
         self.method, self.began, self.shown = method, time.monotonic(), 0.0

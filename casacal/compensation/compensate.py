@@ -2,8 +2,8 @@
 
 The calibrated robot is the estimate of a result. Under a finite prior it holds every direction that the samples did not
 see at nominal by itself, because the objective has its minimum there; with flat priors nothing does, and such a result
-is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is up to the base
-frame, which a user teaches.
+is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is stated apart
+from where the base stands, which a user teaches.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from casacal.robots.robot import Robot
 BANK = 4096
 """Random postures among which starts are looked for."""
 ROUNDS = (6, 24)
-"""Starts a pose in the first round, and in the second for poses that none of them reached."""
+"""Starts per pose in the first round, and in the second for poses that none of them reached."""
 PATIENCE = 16
 """Steps of a start: those that are not there by then creep along a singularity, and others are faster."""
 SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5

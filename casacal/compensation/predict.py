@@ -28,7 +28,8 @@ from casacal.values import Value, frozen
 class Prediction(Value):
     """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame.
 
-    `std` (N,) is the standard deviation of the position, mm, its three axes together, up to the base frame; or None.
+    `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
+    stands; or None.
     """
 
     positions: Array
@@ -127,7 +128,10 @@ def predict(
 
 
 def _spread(result: CalibratedArm, z: Array, data: Array, frame: str) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, up to the base frame that the workspace fits."""
+    """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
+
+    Where it stands is what a rigid motion fitted over the workspace takes out.
+    """
     problem = result.source.problem
     model = problem.model
     evaluate = model.batch.tip_jacobian if frame == "tip" else model.batch.flange_jacobian

@@ -112,7 +112,7 @@ def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str
 
 
 def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
-    """What the file is, how it was proved, and what accuracy to expect; one sentence a line."""
+    """What the file is, how it was proved, and what accuracy to expect; one sentence per line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     arm = result.source.problem.robot.parameters
@@ -132,8 +132,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.residual_mm[reached], 'mm')} and "
             f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}; reached rows",
             f"what the correction removes: {_figures(compensation.correction_mm[reached], 'mm')}",
-            f"position error to expect: {_figures(compensation.expected_mm[reached], 'mm')}; standard deviation up to "
-            "the base frame, which must be taught",
+            f"position error to expect: {_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, "
+            "apart from where the base stands, which must be taught",
         ]
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")

@@ -92,7 +92,7 @@ class Problem(Value):
 
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
-        """Compiled functions, one set an instrument; built on first use."""
+        """Compiled functions, one set per instrument; built on first use."""
         return tuple(compile_rows(self.robot, instrument) for instrument in self.instruments)
 
     def layout(self, instrument: int = 0) -> Layout:

@@ -52,7 +52,8 @@ class Conventions:
         """Raise ProblemError unless these are conventions of `count` joints."""
         if len(self.signs) != count:
             raise ProblemError(
-                f"'{name}' has {count} joints and conventions for {len(self.signs)}", "Give one sign and offset a joint"
+                f"'{name}' has {count} joints and conventions for {len(self.signs)}",
+                "Give one sign and one offset per joint",
             )
 
     @property

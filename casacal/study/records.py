@@ -28,7 +28,7 @@ DIGITS = 10
 """Significant digits that a record keeps of a number."""
 TIMING_DIGITS = 4
 TIMINGS = "seconds"
-"""The one entry of a record that may differ when it is made again."""
+"""The one entry of a record that may differ when the trial is run again."""
 
 
 def key_of(record: Mapping[str, Any]) -> Key:

@@ -115,7 +115,7 @@ def run(
 def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
     """The records of a folder, without running anything; raises StudyError when there are none.
 
-    Which version of casacal made them does not matter here: a report can be made again long after.
+    Which version of casacal made them does not matter here: a report can be written again long after.
     """
     names = {(s, m, k) for s in study.settings for m in study.methods for k in range(study.trials_of(m))}
     found = [r for r in records.read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]

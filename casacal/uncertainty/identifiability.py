@@ -55,7 +55,8 @@ class NullDirection:
     direction: Array
     words: str
     tip_mm: float
-    """What one prior standard deviation along it does to the tip: mm RMS over the workspace, up to the base frame."""
+    """What one prior standard deviation along it does to the tip, apart from where the base stands: mm RMS over the
+    workspace."""
     structural: bool
     """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
 

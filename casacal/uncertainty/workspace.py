@@ -54,7 +54,7 @@ def tip_stds(covariance: Array, field: Array) -> Array:
 
     Args:
         covariance: of the unknowns (n, n); infinite variances count where the field sees them.
-        field: derivative (3 N, n) of the tips by the unknowns, up to the base frame where that is wanted.
+        field: derivative (3 N, n) of the tips by the unknowns, apart from where the base stands if that is wanted.
 
     """
     lost = ~np.isfinite(np.diagonal(covariance))

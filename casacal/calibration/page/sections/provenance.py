@@ -1,4 +1,4 @@
-"""What the page is about, and what makes it again: files, hashes, command, versions, timings."""
+"""What the page is about, and what is needed to reproduce it: files, hashes, command, versions, timings."""
 
 from __future__ import annotations
 
