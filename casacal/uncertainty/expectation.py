@@ -26,8 +26,8 @@ FEWEST = 20
 def planned_accuracy(bound: BoundProblem) -> tuple[float, float]:
     """Tip error (mm RMS over the workspace) to expect: from the prior alone, and with these rows.
 
-    Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before anyone moves a robot. It trusts
-    stated noise and priors.
+    Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before
+    anyone moves a robot. It trusts stated noise and priors.
     """
     return expected_accuracy(bound, bound.x0)
 
