@@ -42,6 +42,9 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None, thread
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
 
+    Returns:
+        What estimators see: n unknowns in mm and rad, whitened residuals (rows,).
+
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 
     """
@@ -99,10 +102,7 @@ class BoundProblem(LeastSquares):
         return int(self._starts[-1])
 
     def on(self, *samples: Samples) -> BoundProblem:
-        """Bind the same unknowns, about the same nominal values, to other rows, such as those held out.
-
-        Raises ProblemError when a row carries a label that these unknowns do not have.
-        """
+        """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads)
 
     @property

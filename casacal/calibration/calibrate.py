@@ -73,7 +73,9 @@ def calibrate(
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
-    Returns the calibration as a value: figures, tables, pictures, predictions, files.
+    Returns:
+        The calibration as a value: estimate `x` (n,) in mm and rad, figures in mm, tables, pictures, predictions,
+        files.
 
     Raises CasacalError for what is none of these, UnknownNameError for the method, SamplesError when samples do not fit
     the problem or too few remain, ProblemError as `bind` does.

@@ -76,12 +76,21 @@ class Calibrated(Calibration, AsArm):
     def save(self, folder: str | Path) -> list[Path]:
         """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
 
-        `casacal.load(folder)` reads it back, here or elsewhere. Returns the paths.
+        `casacal.load(folder)` reads it back, here or elsewhere.
+
+        Returns:
+            The paths of the files that were written.
+
         """
         return write_calibration(self, Path(folder))
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
-        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm. Returns the path."""
+        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
+
+        Returns:
+            The path of the page.
+
+        """
         write_text(path, report_page(self, self.arm.document, box=box))
         return Path(path)
 
@@ -90,7 +99,12 @@ class Calibrated(Calibration, AsArm):
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
-        """Draw distances from the planes before and after on an axes, a new one unless given; returns it."""
+        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
+
+        Returns:
+            The axes.
+
+        """
         return self._drawn(plot_residuals, ax, (10.0, 4.0))
 
     def plot_convergence(self, ax: Any = None) -> Any:

@@ -69,6 +69,9 @@ def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibratio
         problem: what it answers; by default the problem.py that it names, or the problem saved beside it. That code is
             run, so load only what you trust.
 
+    Returns:
+        The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
+
     Raises CasacalError when it is not a result, or its problem is gone or has changed since.
 
     """

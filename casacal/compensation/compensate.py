@@ -58,6 +58,10 @@ def compensate(
         largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
         rounding: how the joint values will be written; the proof is about these.
 
+    Returns:
+        One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+        there in mm and rad, and the standard deviation of its position, mm.
+
     Raises CasacalError for a result that did not converge, or whose arm has directions that nothing holds.
 
     """

@@ -103,6 +103,10 @@ def predict(
         nominal: use nominal values instead of the estimate.
         std: whether to add standard deviations.
 
+    Returns:
+        Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
+        in mm where asked for. The quaternions are those of the flange for both frames.
+
     Raises CasacalError for standard deviations of the nominal arm, or of a result that holds no covariance.
 
     """

@@ -92,7 +92,7 @@ def diagnose(
     """Find joint signs, quarter-turn offsets, couplings, units and the convention of orientation behind pendant rows.
 
     The arm is the robot at its nominal parameters, which is what controllers compute with. Every convention of the
-    family (see `casacal.convention_doctor.family`) is searched, in degrees and radians, mm and metres; two that give
+    family (see `casacal.doctor.family`) is searched, in degrees and radians, mm and metres; two that give
     equal poses at all joint values count as one.
 
     Args:
@@ -101,6 +101,10 @@ def diagnose(
         base: pose (4, 4; mm) of the robot's base in the frame in which the pendant shows poses; default: the same.
         tool: pose (4, 4; mm) in the flange frame of what the pendant shows; default: the flange.
         tolerance: mm, and mrad, within which a row counts as explained.
+
+    Returns:
+        All conventions that fit, the simplest first, whether one is certain, and, where not, the pose that would settle
+        it.
 
     Raises CasacalError when rows and robot do not match, ProblemError for a pose that is not one motion per joint.
 

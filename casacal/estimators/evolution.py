@@ -34,6 +34,11 @@ def evolution(
         population: candidates per generation.
         progress: called with (candidates, best cost) after each generation.
 
+    Returns:
+        The best candidate as x (n,), deviations from nominal in the units of `problem.units`; the covariance (n, n) is
+        from the curvature there. The status is `BUDGET` where all went well: such a method gives no sign that it has
+        arrived at the minimum.
+
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "evolution")

@@ -103,7 +103,7 @@ class Samples(Value):
                 raise SamplesError(
                     self.file,
                     f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite",
-                    "Mend it",
+                    "Give one finite number per row",
                 )
 
     @staticmethod

@@ -72,7 +72,7 @@ def run(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Run:
-    """Run what is not yet recorded in `out`; returns all its records, in the study's order.
+    """Run what is not yet recorded in `out`.
 
     Args:
         study: what to run.
@@ -84,6 +84,9 @@ def run(
         shard: (i, n), the i-th of n parts of the trials.
         resume: keep the records that exist, and make only those that are missing; else there must be none.
         progress: called with (records done, of how many) at first and after each trial.
+
+    Returns:
+        All records of `out`, in the study's order.
 
     Raises StudyError when records exist and `resume` is not set, when they were made by another version of the study
     or of casacal, or when workers cannot do as asked.
