@@ -140,7 +140,7 @@ def in_short(run: Run, budget: int) -> list[str]:
 
 
 def answers(run: Run) -> list[str]:
-    """Accuracy, steps and basin, in one sentence each, over all settings."""
+    """Accuracy, steps and success, in one sentence each, over all settings."""
     settings = run.study.settings
     tips = {setting: both_over_lm(run, setting, "tip_rms_mm") for setting in settings}
     pairs = sum(tip.pairs for tip in tips.values())
@@ -162,8 +162,8 @@ def answers(run: Run) -> list[str]:
         f"**In steps?** LM takes {steps[THREE]} times as many steps after the filter as from the drawing in the good "
         f"cell and {steps[ONE]} in the paper's, {steps[FAR]} with errors x{FACTOR}; the filter's own pass makes it "
         f"{rows[THREE]}, {rows[ONE]} and {rows[FAR]} times the rows of residuals in all.",
-        f"**In basin?** Over all settings LM finds the minimum in {percent(rates[rivals.LM])} of trials, SCKF+LM in "
-        f"{percent(rates[rivals.BOTH])}; {only[0]} minima are found by SCKF+LM alone and {only[1]} by LM alone (exact "
+        "**In finding the minimum at all?** Over all settings LM finds the minimum in "
+        f"{percent(rates[rivals.LM])} of trials, SCKF+LM in {percent(rates[rivals.BOTH])}; {only[0]} minima are found by SCKF+LM alone and {only[1]} by LM alone (exact "
         f"p {p:.2g}): {verdict}. {late} fits of the two ran out of their 100 steps. Larger errors, and more steps, are "
         "in the study of basins.",
     ]  # fmt: skip

@@ -385,8 +385,8 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
     ("name", "words"),
     [
         ("puma", "joint signs or coupling"),
-        ("iiwa", "7 joints, a UR six"),
-        ("odd", "3 joints, a UR six"),
+        ("iiwa", "7 joints, and a UR has six"),
+        ("odd", "3 joints, and a UR has six"),
         ("kr16", "not built like a UR"),
     ],
 )

@@ -66,7 +66,7 @@ def calibrate(
             samples.csv beside a problem file.
         method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
             default "sckf-lm", and "lm" with a loss.
-        holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
+        holdout: fraction of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.

@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser)
     add_samples(parser)
     parser.add_argument("--method", choices=METHOD_NAMES, help="default: sckf-lm; with --loss, lm")
-    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each face's rows to hold out")
+    parser.add_argument(
+        "--holdout", type=float, default=0.0, metavar="F", help="fraction of each face's rows to hold out"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="K", help="for held-out rows and random methods")
     parser.add_argument(
         "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."

@@ -20,7 +20,7 @@ SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5
 """Times that torn paths are mended; joint motion (rad) between rows at which one is torn; and how near two poses must
 be (in units of a radian or `AXIS_WEIGHT` mm) to count as one path."""
 BEYOND = 1.05
-"""Part of the farthest random posture's distance from the base beyond which no pose is looked for."""
+"""Fraction of the farthest random posture's distance from the base beyond which no pose is looked for."""
 
 
 def postures(arm: PosedArm, positions: Array, rotations: Array, tolerance: tuple[float, float]) -> Array:

@@ -130,10 +130,11 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
             f"{_figures(compensation.residual_mm[reached], 'mm')} and "
-            f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}; reached rows",
-            f"what the correction removes: {_figures(compensation.correction_mm[reached], 'mm')}",
-            f"position error to expect: {_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, "
-            "apart from where the base stands, which must be taught",
+            f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}, over the rows that are reached",
+            f"what the correction removes there: {_figures(compensation.correction_mm[reached], 'mm')}",
+            f"position error of the {compensation.frame} to expect: "
+            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from where the base "
+            "stands, which must be taught",
         ]
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")

@@ -64,7 +64,9 @@ class Targets(Value):
             not np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=UNIT_LENGTH)
             or (np.linalg.det(turns) < 0).any()
         ):
-            raise CasacalError("A target's rotation is no rotation", "Give orthonormal, right-handed transforms")
+            raise CasacalError(
+                "A target's rotation is not a rotation matrix", "Give orthonormal, right-handed transforms"
+            )
         text = tuple(" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses)
         lines = tuple(range(1, len(poses) + 1))
         return Targets(None, (poses[:, :3, 3], turns), lines, text, "poses", "")

@@ -83,7 +83,8 @@ def axes_of(robot: Robot) -> Axes:
         if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
             return found
     raise ProblemError(
-        f"The pose of '{robot.name}' is not one turn or slide a joint", "Give the doctor a pose without gears or links"
+        f"The pose of '{robot.name}' is not one turn or slide per joint",
+        "Give the doctor a pose without gears or links",
     )
 
 

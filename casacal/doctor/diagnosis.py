@@ -26,7 +26,7 @@ ENOUGH = 3
 DIFFERENT = np.radians(1.0)
 """Motion of a joint (rad; or mm over 300) that makes a posture a different one."""
 REACH = 1.2
-"""Part of the farthest random posture's distance from the base beyond which a unit of length is ruled out."""
+"""Fraction of the farthest random posture's distance from the base beyond which a unit of length is ruled out."""
 MOST_JOINTS = 7
 """Joints beyond which there are more readings than a search can hold."""
 MOST_TURNING = 25.0

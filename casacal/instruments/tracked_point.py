@@ -79,7 +79,9 @@ class TrackedPoint(Instrument):
         read = np.column_stack([sight.columns[name] for name in ("x", "y", "z")])
         turn, fixed = rotation_between(sight.tips - sight.tips.mean(axis=0), read - read.mean(axis=0))
         if len(read) < 3 or not fixed:
-            raise ProblemError("The tracked points lie on a line", "Track at least three points that do not")
+            raise ProblemError(
+                "The tracked points lie on a line", "Track at least three points that do not lie on one line"
+            )
         matrix = np.eye(4)
         matrix[:3, :3] = turn
         matrix[:3, 3] = read.mean(axis=0) - turn @ sight.tips.mean(axis=0)

@@ -11,12 +11,12 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 RANK_TOLERANCE = 1e-9
-"""Part of the largest singular value below which a direction counts as null."""
+"""Fraction of the largest singular value below which a direction counts as null."""
 
 
 FIELD_TOLERANCE = 1e-4
-"""Part of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre under
-usual priors, and above what rank tolerance times condition mixes into null directions."""
+"""Fraction of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre
+under usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 
 def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, tips: Array) -> float:

@@ -25,7 +25,7 @@ PERTURBATIONS = 2
 """Random parameter errors at which a structural null direction must still be null."""
 
 SAME_DIRECTION = 0.9
-"""Part of a null direction that must lie in the null space there."""
+"""Fraction of a null direction that must lie in the null space there."""
 
 CORRELATED = 0.95
 
