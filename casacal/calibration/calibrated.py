@@ -112,7 +112,7 @@ class Calibrated(Calibration, AsArm):
         return self._drawn(plot_convergence, ax, (6.0, 4.0))
 
     def plot_tip_std(self, ax: Any = None) -> Any:
-        """Draw where in the workspace the tip is how uncertain; axes as for `plot_residuals`."""
+        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`."""
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:

@@ -44,7 +44,7 @@ class SavedCalibration(Value, AsArm):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """A row per number of the arm and the instrument, as `Calibrated.parameters`."""
+        """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
         import pandas as pd
 
         table = pd.DataFrame(list(self.found.document["parameters"])).set_index("name")

@@ -90,8 +90,8 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
         "error",
         "misfit",
         f"{cause}, and no single sign, unit, swap or flip accounts for it",
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also be "
-        "the cause",
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
+        "be the cause",
     )
 
 

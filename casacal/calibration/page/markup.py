@@ -50,6 +50,6 @@ def paragraph(*children: object, style: str | None = None) -> Markup:
 
 
 def section(name: str, title: str, *children: object) -> Markup:
-    """Fraction of the page, with a heading that names it."""
+    """Part of the page, with a heading that names it."""
     heading = tag("h2", title, at={"id": f"{name}-title"})
     return tag("section", heading, *children, at={"id": name, "aria-labelledby": f"{name}-title"})
