@@ -164,8 +164,8 @@ def answers(run: Run) -> list[str]:
         f"{rows[THREE]}, {rows[ONE]} and {rows[FAR]} times the rows of residuals in all.",
         "**In finding the minimum at all?** Over all settings LM finds the minimum in "
         f"{percent(rates[rivals.LM])} of trials, SCKF+LM in {percent(rates[rivals.BOTH])}; {only[0]} "
-        f"minima are found by SCKF+LM alone and {only[1]} by LM alone (exact p {p:.2g}): {verdict}. {late} fits of the two ran out of their 100 steps. Larger errors, and more steps, are "
-        "in the study of basins.",
+        f"minima are found by SCKF+LM alone and {only[1]} by LM alone (exact p {p:.2g}): {verdict}. "
+        f"{late} fits of the two ran out of their 100 steps. Larger errors and more steps are in the study of basins.",
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The control that lies: a random step from the minimum along what the samples hardly see."""
+"""The control that misleads: a random step from the minimum along what the samples hardly see."""
 
 from __future__ import annotations
 

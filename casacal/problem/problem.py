@@ -115,7 +115,7 @@ class Problem(Value):
         key: str = KEY,
         absurd: bool = False,
     ) -> Samples:
-        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass.
+        """Read a samples file of one instrument; raises SamplesError, also for absurd values unless `absurd` is set.
 
         Args:
             path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.

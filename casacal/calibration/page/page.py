@@ -28,7 +28,8 @@ def report_page(
 
     Args:
         calibration: whose rows and workspace are drawn.
-        document: its result.json, whose numbers the page shows; see `casacal.calibration.result_json.calibration_document`.
+        document: its result.json, whose numbers the page shows; see
+            `casacal.calibration.result_json.calibration_document`.
         command: the command line that reproduces it, as typed; None when there was none.
         box: where the arm will work, mm in the base frame, or None.
 
