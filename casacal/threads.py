@@ -63,7 +63,7 @@ def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int
     others = [_pool(count - 1).submit(work) for _ in range(1, count)]
     try:
         work()
-    finally:  # whatever happened, nobody goes on with what the caller may change
+    finally:  # whatever happened, no thread goes on with what the caller may change
         remaining.clear()
         wait(others)
     for other in others:

@@ -63,7 +63,7 @@ def read_records(path: Path) -> list[Record]:
 
 @contextlib.contextmanager
 def appending(path: Path) -> Iterator[Appender]:
-    """Open a record file for appending, mending a cut last line first; raises StudyError when another run has it.
+    """Open a record file for appending, repairing a last line cut short; raises StudyError when another run has it.
 
     A gzipped file is unpacked beside itself.
     """

@@ -20,7 +20,7 @@ under usual priors, and above what rank tolerance times condition mixes into nul
 
 
 def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, tips: Array) -> float:
-    """Smallest RMS tip error (mm) over the workspace, modulo rigid motion, that data and prior allow.
+    """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 
     sqrt(trace(H (F + Lambda0)^-1 H') / N): F the data's information (n, n), H the tips' Jacobian (3 N, n) with the
     rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.

@@ -152,7 +152,7 @@ def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:
 
 
 def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
-    """Split a null space (n, k) by what it does to the tips: a basis (n, k_i) a kind, each kind inside the next.
+    """Split a null space (n, k) by what it does to the tips: one basis (n, k_i) per kind, each kind inside the next.
 
     First what no tip shows (invisible), then what is a rigid motion of all tips, then what is that and a scale of the
     tips' field, the rest is blind.

@@ -1,4 +1,4 @@
-"""The tip over the workspace: fixed poses, its displacements up to rigid motion, and their spread."""
+"""The tip over the workspace: fixed poses, its displacements apart from rigid motion, and their spread."""
 
 from __future__ import annotations
 
