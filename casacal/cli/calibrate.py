@@ -104,7 +104,7 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     inside = None if box is None or denied else accuracy_in_box(calibration.fit, calibration.result.x, box)
     expected = []
     if inside is not None:
-        expected = [f"Inside {options.box} mm: {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
+        expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples cannot tell: --verbose"
     if folder is not None:

@@ -49,6 +49,7 @@ class Language:
                 lines.append("  " + self.move.format(*values))
             else:
                 left = f"{compensation.residual_mm[i]:.3f} mm, {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
+                left += f" at the {compensation.frame}"
                 lines.append(f"  {self.comment} no move: {outcome.value}: {outcome.meaning}; {left}")
         return "\n".join([*lines, *self.end]) + "\n"
 
