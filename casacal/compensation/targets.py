@@ -65,7 +65,7 @@ class Targets(Value):
             or (np.linalg.det(turns) < 0).any()
         ):
             raise CasacalError(
-                "A target's rotation is not a rotation matrix", "Give orthonormal, right-handed transforms"
+                "A target's rotation is no rotation", "Give orthonormal, right-handed transforms"
             )
         text = tuple(" ".join(f"{value:.9g}" for value in pose[:3].ravel()) for pose in poses)
         lines = tuple(range(1, len(poses) + 1))
