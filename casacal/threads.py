@@ -43,7 +43,7 @@ def thread_count(asked: int | None = None) -> int:
 def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:
     """What a task makes of each item, in the order of the items; the calling thread takes its share.
 
-    Who comes back takes the next item, for processors are seldom equally fast.
+    A thread that has finished an item takes the next one, for processors are seldom equally fast.
     """
     waiting = list(items)
     count = min(threads, len(waiting))
@@ -63,7 +63,7 @@ def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int
     others = [_pool(count - 1).submit(work) for _ in range(1, count)]
     try:
         work()
-    finally:  # whatever happened, nobody goes on with what the caller may change
+    finally:  # whatever happened, no thread goes on with what the caller may change
         remaining.clear()
         wait(others)
     for other in others:

@@ -1,1 +1,1 @@
-"""One file a question; each runs as python -m studies.NAME and writes a report beside itself."""
+"""One file per question; each runs as python -m studies.NAME and writes a report beside itself."""

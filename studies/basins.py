@@ -59,14 +59,15 @@ quick = described(4, (1, 10, 100), 1, 10_000, 1)
 
 
 def report(run: Run) -> list[str]:
-    """The answer, a table a setting, and rates over the size of the errors."""
+    """The answer, one table per setting, and rates over the size of the errors."""
     draw(run, run.out / "success.png")
     lines = [
         "# From how far away is the minimum found?",
         "",
-        f"Simulated HSR-JR680, 85 touches fitted; {run.study.trials} trials a setting (fewer where the table says so).",
-        "Errors x1 are 0.7 mm and 1 mrad; with the errors grow the priors, the start's standard deviations of the",
-        "planes and the population methods' box, as they would for someone who knows how little the drawing says.",
+        f"Simulated HSR-JR680, 85 touches fitted; {run.study.trials} trials per setting (fewer where the table says",
+        "so). Errors x1 are 0.7 mm and 1 mrad. The priors, the standard deviations with which planes start, and the",
+        "box of the population methods grow with the errors, as they would for someone who knows how little the",
+        "drawing says.",
         f"*Found*: the objective is within {FOUND:g} of the lowest that any minimiser found. *Near*: within {NEAR} per",
         "unknown of it, which filters reach without iterating. Rates with Clopper and Pearson's 95 % intervals.",
         "",

@@ -39,13 +39,14 @@ quick = dataclasses.replace(study, trials=10)
 
 
 def report(run: Run) -> list[str]:
-    """One table a setting, and what they say together."""
+    """One table per setting, and what they say together."""
     lines = [
         "# Do the estimators reach what the data allow?",
         "",
         "HSR-JR680; floor, wall and side wall of 600 mm around (1350, 0, 700) mm, tilt up to 30 degrees, 120 touches",
-        f"fitted, dial travel 10 mm, prior 0.7 mm and 1 mrad (times the setting's factor); {run.study.trials} trials a",
-        "setting. Tip errors over 400 workspace poses, up to the base frame. Means with bootstrap 95 % intervals.",
+        f"fitted, dial travel 10 mm, prior 0.7 mm and 1 mrad (times the setting's factor); {run.study.trials} trials",
+        "per setting. Tip errors over 400 workspace poses, apart from where the base stands. Means with bootstrap 95 %",
+        "intervals.",
         "",
         "## In short",
         "",

@@ -146,7 +146,7 @@ def report(run: Run) -> list[str]:
     return [
         "# What a set-up can tell of an arm",
         "",
-        "HSR-JR680, 24 DH parameters and three unknowns a plane, prior 0.7 mm and 1 mrad, flat on the planes.",
+        "HSR-JR680, 24 DH parameters and three unknowns per plane, prior 0.7 mm and 1 mrad, flat on the planes.",
         "",
         "## Rank and null space in pure contact",
         "",
@@ -170,7 +170,7 @@ def report(run: Run) -> list[str]:
         "",
         "## Where the tip stays uncertain",
         "",
-        "Predicted from the plan alone, up to the base frame, three axes together.",
+        "Predicted from the plan alone, apart from where the base stands, three axes together.",
         "",
         *uncertainty_map(problem, 120, 400 if run.quick else 3000, run.out),
         "",

@@ -92,10 +92,11 @@ def report(run: Run) -> list[str]:
     lines = [
         "# When something is not as the model says",
         "",
-        f"Simulated HSR-JR680 on three faces, 85 touches fitted, 35 held out, {run.study.trials} trials an arm. Tip",
-        "error over 400 workspace poses, up to the base frame, mm RMS. *Noticed*: part of trials in which the 95 %",
-        "interval of found over stated noise leaves out 1, which casacal warns about. *Coverage*: part of tip errors",
-        "inside their 95 % intervals. Intervals are bootstrap ones, and Clopper and Pearson's for rates.",
+        f"Simulated HSR-JR680 on three faces, 85 touches fitted, 35 held out, {run.study.trials} trials per",
+        "setting. Tip error over 400 workspace poses, apart from where the base stands, mm RMS. *Noticed*: share of",
+        "trials in which the 95 % interval of found over stated noise does not contain 1, which casacal warns about.",
+        "*Coverage*: share of tip errors inside their 95 % intervals. Intervals are from the bootstrap; for rates they",
+        "are Clopper and Pearson's.",
         "",
         "## In short",
         "",
@@ -121,7 +122,7 @@ def noticed(run: Run, setting: str, method: str) -> np.ndarray:
 
 
 def in_short(run: Run) -> list[str]:
-    """One line an arm: what it costs LM, who does best, and whether it is noticed."""
+    """One line per setting: what it costs LM, who does best, and whether it is noticed."""
     lines = []
     for setting in run.study.settings:
         costs = {method: paired(*over_right(run, setting, method)).ratio for method in (*rivals.LOCAL, ROBUST)}
@@ -136,7 +137,7 @@ def in_short(run: Run) -> list[str]:
 
 
 def setting_table(run: Run, setting: str) -> list[str]:
-    """All methods in one arm."""
+    """All methods in one setting."""
     rows = []
     for method in run.study.methods:
         tip = run.values(setting, method, "tip_rms_mm")

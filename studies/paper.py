@@ -2,7 +2,7 @@
 
 The simulated HSR-JR680 touches 120 times, 85 touches are fitted and 35 held out; M0 to M7, IPOPT and SciPy answer the
 same 200 arms, poses and noises, in the paper's cell (one face, tool nearly normal), in a good one (three faces, tilt
-30 degrees), with errors that the model lacks, and with errors thirty times larger than usual.
+30 degrees), with effects that the model does not describe, and with errors thirty times larger than usual.
 
     casacal study studies/paper.py [--quick] [--trials N] [--workers N] [--out DIR]
 """
@@ -66,11 +66,11 @@ def report(run: Run) -> list[str]:
     paper_pictures.over_budget(run, run.out / "cost_over_budget.png")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
-    lines += ["What one sees and what one wants (means with 95 % intervals), and what it takes (medians):", ""]
+    lines += ["What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians):", ""]
     lines += [
         *paper_tables.headline(run, shown, (ONE, THREE)),
         "",
-        "![what one sees, what one wants](headline.png)",
+        "![what a user sees, what a user wants](headline.png)",
         "",
     ]
     for setting in run.study.settings:
@@ -91,16 +91,17 @@ def report(run: Run) -> list[str]:
 def introduction(run: Run) -> list[str]:
     """What was simulated, and what the columns mean."""
     return [
-        f"Simulated HSR-JR680; {run.study.trials} trials a setting, in each the same arm, touches and noise for all",
+        f"Simulated HSR-JR680; {run.study.trials} trials per setting, in each the same arm, touches and noise for all",
         "methods. 120 touches, 85 fitted and 35 held out; dial noise 0.01 mm, travel 10 mm; true errors drawn from",
         f"the prior of 0.7 mm and 1 mrad. *{ONE}*: a plate of 600 mm, tilt up to 5 degrees. *{THREE}*: floor, wall",
         "and side wall. *Errors the model lacks*: compliance 0.3 mm RMS, backlash 40 urad, joint repeatability",
-        f"20 urad, a plate of grade I, all unknown to the fit. *Errors x{FACTOR}*: true errors and priors so many",
-        "times larger. Population methods search the prior's mean +- 4 standard deviations from a start that includes",
-        "the mean, each budget in a run of its own, in fewer trials where the tables say so.",
+        f"20 urad, a plate of grade I, all unknown to the fit. *Errors x{FACTOR}*: true errors and priors {FACTOR}",
+        "times as large. Population methods search the prior's mean +- 4 standard deviations from a start that",
+        "includes the mean, each budget in a separate run, in fewer trials where the tables say so.",
         "",
         "Plane residual: distance of held-out tips from the fitted plane, **not accuracy**. Tip error: distance of the",
-        "true tip from where the calibrated arm believes it, over 400 poses of the workspace, up to the base frame.",
+        "true tip from where the calibrated arm believes it to be, over 400 poses of the workspace, apart from where",
+        "the base stands.",
     ]
 
 
@@ -139,7 +140,7 @@ def in_short(run: Run, budget: int) -> list[str]:
 
 
 def answers(run: Run) -> list[str]:
-    """Accuracy, steps and basin, in one sentence each, over all settings."""
+    """Accuracy, steps and success, in one sentence each, over all settings."""
     settings = run.study.settings
     tips = {setting: both_over_lm(run, setting, "tip_rms_mm") for setting in settings}
     pairs = sum(tip.pairs for tip in tips.values())
@@ -161,10 +162,10 @@ def answers(run: Run) -> list[str]:
         f"**In steps?** LM takes {steps[THREE]} times as many steps after the filter as from the drawing in the good "
         f"cell and {steps[ONE]} in the paper's, {steps[FAR]} with errors x{FACTOR}; the filter's own pass makes it "
         f"{rows[THREE]}, {rows[ONE]} and {rows[FAR]} times the rows of residuals in all.",
-        f"**In basin?** Over all settings LM finds the minimum in {percent(rates[rivals.LM])} of trials, SCKF+LM in "
-        f"{percent(rates[rivals.BOTH])}; {only[0]} minima are found by SCKF+LM alone and {only[1]} by LM alone (exact "
-        f"p {p:.2g}): {verdict}. {late} fits of the two ran out of their 100 steps. Larger errors, and more steps, are "
-        "in the study of basins.",
+        "**In finding the minimum at all?** Over all settings LM finds the minimum in "
+        f"{percent(rates[rivals.LM])} of trials, SCKF+LM in {percent(rates[rivals.BOTH])}; {only[0]} "
+        f"minima are found by SCKF+LM alone and {only[1]} by LM alone (exact p {p:.2g}): {verdict}. "
+        f"{late} fits of the two ran out of their 100 steps. Larger errors and more steps are in the study of basins.",
     ]  # fmt: skip
 
 

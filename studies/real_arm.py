@@ -120,9 +120,10 @@ def report(run: Run) -> list[str]:
         "# A real arm: what the planes say and what the tracker says",
         "",
         f"Motoman MA1400, 552 contacts with plates, {run.study.trials} random splits, 70 % fitted, 30 % held out.",
-        "The tracker saw 212 poses in free space and 25 near the wall, none of them used to fit; for it only the",
-        "reflector's place on the flange and the tracker's own frame are fitted. Figures mm RMS, means over splits.",
-        "The splits share one set of measurements, so intervals tell the luck of the split, not that of another arm.",
+        "The tracker saw 212 poses in free space and 25 near the wall, none of them used in the fit. To compare with",
+        "it, only the reflector's place on the flange and the tracker's own frame are fitted. Figures are mm RMS,",
+        "means over splits. The splits share one set of measurements, so the intervals show how results vary from",
+        "split to split, not from arm to arm.",
         "",
         "## In short",
         "",
@@ -158,8 +159,8 @@ def in_short(run: Run) -> list[str]:
         tracker = paired(*(both_runs(run, setting, method) for method in both)).ratio
         word = "better" if tracker.high < 1 else "worse" if tracker.low > 1 else "neither better nor worse"
         lines.append(
-            f"- **{setting}**: LM brings the held-out plane residual to {planes} of what fitted planes alone "
-            f"leave; for the tracker the arm is at {tracker} of its error, {word}."
+            f"- **{setting}**: LM brings the held-out plane residual to {planes} times what fitting the planes alone "
+            f"leaves; the arm's error as the tracker sees it is {tracker} times as large: {word}."
         )
     return lines
 

@@ -2,7 +2,7 @@
 
 Fits the simulated HSR-JR680 twice: one plate without a prior, and three faces with the default prior. For each it
 compares what the user sees (distance of held-out touches from the plane) with what the user wants (tip error over the
-workspace, up to the base frame), before and after.
+workspace, apart from where the base stands), before and after.
 
     casacal study studies/residual_is_not_accuracy.py [--out DIR]
 """
@@ -26,7 +26,7 @@ Table = dict[str, tuple[float, float]]
 
 
 def tip_error(bound: BoundProblem, x: np.ndarray, truth: np.ndarray) -> float:
-    """RMS tip error (mm) over the workspace, up to the base frame."""
+    """RMS tip error (mm) over the workspace, apart from where the base stands."""
     joints = workspace_joints(bound.problem.robot)
     true = bound.tips(truth, joints)
     return tip_rms(without_rigid((bound.tips(x, joints) - true).ravel(), true))
@@ -92,7 +92,7 @@ def report(run: Run) -> list[str]:
         "# A small plane residual does not mean an accurate arm",
         "",
         f"Simulated HSR-JR680, seed {SEED}: {FITTED} touches fitted, {HELD} held out, noise 0.01 mm. All figures in mm",
-        "RMS; the tip error is over 400 workspace poses that no touch visited, up to the base frame.",
+        "RMS; the tip error is over 400 workspace poses that no touch visited, apart from where the base stands.",
         "",
         *reporting.table(header, rows),
         "",

@@ -350,10 +350,10 @@ def test_axes_reproduce_poses_and_refuse_what_is_none():
     np.testing.assert_allclose(turn, wanted[:, :3, :3], atol=1e-12)
     length = {"l": Parameter(100.0, unit="mm")}
     geared = Robot("geared", 2, lambda p, q: chain(rotate_z(3 * q[0]), translate_x(p.l), rotate_x(q[1])), length)
-    with pytest.raises(ProblemError, match="not one turn or slide a joint"):
+    with pytest.raises(ProblemError, match="not one turn or slide per joint"):
         axes_of(geared)
     screw = Robot("screw", 1, lambda p, q: chain(rotate_z(q[0]), translate_z(p.l * q[0])), length)
-    with pytest.raises(ProblemError, match="not one turn or slide a joint"):
+    with pytest.raises(ProblemError, match="not one turn or slide per joint"):
         axes_of(screw)
 
 

@@ -385,8 +385,8 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
     ("name", "words"),
     [
         ("puma", "joint signs or coupling"),
-        ("iiwa", "7 joints, a UR six"),
-        ("odd", "3 joints, a UR six"),
+        ("iiwa", "7 joints, and a UR has six"),
+        ("odd", "3 joints, and a UR has six"),
         ("kr16", "not built like a UR"),
     ],
 )
@@ -570,7 +570,7 @@ def test_the_command_writes_each_form(place, calibrated, tmp_path, capsys, to, n
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--to", "dh", "--out", "o.toml", "--source", "ur5.csv"], "End both names alike"),
+        (["--to", "dh", "--out", "o.toml", "--source", "ur5.csv"], "Let both names end in .csv, or both in .toml"),
         (["--to", "urdf", "--out", "o.urdf"], "was not built from a URDF"),
         (["--to", "zeros", "--out", "o.csv", "--source", "ur5.csv"], "Leave out --source"),
         (["--to", "stl", "--out", "o.stl"], "invalid choice"),

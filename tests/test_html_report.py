@@ -254,7 +254,7 @@ def test_escaping():
 
 @pytest.fixture(scope="module")
 def tracked(hsr):
-    """The same arm before a tracker: three residuals a row, no faces."""
+    """The same arm before a tracker: three residuals per row, no faces."""
     rng = np.random.default_rng(5)
     limits = [(axis.lower, axis.upper) for axis in hsr.problem.robot.axes]
     joints = rng.uniform(*np.array(limits).T, size=(40, 6))

@@ -28,7 +28,7 @@ ROLES = ("once", "once", "lane")
 
 
 def bounds():
-    """Problems of several shapes: six planes of a real arm, a slide, three residuals a row."""
+    """Problems of several shapes: six planes of a real arm, a slide, three residuals per row."""
     hsr = load_problem(ROOT / "problems" / "hsr_jr680")
     motoman = load_problem(ROOT / "problems" / "motoman_ma1400")
     scara_problem, scara_samples, _ = scara()

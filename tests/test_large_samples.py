@@ -147,7 +147,7 @@ def test_arrays_are_samples_too(tmp_path):
         ({"q1_deg": np.zeros(2)}, "q1_deg 2"),
         ({"q1_deg": np.full(ROWS, np.nan)}, "line 1, column .?q1_deg"),
         ({"q1_deg": np.full(ROWS, 4000.0)}, "absurd"),
-        ({"q2_mm": np.zeros((ROWS, 2))}, "one number a row"),
+        ({"q2_mm": np.zeros((ROWS, 2))}, "one number per row"),
         ({"q2_mm": np.full(ROWS, "12")}, "not numbers"),
         ({"plane": np.full(ROWS, " ")}, "the label is empty"),
         ({"q2_mm": None}, "there is no column for q2"),

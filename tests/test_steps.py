@@ -40,7 +40,7 @@ class Bending(Weighing):
 @pytest.fixture(scope="module", params=[*SMALL, *ROBOTS])
 def case(request):
     """What binds a problem on a back end, and how equal steps must be: one piece and several, one pattern and several,
-    one residual a row and three."""
+    one residual per row and three."""
     if request.param in ROBOTS:
         problem, samples = robot(request.param)
         return lambda backend: bind(problem, *samples, backend=backend), EQUAL_ON_ROBOTS

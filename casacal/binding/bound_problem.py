@@ -30,7 +30,7 @@ COMPACT = 50_000
 
 
 def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
-    """Bind a problem to its samples, one set an instrument: nominal values, unknowns and weights are settled here.
+    """Bind a problem to its samples, one set per instrument: nominal values, unknowns and weights are settled here.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
     noise of each row is evaluated there and held.
@@ -41,6 +41,9 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None, thread
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
+
+    Returns:
+        What estimators see: n unknowns in mm and rad, whitened residuals (rows,).
 
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 
@@ -73,7 +76,7 @@ class BoundProblem(LeastSquares):
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What it was made of; kernels and sums are made again."""
+        """What it was made from; kernels and sums are computed again."""
         return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads)
 
     def __eq__(self, other: object) -> bool:
@@ -99,10 +102,7 @@ class BoundProblem(LeastSquares):
         return int(self._starts[-1])
 
     def on(self, *samples: Samples) -> BoundProblem:
-        """Bind the same unknowns, about the same nominal values, to other rows, such as those held out.
-
-        Raises ProblemError when a row carries a label that these unknowns do not have.
-        """
+        """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads)
 
     @property

@@ -40,7 +40,7 @@ class Slot(Value):
 
     @property
     def name(self) -> str:
-        """Key, with the label where there is one instance a label."""
+        """Key, with the label where there is one instance per label."""
         return self.key if self.label is None else f"{self.key}.{self.label}"
 
     @property
@@ -243,7 +243,9 @@ def _check_rows(
     seen = len(rows) * problem.models[i].components
     if key in problem.instruments[i].datum and seen <= flat:
         which = f"'{label}'" if label is not None else f"'{key}'"
+        had, wanted = len(rows), flat // problem.models[i].components + 1
         raise ProblemError(
-            f"{samples.file}: {which} has {len(rows)} rows for {flat} unknowns of its own",
-            f"Take at least {flat // problem.models[i].components + 1} rows there, and many more to learn of the arm",
+            f"{samples.file}: {which} has {had} {'row' if had == 1 else 'rows'} for {flat} "
+            f"{'unknown' if flat == 1 else 'unknowns'} of its own",
+            f"Take at least {wanted} rows there, and many more to learn about the arm",
         )

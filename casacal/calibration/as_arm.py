@@ -43,6 +43,10 @@ class AsArm(ABC):
             nominal: the arm as drawn in place of the calibrated one.
             std: whether to add standard deviations, apart from where the base stands.
 
+        Returns:
+            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
+            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
+
         Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
 
         """
@@ -62,6 +66,10 @@ class AsArm(ABC):
                 `casacal compensate` reads.
             frame: what poses are of.
             largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+
+        Returns:
+            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+            there in mm and rad, and the standard deviation of its position, mm.
 
         Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
 

@@ -66,14 +66,16 @@ def calibrate(
             samples.csv beside a problem file.
         method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
             default "sckf-lm", and "lm" with a loss.
-        holdout: part of each plane's rows (0 to below 1) that is not fitted but judged.
+        holdout: fraction of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
-    Returns the calibration as a value: figures, tables, pictures, predictions, files.
+    Returns:
+        The calibration as a value: estimate `x` (n,) in mm and rad, figures in mm, tables, pictures, predictions,
+        files.
 
     Raises CasacalError for what is none of these, UnknownNameError for the method, SamplesError when samples do not fit
     the problem or too few remain, ProblemError as `bind` does.

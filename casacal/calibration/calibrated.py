@@ -58,7 +58,7 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """A row a number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
+        """One row per number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
 
         Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
         """
@@ -76,12 +76,21 @@ class Calibrated(Calibration, AsArm):
     def save(self, folder: str | Path) -> list[Path]:
         """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
 
-        `casacal.load(folder)` reads it back, here or elsewhere. Returns the paths.
+        `casacal.load(folder)` reads it back, here or elsewhere.
+
+        Returns:
+            The paths of the files that were written.
+
         """
         return write_calibration(self, Path(folder))
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
-        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm. Returns the path."""
+        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
+
+        Returns:
+            The path of the page.
+
+        """
         write_text(path, report_page(self, self.arm.document, box=box))
         return Path(path)
 
@@ -90,7 +99,12 @@ class Calibrated(Calibration, AsArm):
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
-        """Draw distances from the planes before and after on an axes, a new one unless given; returns it."""
+        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
+
+        Returns:
+            The axes.
+
+        """
         return self._drawn(plot_residuals, ax, (10.0, 4.0))
 
     def plot_convergence(self, ax: Any = None) -> Any:
@@ -98,7 +112,7 @@ class Calibrated(Calibration, AsArm):
         return self._drawn(plot_convergence, ax, (6.0, 4.0))
 
     def plot_tip_std(self, ax: Any = None) -> Any:
-        """Draw where in the workspace the tip is how uncertain; axes as for `plot_residuals`."""
+        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`."""
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:

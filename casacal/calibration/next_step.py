@@ -46,7 +46,7 @@ def best_cure(calibration: Calibration) -> str:
     size, cure = max(cured, key=lambda entry: entry[0])
     if not math.isfinite(size):
         return f"{cure}."
-    return f"{cure}; {size:.2g} mm of tip error hang on it."
+    return f"{cure}; without it a tip error of {size:.2g} mm stays possible."
 
 
 def _repair(calibration: Calibration, check: str) -> str:

@@ -89,7 +89,7 @@ def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed
 
 
 def parameter_rows(bound: BoundProblem, result: Result) -> list[dict[str, Any]]:
-    """One entry a number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
     rows = []
     for name, unit, nominal, j in bound.parameters():
         if j is None:
@@ -180,7 +180,7 @@ def write_calibration(
     Args:
         calibration: what was found.
         folder: made where it does not exist.
-        command: the command line that makes it again, for the report; None when there was none.
+        command: the command line that reproduces it, for the report; None when there was none.
         box: where the arm will work, mm in the base frame, for the report.
 
     Returns their paths.

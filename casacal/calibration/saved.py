@@ -44,7 +44,7 @@ class SavedCalibration(Value, AsArm):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """A row per number of the arm and the instrument, as `Calibrated.parameters`."""
+        """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
         import pandas as pd
 
         table = pd.DataFrame(list(self.found.document["parameters"])).set_index("name")
@@ -68,6 +68,9 @@ def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibratio
         path: the folder, its result.json, or a truth.json.
         problem: what it answers; by default the problem.py that it names, or the problem saved beside it. That code is
             run, so load only what you trust.
+
+    Returns:
+        The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
 
     Raises CasacalError when it is not a result, or its problem is gone or has changed since.
 

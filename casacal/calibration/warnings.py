@@ -90,8 +90,8 @@ def _noise(calibration: Calibration) -> Doubt | None:
         return Doubt("the stated noise is too large", f"{said}: {advice}")
     return Doubt(
         "the residuals exceed the stated noise",
-        f"{said}: the noise is larger than stated, or the model lacks something. The standard deviations are too small "
-        "by about as much. Raise noise_std, or find what is missing.",
+        f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. The "
+        "standard deviations are too small by about as much. Raise noise_std, or find what is missing.",
     )
 
 

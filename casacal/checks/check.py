@@ -27,7 +27,7 @@ SPREAD = 20_000
 """Rows that tell of the set-up and of what the prior explains; more add memory, not insight."""
 
 MOST_STRAYS = 0.3
-"""Beyond this part of the rows it is not single rows that are wrong."""
+"""Beyond this fraction of the rows, it is not single rows that are wrong."""
 
 ORDER = {"error": 0, "warning": 1, "remark": 2}
 
@@ -90,7 +90,8 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
         "error",
         "misfit",
         f"{cause}, and no single sign, unit, swap or flip accounts for it",
-        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face do it too",
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
+        "be the cause",
     )
 
 
@@ -122,6 +123,8 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
             "warning",
             "noise",
             f"the residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f})",
-            "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model lacks",
+            "Correct noise_std in the problem"
+            if ratio < 1
+            else "Raise noise_std, or find the effect that the model does not describe",
         )
     ]

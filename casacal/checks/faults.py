@@ -73,7 +73,7 @@ def flips(problem: Problem) -> Iterator[Fault]:
 def misfit(problem: Problem, samples: Samples) -> float:
     """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
 
-    Root of the median squared whitened residual (scaled to a standard deviation) plus the prior's cost a row: a fit
+    Root of the median squared whitened residual (scaled to a standard deviation) plus the prior's cost per row: a fit
     that explains touches by bending the arm far beyond its prior is no fit. Infinite if it fails.
     """
     try:

@@ -1,4 +1,4 @@
-"""Labels that look like slips of the pen: rare ones, and ones that hardly differ from another."""
+"""Labels that look like typing mistakes: rare ones, and ones that hardly differ from another."""
 
 from __future__ import annotations
 

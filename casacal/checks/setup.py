@@ -16,7 +16,7 @@ from casacal.unknowns.fits import fitted_plane
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
 SMALLEST_FACE = 0.05
-"""Part of the arm's reach that touches of a face should span."""
+"""Fraction of the arm's reach that touches of a face should span."""
 SMALLEST_ANGLE = 20.0
 """Degrees between faces below which they count as parallel."""
 ROWS_PER_UNKNOWN = 2.0

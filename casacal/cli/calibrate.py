@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser)
     add_samples(parser)
     parser.add_argument("--method", choices=METHOD_NAMES, help="default: sckf-lm; with --loss, lm")
-    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="part of each face's rows to hold out")
+    parser.add_argument(
+        "--holdout", type=float, default=0.0, metavar="F", help="fraction of each face's rows to hold out"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="K", help="for held-out rows and random methods")
     parser.add_argument(
         "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
@@ -102,7 +104,7 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     inside = None if box is None or denied else accuracy_in_box(calibration.fit, calibration.result.x, box)
     expected = []
     if inside is not None:
-        expected = [f"Inside {options.box} mm: {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
+        expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples cannot tell: --verbose"
     if folder is not None:
@@ -154,7 +156,7 @@ def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], acc
 
 
 class _Progress:
-    """A line on standard error, after the first second, and only where someone looks."""
+    """A line on standard error, after the first second, and only on a terminal."""
 
     def __init__(self, method: str) -> None:
         self.method, self.began, self.shown = method, time.monotonic(), 0.0

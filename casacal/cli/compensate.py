@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         return FAILED if missed else DONE
     said += [
         f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}; {one['residual_mm']:.3f} mm and "
-        f"{one['residual_mrad']:.3f} mrad remain"
+        f"{one['residual_mrad']:.3f} mrad remain at the {compensation.frame}"
         for one in lost[:SHOWN]
     ]
     if len(missed) > SHOWN:

@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tool", metavar="POSE", help="frame whose pose the pendant shows, seen from the flange; default: the flange"
     )
     parser.add_argument(
-        "--base", metavar="POSE", help="the robot's base, seen from the frame the pendant shows poses in; default: it"
+        "--base",
+        metavar="POSE",
+        help="pose of the robot's base in the frame in which the pendant shows poses; default: that frame",
     )
     parser.add_argument(
         "--tolerance", type=float, default=3.0, metavar="MM", help="how far a row may miss, in mm and mrad; default: 3"

@@ -64,7 +64,8 @@ def _exported(result: CalibratedArm, options: argparse.Namespace) -> str:
     if options.to == "dh":
         if options.source is not None and is_toml(options.source) != is_toml(options.out):
             raise CasacalError(
-                f"'{options.out}' would hold what '{options.source}' holds", "End both names alike, in .csv or .toml"
+                f"'{options.out}' and '{options.source}' are of different formats",
+                "Let both names end in .csv, or both in .toml",
             )
         return dh_text(result, options.source, toml=is_toml(options.out))
     if options.to == "urdf":

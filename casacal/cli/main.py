@@ -1,4 +1,4 @@
-"""The command line's door: commands by name, refusals in one line, exit codes."""
+"""The command line's entry point: commands by name, refusals in one line, exit codes."""
 
 from __future__ import annotations
 

@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", required=True, metavar="FILE", help="samples to write, such as x.csv; the truth goes to x.truth.json"
     )
     parser.add_argument("--samples", type=int, default=120, metavar="N", help="how many touches; default: 120")
-    parser.add_argument("--seed", type=int, default=0, metavar="K", help="another seed, another arm; default: 0")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="K", help="seed of the arm, the touches and the noise; default: 0"
+    )
     numbers = {
         "tilt": ("DEG", "largest angle between plunger and face normal"),
         "travel": ("MM", "range of the dial"),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HELP = "many trials of many methods, recorded and reported"
 SAID_EVERY = {True: 0.5, False: 20.0}
-"""Seconds between progress lines, where someone looks (they overwrite one another) and in a log."""
+"""Seconds between progress lines, on a terminal (they overwrite one another) and in a log."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

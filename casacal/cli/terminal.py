@@ -44,7 +44,7 @@ def width() -> int:
 
 
 def painted(text: str, stream: TextIO) -> str:
-    """Text whose first words are coloured by what they say, where someone looks and wants colour."""
+    """Text whose first words are coloured by what they say, where the output is a terminal and colour is wanted."""
     for words, colour in LEVELS.items():
         if text.lower().startswith(words) and _shows_colour(stream):
             return f"\x1b[1;{CODES[colour]}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
@@ -74,7 +74,7 @@ def wrapped(text: str) -> list[str]:
 
 
 def say_paragraph(text: str) -> None:
-    """Print one sentence or more: broken into lines where someone looks, in one piece for another program."""
+    """Print one sentence or more: broken into lines on a terminal, in one piece for another program."""
     if sys.stdout.isatty():
         text = "\n".join(wrapped(text))
     say(painted(text, sys.stdout))

@@ -2,8 +2,8 @@
 
 The calibrated robot is the estimate of a result. Under a finite prior it holds every direction that the samples did not
 see at nominal by itself, because the objective has its minimum there; with flat priors nothing does, and such a result
-is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is up to the base
-frame, which a user teaches.
+is refused. What planes cannot see, where the base frame stands, stays as the prior has it: accuracy is stated apart
+from where the base stands, which a user teaches.
 """
 
 from __future__ import annotations
@@ -57,6 +57,10 @@ def compensate(
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
         largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
         rounding: how the joint values will be written; the proof is about these.
+
+    Returns:
+        One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+        there in mm and rad, and the standard deviation of its position, mm.
 
     Raises CasacalError for a result that did not converge, or whose arm has directions that nothing holds.
 

@@ -1,7 +1,7 @@
 """Joint values that bring a robot to whole poses, inside its joint limits, for many poses at once.
 
-`casacal.inverse_kinematics` brings a plunger to a face and leaves the turn about it free; here position and
-orientation both count.
+`casacal.simulation.reach` brings a plunger to a face and leaves the turn about it free; here position and orientation
+both count.
 """
 
 from __future__ import annotations

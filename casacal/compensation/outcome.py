@@ -64,14 +64,14 @@ class Rounding:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Value):
-    """Corrected targets and their proof, one entry a target (N) in each field.
+    """Corrected targets and their proof, one entry per target (N) in each field.
 
     joints: corrected (N, n; rad, mm), as written. start: nominal joint values (N, n) they began from. outcomes: how
     each ended. residual_mm, residual_rad: miss of the calibrated robot at `joints`, recomputed by `predict`.
     correction_mm: miss at `start`, which the correction removes. correction: largest joint motion from `start`, rad, a
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
-    position that is left, up to the base frame.
+    position that is left, apart from where the base stands.
     """
 
     targets: Targets

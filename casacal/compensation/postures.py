@@ -1,4 +1,4 @@
-"""Postures at which an arm takes poses when nobody says on which branch: from many starts, one branch along a path."""
+"""Postures at which an arm takes poses when no branch is stated: from many starts, one branch along a path."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from casacal.robots.robot import Robot
 BANK = 4096
 """Random postures among which starts are looked for."""
 ROUNDS = (6, 24)
-"""Starts a pose in the first round, and in the second for poses that none of them reached."""
+"""Starts per pose in the first round, and in the second for poses that none of them reached."""
 PATIENCE = 16
 """Steps of a start: those that are not there by then creep along a singularity, and others are faster."""
 SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5
-"""Times that torn paths are mended; joint motion (rad) between rows at which one is torn; and how near two poses must
+"""Times that torn paths are repaired; joint motion (rad) between rows at which one is torn; and how near two poses must
 be (in units of a radian or `AXIS_WEIGHT` mm) to count as one path."""
 BEYOND = 1.05
-"""Part of the farthest random posture's distance from the base beyond which no pose is looked for."""
+"""Fraction of the farthest random posture's distance from the base beyond which no pose is looked for."""
 
 
 def postures(arm: PosedArm, positions: Array, rotations: Array, tolerance: tuple[float, float]) -> Array:

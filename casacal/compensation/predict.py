@@ -28,7 +28,8 @@ from casacal.values import Value, frozen
 class Prediction(Value):
     """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame.
 
-    `std` (N,) is the standard deviation of the position, mm, its three axes together, up to the base frame; or None.
+    `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
+    stands; or None.
     """
 
     positions: Array
@@ -102,6 +103,10 @@ def predict(
         nominal: use nominal values instead of the estimate.
         std: whether to add standard deviations.
 
+    Returns:
+        Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
+        in mm where asked for. The quaternions are those of the flange for both frames.
+
     Raises CasacalError for standard deviations of the nominal arm, or of a result that holds no covariance.
 
     """
@@ -127,7 +132,10 @@ def predict(
 
 
 def _spread(result: CalibratedArm, z: Array, data: Array, frame: str) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, up to the base frame that the workspace fits."""
+    """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
+
+    Where it stands is what a rigid motion fitted over the workspace takes out.
+    """
     problem = result.source.problem
     model = problem.model
     evaluate = model.batch.tip_jacobian if frame == "tip" else model.batch.flange_jacobian
@@ -146,7 +154,7 @@ def _spread(result: CalibratedArm, z: Array, data: Array, frame: str) -> Array:
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:
-    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one, a row a pose."""
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose."""
     lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
     for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]

@@ -49,6 +49,7 @@ class Language:
                 lines.append("  " + self.move.format(*values))
             else:
                 left = f"{compensation.residual_mm[i]:.3f} mm, {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
+                left += f" at the {compensation.frame}"
                 lines.append(f"  {self.comment} no move: {outcome.value}: {outcome.meaning}; {left}")
         return "\n".join([*lines, *self.end]) + "\n"
 
@@ -102,7 +103,7 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
 
 
 def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str:
-    """The file: notes on what it is and what to expect, then one entry a target."""
+    """The file: notes on what it is and what to expect, then one entry per target."""
     what = notes(compensation, result)
     if form == CSV:
         return "".join(
@@ -112,7 +113,7 @@ def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str
 
 
 def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
-    """What the file is, how it was proved, and what accuracy to expect; one sentence a line."""
+    """What the file is, how it was proved, and what accuracy to expect; one sentence per line."""
     reached, targets = compensation.reached, compensation.targets
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     arm = result.source.problem.robot.parameters
@@ -130,10 +131,11 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
             f"{_figures(compensation.residual_mm[reached], 'mm')} and "
-            f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}; reached rows",
-            f"what the correction removes: {_figures(compensation.correction_mm[reached], 'mm')}",
-            f"position error to expect: {_figures(compensation.expected_mm[reached], 'mm')}; standard deviation up to "
-            "the base frame, which must be taught",
+            f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}, over the rows that are reached",
+            f"what the correction removes there: {_figures(compensation.correction_mm[reached], 'mm')}",
+            f"position error of the {compensation.frame} to expect: "
+            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from where the base "
+            "stands, which must be taught",
         ]
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")

@@ -1,4 +1,4 @@
-"""A robot as its axes: the pose at any joint values as one motion a joint, whatever function the problem wrote."""
+"""A robot as its axes: the pose at any joint values as one motion per joint, whatever function the problem wrote."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Axes:
 def axes_of(robot: Robot) -> Axes:
     """Find the axes of a robot at its nominal parameters from its pose function.
 
-    Raises ProblemError when the pose is not one motion a joint (with joints coupled as the doctor's family knows).
+    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows).
     """
     pose = nominal_pose(robot)
     n, count = len(robot.axes), 12
@@ -83,7 +83,8 @@ def axes_of(robot: Robot) -> Axes:
         if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
             return found
     raise ProblemError(
-        f"The pose of '{robot.name}' is not one turn or slide a joint", "Give the doctor a pose without gears or links"
+        f"The pose of '{robot.name}' is not one turn or slide per joint",
+        "Give the doctor a pose without gears or links",
     )
 
 

@@ -26,7 +26,7 @@ ENOUGH = 3
 DIFFERENT = np.radians(1.0)
 """Motion of a joint (rad; or mm over 300) that makes a posture a different one."""
 REACH = 1.2
-"""Part of the farthest random posture's distance from the base beyond which a unit of length is ruled out."""
+"""Fraction of the farthest random posture's distance from the base beyond which a unit of length is ruled out."""
 MOST_JOINTS = 7
 """Joints beyond which there are more readings than a search can hold."""
 MOST_TURNING = 25.0
@@ -92,7 +92,7 @@ def diagnose(
     """Find joint signs, quarter-turn offsets, couplings, units and the convention of orientation behind pendant rows.
 
     The arm is the robot at its nominal parameters, which is what controllers compute with. Every convention of the
-    family (see `casacal.convention_doctor.family`) is searched, in degrees and radians, mm and metres; two that give
+    family (see `casacal.doctor.family`) is searched, in degrees and radians, mm and metres; two that give
     equal poses at all joint values count as one.
 
     Args:
@@ -102,7 +102,11 @@ def diagnose(
         tool: pose (4, 4; mm) in the flange frame of what the pendant shows; default: the flange.
         tolerance: mm, and mrad, within which a row counts as explained.
 
-    Raises CasacalError when rows and robot do not match, ProblemError for a pose that is not one motion a joint.
+    Returns:
+        All conventions that fit, the simplest first, whether one is certain, and, where not, the pose that would settle
+        it.
+
+    Raises CasacalError when rows and robot do not match, ProblemError for a pose that is not one motion per joint.
 
     """
     if rows.joints.shape[1] != len(robot.axes):

@@ -26,7 +26,7 @@ Option: TypeAlias = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Family:
-    """Readings of consecutive joints, one a row.
+    """Readings of consecutive joints, one per row.
 
     options: (H, m, 4), an `Option` for each joint. distant: rows (H,) that couple a joint with one not before it.
     """

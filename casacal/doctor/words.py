@@ -64,7 +64,7 @@ def _count(found: Diagnosis) -> str:
 
 
 def _settings(found: Diagnosis) -> Iterable[str]:
-    """One line a joint, then units and orientation: the value, and whether it is certain or open."""
+    """One line per joint, then units and orientation: the value, and whether it is certain or open."""
     written = _alike(found.meanings)
     sure = found.postures >= ENOUGH and not found.more
     for i in range(len(written[0].signs)):
@@ -153,12 +153,12 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
             yield "Positions fit and orientations do not: the tool on the pendant may be turned against the flange"
     lines = ", ".join(map(str, found.odd_lines))
     if len(found.odd_lines) == 1:
-        yield f"Without line {lines} the others fit: look for a slip of the pen there"
+        yield f"Without line {lines} the others fit: look for a copying mistake there"
     elif lines:
         yield f"The others fit without any one of the lines {lines}"
     yield (
         "Check that this is the problem's robot, that the pendant shows the flange in the robot's base (else give "
-        "--tool and --base), and that every row was read off standing still"
+        "--tool and --base), and that every row was read while the arm stood still"
     )
     yield (
         "Searched: signs, quarter turns, any joints measured against the one before or one against any other, deg and "

@@ -1,4 +1,4 @@
-"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm a file."""
+"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm per file."""
 
 from casacal.estimators.annealing import annealing
 from casacal.estimators.ekf import ekf

@@ -38,6 +38,11 @@ def annealing(
             as one more candidate.
         progress: called with (candidates, best cost) at each new best.
 
+    Returns:
+        The best candidate as x (n,), deviations from nominal in the units of `problem.units`; the covariance (n, n) is
+        from the curvature there. The status is `BUDGET` where all went well: such a method gives no sign that it has
+        arrived at the minimum.
+
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "annealing")

@@ -31,8 +31,13 @@ def evolution(
         seed: of all random numbers.
         budget: rows of residuals to evaluate at most; a population larger than it allows is made smaller.
         width: half width of the box, standard deviations.
-        population: candidates a generation.
+        population: candidates per generation.
         progress: called with (candidates, best cost) after each generation.
+
+    Returns:
+        The best candidate as x (n,), deviations from nominal in the units of `problem.units`; the covariance (n, n) is
+        from the curvature there. The status is `BUDGET` where all went well: such a method gives no sign that it has
+        arrived at the minimum.
 
     """
     if not problem.unknowns:

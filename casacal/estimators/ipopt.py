@@ -55,6 +55,10 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
         tolerance: IPOPT's `tol`, on the scaled optimality error.
         verbose: let IPOPT print.
 
+    Returns:
+        The minimum in local coordinates, as from the other estimators: x (n,), deviations from nominal in the units of
+        `problem.units`.
+
     Raises ProblemError when the problem has no symbolic form.
 
     """

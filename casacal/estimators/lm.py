@@ -130,6 +130,10 @@ def lm(
         loss: what replaces r^2 / 2 in f, such as `huber()`; the covariance then counts rows by their weights.
         progress: called with (step, cost) after each accepted step.
 
+    Returns:
+        x (n,), deviations from nominal in the units of `problem.units`, its covariance (n, n), the objective after each
+        step, and a status that says how it ended.
+
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "lm")

@@ -1,4 +1,4 @@
-"""The control that lies: a random step from the minimum along what the samples hardly see."""
+"""The control that misleads: a random step from the minimum along what the samples hardly see."""
 
 from __future__ import annotations
 
@@ -30,6 +30,9 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
         seed: of the step.
         size: standard deviation of the step along each such direction, in prior standard deviations (flat: start_std),
             before any halving.
+
+    Returns:
+        What `lm` found, with x (n,) after the step, deviations from nominal in the units of `problem.units`.
 
     """
     if not problem.unknowns:

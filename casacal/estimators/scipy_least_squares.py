@@ -18,6 +18,9 @@ def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) ->
         problem: what to minimise.
         max_evaluations: of all residuals.
 
+    Returns:
+        x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
+
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "trf")

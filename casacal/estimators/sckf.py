@@ -36,7 +36,7 @@ class Update:
 
 
 def predict(belief: Belief, process_root: Array | None) -> Belief:
-    """Let constant parameters drift: S <- Tria([S, S_Q]), eq (14) of arXiv:2208.02652 with erratum E10 mended.
+    """Let constant parameters drift: S <- Tria([S, S_Q]), eq (14) of arXiv:2208.02652 with erratum E10 corrected.
 
     `process_root` is S_Q (n, n), or None for no drift.
     """
@@ -46,7 +46,7 @@ def predict(belief: Belief, process_root: Array | None) -> Belief:
 
 
 def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float, noise_std: float) -> Update:
-    """Take in one scalar measurement: eqs (15)-(24) of arXiv:2208.02652, with errata E9-E12 mended.
+    """Take in one scalar measurement: eqs (15)-(24) of arXiv:2208.02652, with errata E9-E12 corrected.
 
     Square-root form of Arasaratnam and Haykin 2009, section VII.
 
@@ -89,6 +89,10 @@ def sckf(
         problem: its rows are measurements of zero with unit noise, in whitened units.
         process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
         progress: called with (rows done, norm of the innovation) now and then.
+
+    Returns:
+        The mean after the last row as x (n,), deviations from nominal in the units of `problem.units`, its covariance
+        (n, n), and the trace: means `x` (rows + 1, n), innovations and their standard deviations (rows,).
 
     """
     if not problem.unknowns:

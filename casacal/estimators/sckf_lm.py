@@ -21,7 +21,7 @@ def sckf_lm(
 ) -> Result:
     """Minimise f from the filter's estimate; the prior stays where it was, so the data count once.
 
-    The minimum is that of `lm`: the filter buys a start, not accuracy. Arguments as for `lm`.
+    The minimum is that of `lm`: the filter gives another start, not more accuracy. Arguments as for `lm`.
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf-lm")

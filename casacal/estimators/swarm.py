@@ -38,6 +38,11 @@ def swarm(
         particles: their number.
         progress: called with (candidates, best cost) after each step.
 
+    Returns:
+        The best candidate as x (n,), deviations from nominal in the units of `problem.units`; the covariance (n, n) is
+        from the curvature there. The status is `BUDGET` where all went well: such a method gives no sign that it has
+        arrived at the minimum.
+
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "swarm")

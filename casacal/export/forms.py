@@ -54,7 +54,9 @@ def _text(arm: CalibratedArm, form: str, path: str | Path | None, source: str | 
     if form == "dh":
         toml = is_toml(path) if path is not None else source is not None and is_toml(source)
         if source is not None and is_toml(source) != toml:
-            raise CasacalError(f"'{path}' would hold what '{source}' holds", "End both names alike, in .csv or .toml")
+            raise CasacalError(
+                f"'{path}' and '{source}' are of different formats", "Let both names end in .csv, or both in .toml"
+            )
         return dh_text(arm, source, toml=toml)
     if form == "urdf":
         return urdf_text(arm, source)

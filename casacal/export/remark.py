@@ -19,9 +19,9 @@ def remark(result: CalibratedArm) -> list[str]:
         return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {__version__})"]
     lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
     if not document.get("converged", True):
-        lines.append(f"{MARK}WARNING, this is no minimum: {document.get('status')}")
+        lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
     error = (document.get("tip") or {}).get("expected_rms_mm")
-    shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, up to the base frame"
+    shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [
         *lines,
         f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",

@@ -38,7 +38,7 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     if not isinstance(arm, (DHTable, UrdfChain)):
         raise CasacalError(f"'{name}' was not built from a DH table or a URDF", "Export it as zeros or c")
     if len(arm.joints) != 6 or any(joint.kind != "revolute" for joint in arm.joints):
-        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, a UR six that turn", FIX)
+        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, and a UR has six that turn", FIX)
     conventions = arm.conventions or Conventions.plain(6)
     if not np.array_equal(conventions.matrix, np.eye(6)):
         raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", FIX)

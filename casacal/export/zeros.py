@@ -34,7 +34,7 @@ class ZeroCorrections:
 
     @property
     def share(self) -> float:
-        """Part of the calibration's squared effect that zero offsets express, 0 to 1."""
+        """Fraction of the calibration's squared effect that zero offsets express, 0 to 1."""
         return 1.0 - (self.after / self.before) ** 2 if self.before > 0 else 1.0
 
 
@@ -70,7 +70,7 @@ def zeros_text(result: CalibratedArm) -> str:
         "the calibrated one",
         f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
         f"points {LEVER:g} mm from it)",
-        f"# {MARK}zero offsets express {100 * found.share:.0f} % of that, by squares; {found.after:.3f} mm RMS remain",
+        f"# {MARK}zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
         "joint,correction_deg" + (",correction_mm" if slides else ""),
     ]
     for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):

@@ -24,7 +24,7 @@ from casacal.values import FrozenMapping
 class DialOnBody(DialOnPlane):
     """Faces of one body: their normals are known up to a common rotation, each face's place along its normal is not.
 
-    Three unknowns for the body and one a face, instead of three a face. Angles fix shape, not size: for that a face
+    Three unknowns for the body and one per face, instead of three per face. Angles fix shape, not size: for that a face
     must stand at a known distance from another one (`DialOnPlane.steps`).
 
     Args:

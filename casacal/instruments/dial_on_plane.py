@@ -81,7 +81,9 @@ class DialOnPlane(Instrument):
             raise ProblemError(f"travel of the dial is {self.travel!r}", "Give a positive number of mm")
         for label, step in self.steps.items():
             if step.on in self.steps or step.on == label:
-                raise ProblemError(f"Step '{label}' stands on '{step.on}', itself a step", "Name a face that is none")
+                raise ProblemError(
+                    f"Step '{label}' stands on '{step.on}', itself a step", "Name a face that is not a step"
+                )
             if not 0 < abs(step.height) < math.inf or not 0 < step.std < math.inf:
                 raise ProblemError(f"Step '{label}' is {step.height!r} +- {step.std!r} mm", "Give its certified height")
         if self.steps and self.plane.per is None:
@@ -169,7 +171,7 @@ class DialOnPlane(Instrument):
         sign = Suspect(
             "wrong dial sign",
             "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
-            "Turn the sign of the dial in the problem",
+            "Reverse the sign of the dial in the problem",
             ("reading",),
             -1.0,
         )

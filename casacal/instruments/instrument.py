@@ -105,6 +105,9 @@ class Instrument(Portable, ABC):
             p: values of the robot's parameters and of this instrument's unknowns, by name.
             row: values of `columns`, by name.
 
+        Returns:
+            A scalar or a column (m, 1) of scalars, in the unit of its noise: mm for the instruments that are built in.
+
         """
 
     @property

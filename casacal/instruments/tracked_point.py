@@ -21,7 +21,7 @@ from casacal.unknowns.fits import rotation_between
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedPoint(Instrument):
-    """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals a row.
+    """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals per row.
 
     Args:
         noise_std: standard deviation of each coordinate, mm.
@@ -79,7 +79,9 @@ class TrackedPoint(Instrument):
         read = np.column_stack([sight.columns[name] for name in ("x", "y", "z")])
         turn, fixed = rotation_between(sight.tips - sight.tips.mean(axis=0), read - read.mean(axis=0))
         if len(read) < 3 or not fixed:
-            raise ProblemError("The tracked points lie on a line", "Track at least three points that do not")
+            raise ProblemError(
+                "The tracked points lie on a line", "Track at least three points that do not lie on one line"
+            )
         matrix = np.eye(4)
         matrix[:3, :3] = turn
         matrix[:3, 3] = read.mean(axis=0) - turn @ sight.tips.mean(axis=0)

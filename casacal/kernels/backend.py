@@ -90,5 +90,5 @@ def _chosen(asked: str, slopes: Program, parameters: int) -> Kernels:
 
 @functools.cache
 def _notice(reason: str) -> None:
-    """One line, once a process: kernels are slower, not different."""
+    """One line, once per process: kernels are slower, not different."""
     logging.getLogger("casacal").warning("casacal: no C kernels (%s); using blocks, which are slower", reason)

@@ -68,7 +68,7 @@ class BlockCubature:
         return stop, means, trace[:, 0], trace[:, 1]
 
     def step(self, n: int, component: int) -> ca.Function:
-        """One row, in coordinates (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as mended.
+        """One row, in coordinates (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as corrected.
 
         (cubature points of z, constants and data, weight, mean, S) to the mean and S after it, and innovation, its
         standard deviation, and the part of a variance that is left.

@@ -23,7 +23,7 @@ class BlockKernels:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self._slopes, self._residual, self._parameters = slopes, slopes.only(0), parameters
-        # one set a thread: CasADi's machine works in memory of its function's own
+        # one set per thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
     def lanes(self, d: Array, w: Array) -> BlockLanes:

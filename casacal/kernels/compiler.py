@@ -105,7 +105,7 @@ def _compiled(source: str, path: str, folder: Path, key: str) -> Path:
             raise CompilerError(f"{path} failed ({first})")
         made.chmod(0o700)
         target = folder / f"{key}-{_digest(made)}{SUFFIX}"
-        if not target.exists():  # where it is in use, Windows lets nobody replace it
+        if not target.exists():  # while it is in use, Windows refuses to replace it
             os.replace(made, target)
         return target
 

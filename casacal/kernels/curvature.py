@@ -37,7 +37,7 @@ class CurvatureKernel:
         bent = [ca.project(bend, pattern).nz[:] for bend in bends]
         outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
         self._program = read_program(ca.Function("curved", [v, c, d], outputs), ("once", "once", "lane"))
-        # one set a thread: CasADi's machine works in memory of its function's own
+        # one set per thread: CasADi's machine works in memory of its function's own
         self._local = threading.local()
 
     def lanes(self, data: Array, noise: Array) -> BlockLanes:

@@ -15,7 +15,7 @@ from casacal.kernels.program import Program
 PAD = 8
 """Lanes for C are padded to a multiple of this, so that loops over them need no tail."""
 WIDTHS = (128, 512)
-"""Samples a block: for few rows, and for many."""
+"""Samples per block: for few rows, and for many."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class BlockLanes:
 
     @property
     def width(self) -> int:
-        """Samples a block."""
+        """Samples per block."""
         return int(self.d.shape[2])
 
     def joined(self, blocks: Array) -> Array:

@@ -81,7 +81,7 @@ class NativeNormal:
         n, self._threads, self._count = x0.size, threads, len(pieces)
         about = np.array([x0, scale, prior])
         each = max(piece.parameters + piece.kernels.rows**2 for piece in pieces)
-        # numbers go in and come out through memory that stays, for finding an array's address takes as long as a step
+        # numbers go in and come out through memory that stays, as finding an array's address takes as long as a step
         self._lock = threading.Lock()
         self._x, self._normal, self._out = np.empty(n), np.empty(n * n + n), np.empty(n + 2)
         self._sums, work = np.empty((len(pieces), n * n + n + 1)), np.empty((len(pieces), max(each, 2 * n * (n + 1))))

@@ -15,7 +15,7 @@ from casacal.kernels.lanes import PaddedLanes, aligned
 from casacal.kernels.program import Program
 
 LARGE = 1 << 20
-"""Bytes of a Jacobian beyond which it is written past the caches."""
+"""Bytes of a Jacobian beyond which it is written around the caches, straight to memory."""
 
 
 class NativeKernels:

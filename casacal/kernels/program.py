@@ -1,6 +1,6 @@
 """An SX function as a list of elementary operations, split by how often each must be done.
 
-Operations on parameters alone are done once a call, operations on data alone once for all calls; what mixes both is
+Operations on parameters alone are done once per call, operations on data alone once for all calls; what mixes both is
 left for the kernel, lane by lane. A lane is a row of samples, or one of many states.
 """
 

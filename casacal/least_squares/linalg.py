@@ -8,7 +8,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 from casacal.array_types import Array
 
 LEAST_LEFT = 1e-10
-"""Part of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
+"""Fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
 
 WELL_CONDITIONED = 1e-12
 """Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
@@ -50,7 +50,7 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
     Args:
         information: H (n, n), symmetric.
         gradient: g (n,).
-        damping: one number, or one a coordinate (n,).
+        damping: one number, or one per coordinate (n,).
 
     """
     if not gradient.size:

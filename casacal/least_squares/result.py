@@ -24,11 +24,17 @@ class Status(Enum):
     CONVERGED = "Converged: the step fell below a negligible part of a posterior standard deviation."
     PRECISION = "Converged: the cost cannot be lowered further in double precision."
     ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
-    BUDGET = "Spent its budget; such a method gives no sign of having arrived. Compare with lm, or raise the budget."
+    BUDGET = (
+        "Spent its budget; such a method gives no sign of having arrived. Compare with lm; in Python, budget can be "
+        "raised."
+    )
     TRUTH = "The truth of a simulation; nothing was estimated."
     NOMINAL = "The arm as drawn; nothing was estimated."
     UNSAID = "An estimate came back without a word on convergence. Compare with lm."
-    MAX_STEPS = "Ran out of steps before converging. Raise max_steps, or start nearer."
+    MAX_STEPS = (
+        "Ran out of steps before converging. Look for a mistake with casacal check, or try another method; "
+        "in Python, max_steps can be raised."
+    )
     STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
     NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
     SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
@@ -43,9 +49,9 @@ class Status(Enum):
 class Result(Value):
     """An estimate and how it came about.
 
-    x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array a quantity, one entry a
-    step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data at x,
-    from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
+    x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array per quantity, one entry
+    per step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data
+    at x, from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
     """
 
     method: str

@@ -1,4 +1,4 @@
-"""A simulated cell: faces to touch, a dial with its faults, an arm with what its model lacks."""
+"""A simulated cell: faces to touch, a dial with its faults, an arm with effects that its model does not describe."""
 
 from __future__ import annotations
 

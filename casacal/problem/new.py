@@ -183,7 +183,7 @@ def _tuple(items: Iterable[str], indent: int = 4) -> str:
 
 
 def _listed(opening: str, items: list[str], closing: str, indent: int, *, taken: int = 0, wide: bool = False) -> str:
-    """Items on one line where they fit behind `taken` characters, else one a line."""
+    """Items on one line where they fit behind `taken` characters, else one per line."""
     line = opening + ", ".join(items) + closing
     if not wide and indent + taken + len(line) + 1 <= WIDTH:
         return line

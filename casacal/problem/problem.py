@@ -86,7 +86,7 @@ class Problem(Value):
 
     @cached_property
     def models(self) -> tuple[RowModel, ...]:
-        """Compiled functions, one set an instrument; built on first use."""
+        """Compiled functions, one set per instrument; built on first use."""
         return tuple(symbols.model for symbols in self._symbols)
 
     @property
@@ -129,7 +129,7 @@ class Problem(Value):
         key: str = KEY,
         absurd: bool = False,
     ) -> Samples:
-        """Read a samples file of one instrument; raises SamplesError, for absurd values unless they are let pass.
+        """Read a samples file of one instrument; raises SamplesError, also for absurd values unless `absurd` is set.
 
         Args:
             path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
@@ -137,6 +137,9 @@ class Problem(Value):
             readings: a second file, with a reading for each pose of the first.
             key: column of both that says which reading belongs to which pose.
             absurd: whether values pass that no robot has.
+
+        Returns:
+            The rows, validated: joint values (N, n) in rad and mm, columns (N,) in mm or rad, labels.
 
         """
         layout = self.layout(instrument)

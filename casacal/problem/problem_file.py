@@ -30,7 +30,7 @@ class ProblemFile(Value):
 
     @staticmethod
     def of(problem: Problem, name: str | None = None) -> ProblemFile:
-        """The same for a problem that no file defines; its name is the robot's unless given."""
+        """The same for a problem made in memory; its name is the robot's unless given."""
         return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None)
 
     def __repr__(self) -> str:
@@ -38,7 +38,7 @@ class ProblemFile(Value):
 
     @property
     def samples(self) -> Path | None:
-        """The samples file beside it; None for a problem that no file defines."""
+        """The samples file beside it; None for a problem made in memory."""
         return Path(self.path).parent / "samples.csv" if self.path else None
 
 

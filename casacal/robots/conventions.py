@@ -18,7 +18,7 @@ from casacal.errors import ProblemError
 class Conventions:
     """q of the model = signs * (q of the controller + coupling) + offsets.
 
-    signs: +1 or -1 a joint. offsets: rad, or mm where a joint slides. coupling: (i, j, factor), joints counted from
+    signs: +1 or -1 per joint. offsets: rad, or mm where a joint slides. coupling: (i, j, factor), joints counted from
     1: factor * q_j is added to q_i, both as the controller shows them; (3, 2, -1.0) where joint 3 is measured against
     the ground and joint 2 turns the same way. Raises ProblemError for anything else.
     """
@@ -52,7 +52,8 @@ class Conventions:
         """Raise ProblemError unless these are conventions of `count` joints."""
         if len(self.signs) != count:
             raise ProblemError(
-                f"'{name}' has {count} joints and conventions for {len(self.signs)}", "Give one sign and offset a joint"
+                f"'{name}' has {count} joints and conventions for {len(self.signs)}",
+                "Give one sign and one offset per joint",
             )
 
     @property

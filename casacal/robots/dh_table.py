@@ -51,7 +51,7 @@ class DHTable:
             raise ProblemError(
                 f"The DH table of '{self.name}' has {len(self.alpha)} alpha, {len(self.a)} a, {len(self.d)} d, "
                 f"{len(self.theta)} theta for {len(self.joints)} joints",
-                "Give one of each a joint",
+                "Give one of each per joint",
             )
         if self.convention not in ("standard", "modified"):
             raise ProblemError(f"The DH convention is '{self.convention}'", "Use 'standard' or 'modified'")

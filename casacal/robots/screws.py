@@ -39,7 +39,7 @@ class Screws:
             raise ProblemError(
                 f"The screws of '{self.name}' are {len(self.axes)} axes and {len(self.points)} points for {count} "
                 "joints",
-                "Give one of each a joint",
+                "Give one of each per joint",
             )
         for what, rows in (("axis", self.axes), ("point", self.points)):
             for i, row in enumerate(rows, 1):

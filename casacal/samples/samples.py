@@ -103,12 +103,12 @@ class Samples(Value):
                 raise SamplesError(
                     self.file,
                     f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite",
-                    "Mend it",
+                    "Give one finite number per row",
                 )
 
     @staticmethod
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
-        """Read a samples file: .npy with named fields, .npz with one array a column, .xlsx, or else delimited text.
+        """Read a samples file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
         `absurd` lets values pass that no robot has, for those who look for their cause.
 

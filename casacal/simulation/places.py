@@ -1,4 +1,4 @@
-"""Where a simulated arm could touch faces when nobody says where they stand."""
+"""Where a simulated arm could touch faces when their places are not stated."""
 
 from __future__ import annotations
 

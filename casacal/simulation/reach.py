@@ -24,7 +24,7 @@ ARRIVED = 1e-16
 
 
 RIDGE = 1e-7
-"""Part of the largest curvature added to all: a joint that turns the tool about its plunger then stays where it is."""
+"""Fraction of the largest curvature added to all: a joint that turns the tool about its plunger then stays there."""
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,10 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
         samples: rows, shared evenly between the faces, or between the labels.
         seed: of every random number drawn here.
 
+    Returns:
+        The samples (rows in mm and rad), and the truth behind them: `truth(bound)` is the true x (n,) of a bound
+        problem.
+
     Raises SimulationError when it cannot be measured as asked.
 
     """

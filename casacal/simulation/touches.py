@@ -63,7 +63,8 @@ def try_touches(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
-    What is drawn does not depend on who waits, so that one touch that rounding decides does not change the others.
+    What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
+    they are.
     """
     count = len(which)
     axes = np.array([face.axes for face in cell.faces])[which]

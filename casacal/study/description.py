@@ -69,7 +69,7 @@ class Study:
         name: a word.
         settings: by name, such as `Simulated(problem, cell)`.
         methods: by name, a `Method` or a plain function of a `LeastSquares`.
-        trials: how many a setting.
+        trials: how many per setting.
         seed: of all of them; trial k of every setting gets the same child of it.
         details: how many trials, the first ones, also keep the objective on the way; the very first its estimates too.
 

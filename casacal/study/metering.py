@@ -1,4 +1,4 @@
-"""A least-squares problem that counts what is asked of it: the harness, never the method, measures."""
+"""A least-squares problem that counts what is asked of it, so that the harness measures, never the method."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ DIGITS = 10
 """Significant digits that a record keeps of a number."""
 TIMING_DIGITS = 4
 TIMINGS = "seconds"
-"""The one entry of a record that may differ when it is made again."""
+"""The one entry of a record that may differ when the trial is run again."""
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
@@ -63,7 +63,7 @@ def read_records(path: Path) -> list[Record]:
 
 @contextlib.contextmanager
 def appending(path: Path) -> Iterator[Appender]:
-    """Open a record file for appending, mending a cut last line first; raises StudyError when another run has it.
+    """Open a record file for appending, repairing a last line cut short; raises StudyError when another run has it.
 
     A gzipped file is unpacked beside itself.
     """

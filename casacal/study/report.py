@@ -77,8 +77,8 @@ def _made(source: StudyFile, run: Run, options: str) -> list[str]:
         lines += [
             f"{len(run.study.settings)} settings, {len(run.study.methods)} methods, {run.study.trials} trials, seed "
             f"{run.study.seed}: {len(run.records)} records, {failed} of them failures; SHA-256 without timings "
-            f"`{run.digest[:16]}`. `{commands[0]} --report --out DIR`, DIR the folder of `records.jsonl`, makes this "
-            "page again from the records alone.",
+            f"`{run.digest[:16]}`. `{commands[0]} --report --out DIR`, DIR the folder of `records.jsonl`, writes "
+            "this page again from the records alone.",
             "",
         ]
     for made in read_machines(run.out):

@@ -72,7 +72,7 @@ def run(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> Run:
-    """Run what is not yet recorded in `out`; returns all its records, in the study's order.
+    """Run what is not yet recorded in `out`.
 
     Args:
         study: what to run.
@@ -84,6 +84,9 @@ def run(
         shard: (i, n), the i-th of n parts of the trials.
         resume: keep the records that exist, and make only those that are missing; else there must be none.
         progress: called with (records done, of how many) at first and after each trial.
+
+    Returns:
+        All records of `out`, in the study's order.
 
     Raises StudyError when records exist and `resume` is not set, when they were made by another version of the study
     or of casacal, or when workers cannot do as asked.
@@ -115,7 +118,7 @@ def run(
 def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
     """The records of a folder, without running anything; raises StudyError when there are none.
 
-    Which version of casacal made them does not matter here: a report can be made again long after.
+    Which version of casacal made them does not matter here: a report can be written again long after.
     """
     names = {(s, m, k) for s in study.settings for m in study.methods for k in range(study.trials_of(m))}
     found = [r for r in records.read_records(out / RECORDS) if (r["setting"], r["method"], r["trial"]) in names]

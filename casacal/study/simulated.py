@@ -36,8 +36,9 @@ class SimulatedTrial:
         """Figures of merit of a result, from its x and covariance alone.
 
         cost: the objective. fit_rmse_mm, heldout_*_mm: distances from the fitted planes. tip_*_mm: length of the true
-        tip error over the workspace, up to the base frame. bound_mm: the Bayesian bound of tip_rms_mm. nees: of the
-        arm's unknowns, per unknown. coverage: part of tip errors, axis by axis, inside their 95 % intervals.
+        tip error over the workspace, apart from where the base stands. bound_mm: the Bayesian bound of
+        tip_rms_mm. nees: of the arm's unknowns, per unknown. coverage: share of tip errors, axis by axis, inside their
+        95 % intervals.
         """
         problem, x = self.problem, result.x
         joints, true, bound = self._workspace
@@ -94,7 +95,7 @@ class Simulated:
 
     Args:
         problem: what is true, one `DialOnPlane`; its prior is what true errors are drawn from.
-        cell: what it touches, and what its model lacks.
+        cell: what it touches, and what disturbs the arm without being in its model.
         samples: touches of a trial.
         heldout: how many of them, the last ones, are not fitted but judged.
         fitted: what is assumed, with the same unknowns; by default the problem itself.

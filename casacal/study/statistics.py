@@ -74,7 +74,7 @@ def holm(p_values: Mapping[str, float]) -> dict[str, float]:
 
 
 def success_rate(successes: int, trials: int) -> Interval:
-    """Part of trials that succeeded, with the exact 95 % interval of Clopper and Pearson (1934)."""
+    """Fraction of trials that succeeded, with the exact 95 % interval of Clopper and Pearson (1934)."""
     exact = binomtest(successes, trials).proportion_ci(method="exact")
     return Interval(successes / trials, float(exact.low), float(exact.high))
 

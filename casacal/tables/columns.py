@@ -48,7 +48,7 @@ def _digest(path: Path) -> str:
 
 
 def read_arrays(path: Path) -> Columns:
-    """Columns of a .npy file with named fields, mapped into memory, or of an .npz file with one array a column.
+    """Columns of a .npy file with named fields, mapped into memory, or of an .npz file with one array per column.
 
     Raises SamplesError for anything else.
     """
@@ -66,7 +66,7 @@ def read_arrays(path: Path) -> Columns:
         ) from None
     if names is None:
         raise SamplesError(
-            file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array a column"
+            file, "the array has no named columns", "Give fields such as q1_deg, or an .npz with one array per column"
         )
     rows = {name: _length(file, name, values) for name, values in arrays.items()}
     if len(set(rows.values())) != 1 or not next(iter(rows.values())):
@@ -113,5 +113,5 @@ def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _length(file: str, name: str, values: NDArray[Any]) -> int:
     if values.ndim != 1:
-        raise SamplesError(file, f"the column has the shape {values.shape}", "Give one number a row", column=name)
+        raise SamplesError(file, f"the column has the shape {values.shape}", "Give one number per row", column=name)
     return len(values)

@@ -25,7 +25,7 @@ class Labels(Sequence[str]):
 
     @staticmethod
     def of(values: Iterable[str]) -> Labels:
-        """From one str a row."""
+        """From one str per row."""
         if isinstance(values, Labels):
             return values
         places: dict[str, int] = {}

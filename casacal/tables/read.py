@@ -14,7 +14,7 @@ from casacal.tables.workbooks import WORKBOOKS, read_workbook
 def read_columns(
     path: str | Path, numbers: Callable[[Sequence[str]], Sequence[str]], labels: Sequence[str] = ()
 ) -> Columns:
-    """Columns of a file: .npy with named fields, .npz with one array a column, .xlsx, or else delimited text.
+    """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
     Args:
         path: of the file.

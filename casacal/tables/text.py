@@ -99,7 +99,7 @@ def read_table(path: str | Path) -> Table:
 def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimiter: str) -> Table:
     """Table of numbered rows of cells, the header first, which were apart by a delimiter; raises SamplesError."""
     if not rows:
-        raise SamplesError(file, "the file is empty", "Give a header line and one line a sample")
+        raise SamplesError(file, "the file is empty", "Give a header line and one line per sample")
     header_line, header = rows[0][0], tuple(rows[0][1])
     _check_header(header, file, header_line)
     for number, row in rows[1:]:
@@ -112,7 +112,7 @@ def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimi
                 line=number,
             )
     if len(rows) == 1:
-        raise SamplesError(file, "there is a header but no line of data", "Give one line a sample", line=header_line)
+        raise SamplesError(file, "there is a header but no line of data", "Give one line per sample", line=header_line)
     numbers, cells = [number for number, _ in rows[1:]], [tuple(row) for _, row in rows[1:]]
     comma = delimiter != "," and _decimal_comma(cells, header, numbers, file)
     return Table(file, sha256, header, header_line, tuple(cells), tuple(numbers), comma)

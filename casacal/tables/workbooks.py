@@ -15,7 +15,7 @@ KEY = "pose"
 
 
 def read_workbook(path: str | Path) -> Table:
-    """Read the first sheet of an Excel workbook as it is calculated: a header row, then one row a sample.
+    """Read the first sheet of an Excel workbook as it is calculated: a header row, then one row per sample.
 
     Blank rows, and rows whose first cell begins with #, are skipped; "line" is the sheet's row.
 

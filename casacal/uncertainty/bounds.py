@@ -11,16 +11,16 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 RANK_TOLERANCE = 1e-9
-"""Part of the largest singular value below which a direction counts as null."""
+"""Fraction of the largest singular value below which a direction counts as null."""
 
 
 FIELD_TOLERANCE = 1e-4
-"""Part of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre under
-usual priors, and above what rank tolerance times condition mixes into null directions."""
+"""Fraction of the largest tip motion below which a direction counts as not moving the tip: well below a micrometre
+under usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 
 def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, tips: Array) -> float:
-    """Smallest RMS tip error (mm) over the workspace, modulo rigid motion, that data and prior allow.
+    """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 
     sqrt(trace(H (F + Lambda0)^-1 H') / N): F the data's information (n, n), H the tips' Jacobian (3 N, n) with the
     rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.

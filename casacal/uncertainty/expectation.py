@@ -24,10 +24,10 @@ FEWEST = 20
 
 
 def planned_accuracy(bound: BoundProblem) -> tuple[float, float]:
-    """Tip error (mm RMS over the workspace, up to the base frame) to expect: from the prior alone, and with these rows.
+    """Tip error (mm RMS over the workspace) to expect: from the prior alone, and with these rows.
 
-    At the nominal, so that it can be asked of planned or simulated touches before anyone moves a robot. It trusts
-    stated noise and priors.
+    Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before
+    anyone moves a robot. It trusts stated noise and priors.
     """
     return expected_accuracy(bound, bound.x0)
 
@@ -53,8 +53,9 @@ def classical_accuracy(bound: BoundProblem, x: Array) -> tuple[float, int]:
 
 
 def accuracy_in_box(bound: BoundProblem, x: Array, box: Box) -> tuple[float, float]:
-    """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there, up to the base frame.
+    """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
+    Both apart from where the base stands.
     Raises CasacalError when the arm hardly reaches the box.
     """
     robot = bound.problem.robot

@@ -25,7 +25,7 @@ PERTURBATIONS = 2
 """Random parameter errors at which a structural null direction must still be null."""
 
 SAME_DIRECTION = 0.9
-"""Part of a null direction that must lie in the null space there."""
+"""Fraction of a null direction that must lie in the null space there."""
 
 CORRELATED = 0.95
 
@@ -55,7 +55,8 @@ class NullDirection:
     direction: Array
     words: str
     tip_mm: float
-    """What one prior standard deviation along it does to the tip: mm RMS over the workspace, up to the base frame."""
+    """What one prior standard deviation along it does to the tip, apart from where the base stands: mm RMS over the
+    workspace."""
     structural: bool
     """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
 
@@ -151,7 +152,7 @@ def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:
 
 
 def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
-    """Split a null space (n, k) by what it does to the tips: a basis (n, k_i) a kind, each kind inside the next.
+    """Split a null space (n, k) by what it does to the tips: one basis (n, k_i) per kind, each kind inside the next.
 
     First what no tip shows (invisible), then what is a rigid motion of all tips, then what is that and a scale of the
     tips' field, the rest is blind.

@@ -17,9 +17,10 @@ from casacal.uncertainty.workspace import without_rigid, workspace_joints
 
 
 def prior_tip_rms(problem: Problem) -> float:
-    """Tip error (mm RMS over the workspace, up to the base frame) that the priors of the arm's parameters predict.
+    """Tip error (mm RMS over the workspace) that the priors of the arm's parameters predict.
 
-    The instrument's own unknowns, such as its tool, do not count; flat priors make it infinite.
+    Apart from where the base stands. The instrument's own unknowns, such as its tool, do not count; flat priors make
+    it infinite.
     """
     model, joints = problem.model, workspace_joints(problem.robot)
     z = np.zeros(model.tip_jacobian.numel_in(0))

@@ -1,4 +1,4 @@
-"""The tip over the workspace: fixed poses, its displacements up to rigid motion, and their spread."""
+"""The tip over the workspace: fixed poses, its displacements apart from rigid motion, and their spread."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def tip_stds(covariance: Array, field: Array) -> Array:
 
     Args:
         covariance: of the unknowns (n, n); infinite variances count where the field sees them.
-        field: derivative (3 N, n) of the tips by the unknowns, up to the base frame where that is wanted.
+        field: derivative (3 N, n) of the tips by the unknowns, apart from where the base stands if that is wanted.
 
     """
     lost = ~np.isfinite(np.diagonal(covariance))

@@ -9,7 +9,7 @@ import numpy as np
 from casacal.array_types import Array
 
 ON_A_LINE = 1e-9
-"""Part of the largest extent below which points count as lying on a line."""
+"""Fraction of the largest extent below which points count as lying on a line."""
 
 
 @dataclass(frozen=True)

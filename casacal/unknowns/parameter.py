@@ -53,7 +53,7 @@ class Parameter(Unknown):
             raise ProblemError(f"A parameter has the nominal value {self.values!r}", "Give one finite number, or a row")
         if self.labels is not None and len(self.labels) != self._all.size:
             raise ProblemError(
-                f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label a value"
+                f"A parameter of {self._all.size} values has {len(self.labels)} labels", "Give one label per value"
             )
         if self.values is None and not self._free.all() and not self.held_as_proposed:
             raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
@@ -110,12 +110,12 @@ class Parameter(Unknown):
 
     @property
     def nominal_size(self) -> int:
-        """One number a component."""
+        """One number per component."""
         return self._all.size
 
     @property
     def raw_size(self) -> int:
-        """One number a free component."""
+        """One number per free component."""
         return self.size
 
     def component_names(self, key: str) -> tuple[str, ...]:

@@ -106,7 +106,7 @@ class Unknown(ABC):
 
     @abstractmethod
     def placed(self, near: Array, normal: Array) -> Array:
-        """Numbers of a nominal for a simulated thing of which nobody says where it stands.
+        """Numbers of a nominal for a simulated thing whose place is not stated.
 
         Near a point (3, mm); where it is flat, it looks along `normal` (3).
         """

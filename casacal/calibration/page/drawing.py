@@ -24,7 +24,7 @@ WIDTH = 400.0
 
 @dataclass(frozen=True)
 class Panel:
-    """A rectangle with two linear axes: values to picture units and back to nobody."""
+    """A rectangle with two linear axes, which turn values into picture units."""
 
     x: tuple[float, float]
     y: tuple[float, float]

@@ -28,8 +28,9 @@ def report_page(
 
     Args:
         calibration: whose rows and workspace are drawn.
-        document: its result.json, whose numbers the page shows; see `casacal.documents.calibration_document`.
-        command: the command line that makes it again, as typed; None when there was none.
+        document: its result.json, whose numbers the page shows; see
+            `casacal.calibration.result_json.calibration_document`.
+        command: the command line that reproduces it, as typed; None when there was none.
         box: where the arm will work, mm in the base frame, or None.
 
     """
@@ -57,7 +58,7 @@ def report_page(
         tag("style", Markup(STYLE)),
     )
     page = tag("html", head, tag("body", main), at={"lang": "en"})
-    # one line a block, so that two reports can be compared line by line
+    # one line per block, so that two reports can be compared line by line
     for block in ("section", "table", "tr", "figure", "svg", "path", "p", "li", "div", "head", "style"):
         page = Markup(page.replace(f"</{block}>", f"</{block}>\n"))
     return f"<!DOCTYPE html>\n{page}\n"

@@ -48,6 +48,6 @@ def table(
 
 
 def facts(name: str, pairs: Sequence[tuple[str, object]]) -> Markup:
-    """Short facts, one a line: what it is, and its value."""
+    """Short facts, one per line: what it is, and its value."""
     lines = [tag("div", tag("dt", key), tag("dd", value)) for key, value in pairs]
     return tag("dl", *lines, at={"id": name, "class": "facts"})

@@ -1,7 +1,7 @@
 #include "errors.h"
 
 /* One pass of the square-root cubature filter over rows whose measured value is zero with unit noise, in coordinates
-   (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as mended, S by an exact triangular downdate. Row r has the
+   (x - x0) / scale: eqs (15)-(24) of arXiv:2208.02652 as corrected, S by an exact triangular downdate. Row r has the
    pattern pattern[r], which sees the unknowns at columns[pattern], and its own constants and data p[r].
 
    mean[n], root[n][n]: belief, changed in place; means[r][n]: after each row; innovations[r], stds[r].

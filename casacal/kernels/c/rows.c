@@ -45,7 +45,7 @@ static void fill(long lanes, long ld, const double *restrict o, const double *re
     }
 }
 
-/* Lanes to where they belong in memory; a large result goes past the caches, which it would only empty. */
+/* Lanes to where they belong in memory; a large result is written around the caches, which it would only empty. */
 static void put(long lanes, const double *restrict from, double *restrict to, long large)
 {
     lanes = padded(lanes);

@@ -1,4 +1,4 @@
-"""DH tables as CSV: a block of `# key: value` comments, then a header with units and a row a joint."""
+"""DH tables as CSV: a block of `# key: value` comments, then a header with units and one row per joint."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def read_csv(path: str | Path) -> Fields:
     try:
         table = read_table(path)
     except SamplesError as error:
-        fix = error.fix.replace("one line a sample", "one line a joint")
+        fix = error.fix.replace("one line per sample", "one line per joint")
         raise ProblemError(error.what, fix) from None
     rows: list[dict[str, Any]] = []
     check_names(dict.fromkeys(table.header), ROW_FIELDS, f"{table.file}, header")  # before their cells are read

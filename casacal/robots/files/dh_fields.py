@@ -50,7 +50,7 @@ def table_of(fields: Fields) -> DHTable:
         came = "does not say its convention" if convention is None else f"has the convention '{convention}'"
         raise ProblemError(f"{fields.file}: the file {came}", "Write convention standard or modified (Craig's)")
     if not fields.rows:
-        raise ProblemError(f"{fields.file}: there is no joint", "Give one row a joint")
+        raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
     for row, place in zip(fields.rows, fields.places, strict=True):
         check_names(row, ROW_FIELDS, f"{fields.file}, {place}")
     columns = {
@@ -91,7 +91,7 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
         values = block.get(f"offsets_{unit}", [0.0] * count)
         if len(values) != count:
             raise ProblemError(
-                f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", "Give one a joint"
+                f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", "Give one per joint"
             )
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
             if value and (unit in ANGLE) != (joint.turns):

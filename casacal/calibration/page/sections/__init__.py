@@ -1,1 +1,1 @@
-"""What the page says, a file a section; numbers are those of result.json."""
+"""What the page says, one file per section; numbers are those of result.json."""

@@ -19,7 +19,7 @@ MOST_MAPS = 12
 
 
 def face_maps(touches: Touches) -> Markup | None:
-    """A map a face, all on one scale; None where rows touch no face."""
+    """One map per face, all on one scale; None where rows touch no face."""
     if not touches.has_faces or touches.calibration.fit.problem.instrument.probe is None:
         return None
     found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
@@ -34,7 +34,9 @@ def face_maps(touches: Touches) -> Markup | None:
         words.append("Square points are held-out rows.")
     if some:
         words.append("Where touches are many, each square is their mean.")
-    words.append("Patches of one colour: a face that is not flat or moved, or something that the model lacks.")
+    words.append(
+        "Patches of one colour: a face that is not flat or moved, or an effect that the model does not describe."
+    )
     if len(touches.faces) > len(maps):
         words.append(f"{len(touches.faces) - len(maps)} more are not drawn.")
     key = scale.key("face-key", "residual after, mm")

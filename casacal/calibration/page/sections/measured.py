@@ -32,7 +32,7 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     some = max(len(part.rows_of(label)) for part in touches.parts for label in faces[:MOST_FACES]) > LOOKED_AT
     notes = "Tilt is the angle between plunger and face normal. Normal and point are as found, in the base frame."
     if some:
-        notes += f" Tilt and area are of up to {LOOKED_AT:,} rows a face, evenly spread."
+        notes += f" Tilt and area are of up to {LOOKED_AT:,} rows per face, evenly spread."
     more = f" {count(len(faces) - MOST_FACES, 'further face')} are in result.json." if len(faces) > MOST_FACES else ""
     return section(
         "measured",

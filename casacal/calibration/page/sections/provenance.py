@@ -1,4 +1,4 @@
-"""What the page is about, and what makes it again: files, hashes, command, versions, timings."""
+"""What the page is about, and what is needed to reproduce it: files, hashes, command, versions, timings."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ def provenance_section(document: Mapping[str, Any], command: str | None) -> Mark
     )
     return section(
         "provenance",
-        "How to make this again",
+        "How to reproduce this page",
         paragraph(
-            "On the same machine, the same files, command and versions give this page again, byte for byte but for the "
-            "last line."
+            "On the same machine, the same files, command and versions reproduce this page byte for byte, apart from "
+            "the last line."
         ),
         made,
         facts("provenance-facts", pairs),

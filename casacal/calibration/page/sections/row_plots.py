@@ -63,7 +63,7 @@ def _by_row(touches: Touches, when: When) -> Markup:
 
 
 def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
-    """Places along the axis, a unit a series, and residuals of the rows that are drawn."""
+    """Places along the axis, one unit per series, and residuals of the rows that are drawn."""
     count, values = len(touches.series), part.residuals(when)
     most = max(DRAWN // (count * len(touches.parts)), 2)
     across, up = [np.zeros(0)], [np.zeros(0)]

@@ -55,7 +55,9 @@ def _harmless(directions: Sequence[Mapping[str, Any]]) -> Markup:
     items = [tag("li", f"{each['words']} ({each['kind']})") for each in directions[:SHOWN]]
     return together(
         tag("h3", "Without effect on the tip"),
-        paragraph("Up to the base frame these change nothing at the tip under the prior, and need no cure:"),
+        paragraph(
+            "Apart from where the base stands, these change nothing at the tip under the prior, and need no cure:"
+        ),
         tag("ul", *items, at={"id": "harmless"}),
         _more(directions),
     )
