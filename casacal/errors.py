@@ -14,6 +14,11 @@ def came(value: object) -> str:
     return f"{'An' if name[0] in 'aeiouAEIOU' else 'A'} {name}"
 
 
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: "1 row", "2 rows"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError, came
+from casacal.errors import ProblemError, came, counted
 from casacal.instruments import Instrument, Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
@@ -245,7 +245,6 @@ def _check_rows(
         which = f"'{label}'" if label is not None else f"'{key}'"
         had, wanted = len(rows), flat // problem.models[i].components + 1
         raise ProblemError(
-            f"{samples.file}: {which} has {had} {'row' if had == 1 else 'rows'} for {flat} "
-            f"{'unknown' if flat == 1 else 'unknowns'} of its own",
+            f"{samples.file}: {which} has {counted(had, 'row')} for {counted(flat, 'unknown')} of its own",
             f"Take at least {wanted} rows there, and many more to learn about the arm",
         )

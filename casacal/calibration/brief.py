@@ -79,7 +79,8 @@ def _reasons(reasons: Sequence[str], width: int, room: int) -> list[str]:
     lines: list[str] = []
     for k, reason in enumerate(reasons):
         bullet = textwrap.wrap(reason, width, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
-        left = max(room - len(lines) - (k + 1 < len(reasons)), 1)  # a line to count the rest, unless this is the last
+        left = room - len(lines) - (k + 1 < len(reasons))  # a line to count the rest, unless this is the last
+        left = max(left, 1) if k == 0 else left
         if len(bullet) <= left:
             lines += bullet
         elif k == 0:

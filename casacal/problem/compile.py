@@ -65,7 +65,7 @@ class RowModel:
 
     @property
     def components(self) -> int:
-        """Scalar residuals a row, m."""
+        """Scalar residuals per row, m."""
         return int(self.residual.numel_out(0))
 
     def rows(self, backend: str | None = None) -> RowKernels:
