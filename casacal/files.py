@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,18 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it; raises CasacalError when it cannot."""
+    """Let `write` fill a temporary file beside `path`, then rename it; raises CasacalError when it cannot.
+
+    Where `path` is a link, what it leads to is written; what exists and is no file, such as a device, is written into.
+    """
     target = Path(path)
+    if target.is_symlink():
+        target = Path(os.path.realpath(target))
+    if target.is_dir():
+        raise CasacalError(f"'{target}' is a folder", "Name a file")
+    if target.exists() and not target.is_file():
+        _into(target, write)
+        return
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix)
@@ -38,6 +50,37 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
         raise CasacalError(f"'{target}' cannot be written ({error.strerror})", "Choose another place") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def together(folder: Path) -> Iterator[Path]:
+    """A place for several files that all take their places in a folder at the end, or none of them.
+
+    Raises CasacalError when the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        place = Path(tempfile.mkdtemp(dir=folder, prefix="."))
+    except OSError as error:
+        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
+    try:
+        yield place
+        for made in sorted(place.iterdir()):
+            os.replace(made, folder / made.name)
+    except OSError as error:
+        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _into(device: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a file elsewhere, and copy it into a device or pipe; raises CasacalError when it cannot."""
+    try:
+        with tempfile.TemporaryDirectory() as place, device.open("wb") as out:
+            write(Path(place) / "whole")
+            out.write((Path(place) / "whole").read_bytes())
+    except OSError as error:
+        raise CasacalError(f"'{device}' cannot be written ({error.strerror})", "Choose another place") from error
 
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:

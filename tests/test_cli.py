@@ -336,3 +336,80 @@ def test_an_interruption_is_one_line(run, monkeypatch):
     code, out, err = run("calibrate", HSR, "--method", "lm")
     assert (code, out) == (130, "")
     assert err.count("\n") == 1
+
+
+def test_devices_and_links_are_written_into_not_replaced(hsr, tmp_path):
+    import os
+    import threading
+
+    result = tmp_path / "fit"
+    assert main(["calibrate", str(hsr.path), "--method", "lm", "--out", str(result)]) == 0
+    real, link = tmp_path / "real.csv", tmp_path / "link.csv"
+    real.write_text("old")
+    link.symlink_to(real)
+    assert main(["predict", str(result), str(hsr.samples), "--out", str(link)]) == 0
+    assert link.is_symlink()
+    assert real.read_text().startswith("x_mm")
+    pipe, read = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    assert main(["predict", str(result), str(hsr.samples), "--out", str(pipe)]) == 0
+    reader.join()
+    assert pipe.is_fifo()
+    assert read[0] == real.read_bytes()
+
+
+def test_no_command_writes_over_what_it_reads(hsr, tmp_path, capsys):
+    result, samples = tmp_path / "fit", tmp_path / "mine.csv"
+    samples.write_bytes(hsr.samples.read_bytes().partition(b"\n")[2])
+    assert main(["calibrate", str(hsr.path), str(samples), "--method", "lm", "--out", str(result)]) == 0
+    document = result / "result.json"
+    kept = document.read_bytes(), samples.read_bytes()
+    for command in (
+        ["predict", document, samples, "--out", document],
+        ["predict", document, samples, "--out", samples],
+        ["compensate", document, samples, "--out", samples],
+        ["export", document, "--to", "dh", "--out", document],
+        ["simulate", hsr.path, "--out", samples],
+        ["calibrate", hsr.path, samples, "--out", samples],
+    ):
+        assert main([str(part) for part in command]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    assert (document.read_bytes(), samples.read_bytes()) == kept
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "x"])
+def test_seeds_are_whole_numbers(hsr, tmp_path, capsys, seed):
+    for command in (["calibrate", str(hsr.path)], ["simulate", str(hsr.path), "--out", str(tmp_path / "s.csv")]):
+        assert main([*command, "--seed", seed]) == 2
+        assert "whole number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("estimate", [float("nan"), 1e308, True, "0.1", None])
+def test_a_result_that_somebody_edited_is_refused(hsr, tmp_path, capsys, estimate):
+    assert main(["calibrate", str(hsr.path), "--method", "lm", "--out", str(tmp_path)]) == 0
+    document = json.loads((tmp_path / "result.json").read_text())
+    document["parameters"][0]["estimate"] = estimate
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    capsys.readouterr()
+    assert main(["export", str(tmp_path), "--to", "dh", "--out", str(tmp_path / "o.csv")]) == 2
+    assert "the estimate of 'alpha1' is" in capsys.readouterr().err
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_repeated_rows_are_a_reason_for_care(hsr, tmp_path, capsys):
+    header, *rows = [line for line in hsr.samples.read_text().splitlines() if not line.startswith("#")]
+    (tmp_path / "twice.csv").write_text("\n".join([header, *rows, *rows]) + "\n")
+    main(["calibrate", str(hsr.path), str(tmp_path / "twice.csv"), "--method", "lm"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Calibrated" not in said
+    assert "same joints and readings" in said
+
+
+@pytest.mark.parametrize("written", ["Plane", "PLANE", "plain"])
+def test_a_misspelt_label_column_is_named(hsr, tmp_path, capsys, written):
+    text = hsr.samples.read_text().replace("reading_mm,plane", f"reading_mm,{written}")
+    (tmp_path / "s.csv").write_text(text)
+    assert main(["calibrate", str(hsr.path), str(tmp_path / "s.csv")]) == 2
+    assert f"written '{written}'" in capsys.readouterr().err

@@ -72,6 +72,7 @@ def not_finite():
         ((None, None), "Nothing came as the problem"),
         (("nowhere", None), "There is no problem at 'nowhere'"),
         (("P", 3.5), "A float came as samples"),
+        (("P", pd.DataFrame({f"q{i}_deg": [] for i in range(1, 7)} | {"reading_mm": []})), "no row"),
         (("P", None), "Nothing came as samples"),
         (("P", [1, 2]), "A list came as samples"),
         (("P", {}), "the arrays have the shapes nothing"),
@@ -99,6 +100,10 @@ def test_the_door_says_what_it_takes(hsr, arguments, says):
         ({"method": lambda problem: problem.x0 * np.nan}, "not finite"),
         ({"method": "sckf", "loss": huber()}, "knows no robust loss"),
         ({"holdout": 1.5}, "held-out part"),
+        ({"holdout": "a"}, "held-out part"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 1.5}, "seed is 1.5"),
+        ({"loss": "huber"}, "A str came as the loss"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(hsr, options, says):
@@ -208,6 +213,8 @@ def test_targets_come_in_any_form(found):
         (lambda c: c.compensate(np.ones((2, 4, 4))), "no rotation"),
         (lambda c: c.compensate(np.ones((2, 3, 3))), "shape"),
         (lambda c: c.compensate(np.diag([1.0, 1.0, -1.0, 1.0])), "no rotation"),
+        (lambda c: c.predict(Q, frame="Tip"), "no frame named 'Tip'"),
+        (lambda c: c.compensate(Q, frame="zz"), "no frame named 'zz'"),
         (lambda c: c.export("stl"), "no form named 'stl'"),
         (lambda c: c.export("c", source="x"), "writes no file back"),
         (lambda c: c.export("dh", prefix="x"), "no prefix"),
@@ -305,6 +312,11 @@ def test_the_same_calibration_gives_the_same_files(found, hsr, tmp_path):
 
 def clocked(line):
     return any(word in line for word in (b'"build"', b'"solve"', b'"total"', b"Time taken"))
+
+
+def test_the_same_call_gives_an_equal_value(found, hsr):
+    assert calibrate(hsr, method="lm") == found
+    assert calibrate(hsr, method="lm", seed=1) != found
 
 
 def test_the_report_needs_no_folder(found, tmp_path):

@@ -276,3 +276,30 @@ def test_unknowns_of_the_smallest_instrument_can_be_held_and_given_priors(tmp_pa
 
 def bind_count(problem):
     return bind(problem, simulate(problem, samples=40, seed=0).samples).unknowns
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (('{"wire": "length"}', '{"wire": "lenght"}'), "'wire' of DrawWire is a 'lenght'. Known: length, angle"),
+        (('column_stds = {"wire"', 'column_stds = {"wires"'), "names 'wires', which is no column"),
+        (('columns = {"wire": "length"}', 'columns = ["wire"]'), "columns of DrawWire is a list"),
+        (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
+        (("**ARM), DrawWire())", "**ARM), DrawWire)"), "DrawWire came as a class"),
+        (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "A list came as an instrument"),
+        ((" - row.wire", ""), "does not depend on its column 'wire'"),
+        (
+            ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),
+            "defines `problem` as a str",
+        ),
+    ],
+)
+def test_a_slip_in_an_own_instrument_is_one_line(tmp_path, capsys, changed, says):
+    place = written(tmp_path, "wire")
+    text = (place / "problem.py").read_text()
+    assert changed[0] in text
+    (place / "problem.py").write_text(text.replace(*changed))
+    assert main(["simulate", str(place), "--out", str(tmp_path / "s.csv")]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert len(said.splitlines()) == 1

@@ -149,8 +149,8 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
         bad = int(np.flatnonzero(~good)[0])
         raise ProblemError(
             f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is {noise[bad][0]:g} "
-            "in this row, as when a plunger lies in the face",
-            "Declare contact_std, or remove the row",
+            "in this row, as when a plunger lies in the face or a residual does not change with what errs",
+            "Declare a noise of the residual itself (contact_std, residual_std), or remove the row",
         )
     return block
 

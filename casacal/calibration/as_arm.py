@@ -1,23 +1,22 @@
-"""What a calibration can be asked as an arm: where it is, targets for it, other forms of it. All in memory."""
+"""What a calibration can be asked as an arm: where it is, targets for it, other forms of it. All in memory.
+
+What an answer needs is imported when it is asked for, so that a calibration alone does not wait for it.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.compensate import LARGEST, compensate
-from casacal.compensation.outcome import Compensation
-from casacal.compensation.predict import Prediction, joints_from, predict
-from casacal.compensation.programs import rounding_of, text_of
-from casacal.compensation.targets import targets_from
-from casacal.export.forms import export
-from casacal.export.functions import pose_function, tip_function, values_of
-from casacal.files import write_text
+
+if TYPE_CHECKING:
+    from casacal.compensation.arm import CalibratedArm
+    from casacal.compensation.outcome import Compensation
+    from casacal.compensation.predict import Prediction
 
 
 class AsArm(ABC):
@@ -50,6 +49,8 @@ class AsArm(ABC):
         Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
 
         """
+        from casacal.compensation.predict import joints_from, predict
+
         return predict(self.arm, joints_from(q, self.arm.source), frame=frame, nominal=nominal, std=std)
 
     def compensate(
@@ -57,7 +58,7 @@ class AsArm(ABC):
         targets: Any,
         *,
         frame: Literal["flange", "tip"] = "flange",
-        largest: float = LARGEST,
+        largest: float | None = None,
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
@@ -74,7 +75,16 @@ class AsArm(ABC):
         Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
 
         """
-        return compensate(self.arm, targets_from(targets, self.arm.source), frame=frame, largest=largest)
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.targets import targets_from
+
+        most = LARGEST if largest is None else largest
+        return compensate(
+            self.arm,
+            targets_from(targets, self.arm.source),
+            frame=frame,
+            largest=most,
+        )
 
     def program(
         self,
@@ -83,16 +93,26 @@ class AsArm(ABC):
         path: str | Path | None = None,
         *,
         frame: Literal["flange", "tip"] = "flange",
-        largest: float = LARGEST,
+        largest: float | None = None,
     ) -> str:
         """Compensated targets as text, "csv", "rapid", "krl" or "urscript"; written to `path` where one is given.
 
         targets, frame, largest, errors: as for `compensate`. The proof is about joint values as they are written.
         """
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.programs import rounding_of, text_of
+        from casacal.compensation.targets import targets_from
+        from casacal.files import write_text
+
+        most = LARGEST if largest is None else largest
         arm = self.arm
         rounding = rounding_of(form, arm.source.problem.robot)
         meant = targets_from(targets, arm.source)
-        text = text_of(compensate(arm, meant, frame=frame, largest=largest, rounding=rounding), form, arm)
+        text = text_of(
+            compensate(arm, meant, frame=frame, largest=most, rounding=rounding),
+            form,
+            arm,
+        )
         if path is not None:
             write_text(path, text)
         return text
@@ -109,6 +129,8 @@ class AsArm(ABC):
 
         source, prefix, errors: as for `casacal.export.forms.export`.
         """
+        from casacal.export.forms import export
+
         return export(self.arm, form, path, source=source, prefix=prefix)
 
     def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
@@ -121,6 +143,8 @@ class AsArm(ABC):
         Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
 
         """
+        from casacal.export.functions import pose_function
+
         return pose_function(self.arm, nominal=nominal, free=free)
 
     def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
@@ -129,6 +153,8 @@ class AsArm(ABC):
         nominal, free, errors: as for `pose_function`; free also what the tip depends on of instrument and columns.
         Raises ProblemError where there are several instruments.
         """
+        from casacal.export.functions import tip_function
+
         return tip_function(self.arm, nominal=nominal, free=free)
 
     def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
@@ -136,4 +162,6 @@ class AsArm(ABC):
 
         frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn.
         """
+        from casacal.export.functions import values_of
+
         return values_of(self.arm, frame=frame, nominal=nominal)

@@ -86,7 +86,7 @@ def _reasons(reasons: Sequence[str], width: int, room: int) -> list[str]:
         elif k == 0:
             lines += [*bullet[: left - 1], f"{bullet[left - 1][: width - 4]} ..."]
         else:
-            return [*lines, f"- {len(reasons) - k} more with --verbose"]
+            return [*lines, f"- {len(reasons) - k} more with --verbose"][: max(room, 1)]
     return lines
 
 

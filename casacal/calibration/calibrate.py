@@ -139,6 +139,8 @@ def samples_from(given: Any, source: ProblemFile) -> Samples:
 
 def _chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
     """The function that estimates, and what it is called."""
+    if loss is not None and not isinstance(loss, Loss):
+        raise CasacalError(f"{came(loss)} came as the loss", "Give huber() or tukey()")
     if method is None:
         method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.page import report_page
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, parameter_rows, write_calibration
 from casacal.calibration.summary import summary
@@ -91,6 +90,8 @@ class Calibrated(Calibration, AsArm):
             The path of the page.
 
         """
+        from casacal.calibration.page import report_page
+
         write_text(path, report_page(self, self.arm.document, box=box))
         return Path(path)
 

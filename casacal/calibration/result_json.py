@@ -16,7 +16,7 @@ from casacal.calibration.calibration import Calibration, Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result_file import save_problem
-from casacal.files import write_json, write_text
+from casacal.files import together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.write import write_samples
@@ -25,6 +25,8 @@ from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs, verdict
 from casacal.version import __version__
 
+FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png", "problem.pickle")
+"""What a calibration writes, most read first."""
 NOTES = {
     "data": "determined by the samples",
     "prior": "partly determined by the samples, partly by the prior",
@@ -190,19 +192,20 @@ def write_calibration(
     from casacal.calibration.pictures import save_plots
 
     rows = parameter_rows(calibration.fit, calibration.result)
-    table = folder / "parameters.csv"
     lines = ["name,unit,nominal,estimate,change,std,identifiable,note"] + [
         f"{row['name']},{row['unit']},{row['nominal']:.12g},{row['estimate']:.12g},"
         f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
         for row in rows
     ]
-    document, page = calibration_document(calibration), folder / "report.html"
-    write_json(folder / "result.json", document)
-    write_text(table, "\n".join(lines) + "\n")
-    write_text(page, report_page(calibration, document, command=command, box=box))
-    saved = save_problem(folder, calibration.source)
-    beside = [] if saved is None else [saved]
-    return [page, folder / "result.json", table, *save_plots(calibration, folder), *beside]
+    document = calibration_document(calibration)
+    with together(folder) as place:
+        write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
+        write_json(place / "result.json", document)
+        write_text(place / "parameters.csv", "\n".join(lines) + "\n")
+        save_plots(calibration, place)
+        save_problem(place, calibration.source)
+        made = [name for name in FILES if (place / name).exists()]
+    return [folder / name for name in made]
 
 
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:

@@ -38,6 +38,11 @@ class SavedCalibration(Value, AsArm):
         return str(self.found.document.get("status", ""))
 
     @property
+    def cost(self) -> float:
+        """The objective at the estimate."""
+        return float(self.found.document["cost"])
+
+    @property
     def metrics(self) -> Any:
         """Residuals before and after, on fitted and held-out rows, as in result.json; None for a truth."""
         return self.found.document.get("metrics")

@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
+from casacal.checks.rows import repeated
 from casacal.uncertainty.prior_scatter import prior_scatter
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
@@ -44,7 +45,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     """The same, each with its clause."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
-    found = (_far_parameters, _noise, _loose_priors, _unknown_places, _ignored_rows)
+    found = (_far_parameters, _repeated_rows, _noise, _loose_priors, _unknown_places, _ignored_rows)
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 
 
@@ -78,6 +79,15 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Either their priors are too "
         "tight, or the samples pull them where they do not belong; casacal check may tell.",
     )
+
+
+def _repeated_rows(calibration: Calibration) -> Doubt | None:
+    again = repeated(calibration.samples)
+    if not again:
+        return None
+    (finding,) = again
+    sentence = f"{finding.cause[:1].upper()}{finding.cause[1:]}. {finding.fix}."
+    return Doubt("rows are repeated, so every standard deviation is too small", sentence)
 
 
 def _noise(calibration: Calibration) -> Doubt | None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of
+from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of, whole_number
 from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 
@@ -38,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--holdout", type=float, default=0.0, metavar="F", help="fraction of each face's rows to hold out"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="K", help="for held-out rows and random methods")
+    parser.add_argument(
+        "--seed", type=whole_number, default=0, metavar="K", help="for held-out rows and random methods"
+    )
     parser.add_argument(
         "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
     )
@@ -71,6 +73,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.least_squares.losses import huber, tukey
     from casacal.problem.problem_file import load_problem
 
+    if options.out is not None and Path(options.out).exists() and not Path(options.out).is_dir():
+        raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
     samples = problem.read(samples_of(source, options.samples), readings=options.readings, key=options.id)

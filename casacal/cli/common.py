@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.errors import CasacalError
@@ -23,6 +24,20 @@ def add_result(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "result", metavar="RESULT", help="result.json of casacal calibrate, or the .truth.json of casacal simulate"
     )
+
+
+def spare(out: str, *inputs: str | None) -> None:
+    """Raise CasacalError where a command would write over what it reads."""
+    for given in inputs:
+        if given is not None and Path(given).exists() and Path(out).exists() and Path(out).samefile(given):
+            raise CasacalError(f"--out '{out}' is what the command reads", "Name another file")
+
+
+def whole_number(text: str) -> int:
+    """A seed, as argparse reads it: zero or a positive whole number."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from zero on")
+    return int(text)
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_json, add_result
+from casacal.cli.common import DONE, FAILED, add_json, add_result, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(
             f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
         )
+    spare(options.out, options.result, options.targets)
     result = read_result(options.result)
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_result
+from casacal.cli.common import DONE, add_json, add_result, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -45,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
+    spare(options.out, options.result)
     result = read_result(options.result)
     write_text(options.out, _exported(result, options))
     if options.json:

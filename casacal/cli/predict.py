@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add_json, add_result
+from casacal.cli.common import DONE, add_json, add_result, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "poses of a calibrated arm at joint values"
@@ -37,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.predict import predict, read_joints, write_prediction
     from casacal.compensation.result_file import read_result
 
+    spare(options.out, options.result, options.joints)
     result = read_result(options.result)
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)

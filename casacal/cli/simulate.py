@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_problem
+from casacal.cli.common import DONE, add_json, add_problem, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -27,7 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--samples", type=int, default=120, metavar="N", help="how many touches; default: 120")
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="K", help="seed of the arm, the touches and the noise; default: 0"
+        "--seed",
+        type=whole_number,
+        default=0,
+        metavar="K",
+        help="seed of arm, touches and noise; default: 0",
     )
     numbers = {
         "tilt": ("DEG", "largest angle between plunger and face normal"),
@@ -56,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
 
+    _spare_measurements(Path(options.out))
     source = load_problem(options.problem)
     cell = _cell(source, options)
     simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
@@ -77,6 +82,12 @@ def run(options: argparse.Namespace) -> int:
     )
     say_paragraph(f"Written: {', '.join(written)}")
     return DONE
+
+
+def _spare_measurements(out: Path) -> None:
+    """Raise CasacalError where simulated samples would take the place of a file that is not simulated."""
+    if out.is_file() and not out.read_bytes()[:64].startswith(b"# simulated by casacal"):
+        raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
 
 
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:

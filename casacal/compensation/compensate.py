@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import CalibratedArm, infinite_variances, local_coordinates
+from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates
 from casacal.compensation.inverse_kinematics import PosedArm, turning
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
 from casacal.compensation.predict import predict
 from casacal.compensation.targets import Targets
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.samples import Samples
 
 TOLERANCE = 5e-3, 5e-6
@@ -65,6 +65,8 @@ def compensate(
     Raises CasacalError for a result that did not converge, or whose arm has directions that nothing holds.
 
     """
+    if frame not in FRAMES:
+        raise UnknownNameError("frame", str(frame), FRAMES)
     _trusted(result, frame)
     rounding = rounding or Rounding()
     nominal = PosedArm.of(result.source.problem, local_coordinates(result, nominal=True), frame)

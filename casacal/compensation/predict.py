@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates
-from casacal.errors import CasacalError
+from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates
+from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem_file import ProblemFile
@@ -112,6 +112,8 @@ def predict(
     """
     from scipy.spatial.transform import Rotation
 
+    if frame not in FRAMES:
+        raise UnknownNameError("frame", str(frame), FRAMES)
     problem = result.source.problem
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal)

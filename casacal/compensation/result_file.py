@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from casacal.errors import CasacalError
 from casacal.files import place_whole
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.samples.layout import LARGEST
 from casacal.unknowns import Parameter
 
 PROBLEM_BESIDE = "problem.pickle"
@@ -34,16 +36,30 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     try:
         document = json.loads(place.read_text(encoding="utf-8"))
         _ = document["problem"]["path"], document["problem"]["sha256"]
-        _ = [(row["name"], float(row["estimate"])) for row in document["parameters"]]
+        numbers = [(row["name"], row["estimate"]) for row in document["parameters"]]
     except FileNotFoundError:
         raise CasacalError(
             f"{file}: there is no such file", "Give the result.json that calibrate --out wrote"
         ) from None
     except (OSError, ValueError, KeyError, TypeError):
         raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json") from None
+    _check_numbers(file, numbers)
     source = _problem_of(place, document) if problem is None else ProblemFile.of(problem, document["problem"]["name"])
     _check_nominal(file, source, document)
     return CalibratedArm(file, source, document)
+
+
+def _check_numbers(file: str, numbers: Sequence[tuple[str, Any]]) -> None:
+    """Refuse a result that somebody edited: estimates that are no numbers, absurd, or there twice."""
+    for name, estimate in numbers:
+        known = isinstance(estimate, (int, float)) and not isinstance(estimate, bool)
+        if not known or not abs(estimate) < LARGEST["length"]:
+            raise CasacalError(
+                f"{file}: the estimate of '{name}' is {estimate!r}", "Restore the file, or calibrate again"
+            )
+    twice = {name for name, count in Counter(name for name, _ in numbers).items() if count > 1}
+    if twice:
+        raise CasacalError(f"{file}: '{sorted(twice)[0]}' stands there twice", "Restore the file, or calibrate again")
 
 
 def _problem_of(place: Path, document: Mapping[str, Any]) -> ProblemFile:

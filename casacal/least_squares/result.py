@@ -15,7 +15,7 @@ from casacal.errors import CasacalError, came
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
-from casacal.values import FrozenMapping, Value, read_only, short
+from casacal.values import Value, frozen, short
 
 
 class Status(Enum):
@@ -67,11 +67,8 @@ class Result(Value):
     belief: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("x", "information", "belief"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, None if given is None else read_only(given))
-        trace = {name: read_only(values) for name, values in self.trace.items()}
-        object.__setattr__(self, "trace", FrozenMapping(trace))
+        for name in ("x", "information", "belief", "trace"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __repr__(self) -> str:
         numbers = [f"{name} {value:.6g}" for name, value in zip(self.problem.names, self.x, strict=True)]

@@ -12,6 +12,7 @@ from typing import Any
 
 from casacal.errors import ProblemError, UnknownNameError
 from casacal.instruments import Instrument
+from casacal.instruments.instrument import check_declaration
 from casacal.problem.compile import RowModel
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
@@ -39,6 +40,7 @@ class Problem(Value):
         if not instruments:
             raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
         for instrument in instruments:
+            check_declaration(instrument)
             name = type(instrument).__name__
             twice = set(robot.parameters) & set(instrument.unknowns)
             if twice:

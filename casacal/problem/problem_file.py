@@ -60,7 +60,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
-        raise ProblemError(f"{file} does not define `problem`", "Add problem = Problem(robot, DialOnPlane(...))")
+        what = "does not define `problem`" if problem is None else f"defines `problem` as a {type(problem).__name__}"
+        raise ProblemError(f"{file} {what}", "Add problem = Problem(robot, DialOnPlane(...))")
     if cell is not None and not isinstance(cell, Cell):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     digest = hashlib.sha256(source).hexdigest()

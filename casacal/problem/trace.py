@@ -121,6 +121,12 @@ def seen(
     p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
     pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
     residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
+    for name in instrument.columns:
+        if not ca.depends_on(ca.SX(residual), getattr(row, name)):
+            raise ProblemError(
+                f"The residual of {kind} does not depend on its column '{name}'",
+                "Use row." + name + ", or drop the column",
+            )
     tip = _traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
     plunger = instrument.plunger_direction(pose, p)
     return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, came
 from casacal.samples.samples import Samples
 from casacal.tables.labels import combinations
 
@@ -15,6 +15,12 @@ def split(samples: Samples, holdout: float, seed: int) -> tuple[NDArray[np.intp]
 
     Raises CasacalError unless 0 <= holdout < 1.
     """
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
+    if not isinstance(holdout, (int, float)):
+        raise CasacalError(
+            f"{came(holdout)} came as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
+        )
     if not 0 <= holdout < 1:
         raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -62,6 +63,16 @@ class Quantities:
 
     def _labels(self, name: str) -> Labels:
         if name not in self._columns.header:
+            alike = get_close_matches(name, [column.lower() for column in self._columns.header], n=1, cutoff=0.8)
+            for column in self._columns.header:
+                if column.lower() in alike:
+                    raise SamplesError(
+                        self._columns.file,
+                        f"there is no column '{name}' of labels, but one that is written '{column}'",
+                        f"Call it {name}, or something else if it holds no labels",
+                        line=self._columns.header_line or None,
+                        column=column,
+                    )
             return Labels((name,), np.zeros(len(self._columns.lines), dtype=np.int32))
         labels = self._columns.text(name)
         if "" in labels.names:

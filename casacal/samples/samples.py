@@ -147,6 +147,8 @@ class Samples(Value):
     @staticmethod
     def from_columns(columns: Columns, layout: Layout, *, absurd: bool = False) -> Samples:
         """Samples from columns, which is what all of the above become; raises SamplesError."""
+        if not len(columns.lines):
+            raise SamplesError(columns.file, "there is no row", "Give one row per sample")
         read = Quantities(columns, layout, absurd=absurd)
         return Samples(
             read.joints(), read.columns(), read.labels(), columns.lines, read.rest(), columns.file, columns.sha256

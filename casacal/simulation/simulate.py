@@ -79,6 +79,8 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
     Raises SimulationError when it cannot be measured as asked.
 
     """
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
     if samples < 1:
         raise SimulationError(f"{samples} samples were asked for", "Ask for at least one")
     if not isinstance(problem, Problem):
