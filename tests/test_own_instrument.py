@@ -287,10 +287,10 @@ def bind_count(problem):
         (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
         (("**ARM), DrawWire())", "**ARM), DrawWire)"), "DrawWire came as a class"),
         (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "A list came as an instrument"),
-        ((" - row.wire", ""), "does not depend on its column 'wire'"),
+        ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),
-            "defines `problem` as a str",
+            "as a Problem: a str stands there",
         ),
     ],
 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casacal.errors import CasacalError, ProblemError
+from casacal.errors import CasacalError, ProblemError, came
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.user_code import run_file
@@ -60,8 +60,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
-        what = "does not define `problem`" if problem is None else f"defines `problem` as a {type(problem).__name__}"
-        raise ProblemError(f"{file} {what}", "Add problem = Problem(robot, DialOnPlane(...))")
+        what = "" if problem is None else f" as a Problem: {came(problem).lower()} stands there"
+        raise ProblemError(f"{file} does not define `problem`{what}", "Add problem = Problem(robot, DialOnPlane(...))")
     if cell is not None and not isinstance(cell, Cell):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     digest = hashlib.sha256(source).hexdigest()

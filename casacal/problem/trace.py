@@ -121,12 +121,16 @@ def seen(
     p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
     pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
     residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
-    for name in instrument.columns:
-        if not ca.depends_on(ca.SX(residual), getattr(row, name)):
-            raise ProblemError(
-                f"The residual of {kind} does not depend on its column '{name}'",
-                "Use row." + name + ", or drop the column",
-            )
+    if (
+        columns
+        and instrument.columns
+        and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in instrument.columns)
+    ):
+        names = ", ".join(f"row.{name}" for name in instrument.columns)
+        raise ProblemError(
+            f"The residual of {kind} does not depend on what it reads, its column '{next(iter(instrument.columns))}'",
+            f"Use {names}, or declare no columns",
+        )
     tip = _traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
     plunger = instrument.plunger_direction(pose, p)
     return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))
