@@ -219,6 +219,20 @@ def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tm
     assert [line for line in lines if line.startswith("Written:")]
 
 
+@pytest.mark.parametrize("reasons", [1, 2, 5])
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_long_paths_do_not_push_the_answer_off_the_screen(clean, reasons, width):
+    sentence = "Something is not quite as it should be, and this sentence takes more than a line to say so."
+    verdict = dataclasses.replace(verdict_of(clean), level="use with care", reasons=(sentence,) * reasons)
+    expected = ["Inside 1000:1700,-400:400,400:1000 mm: a tip error of 0.556 mm RMS, 0.853 mm at worst."]
+    for length in range(10, 400, 15):
+        about = f"/{'p' * length}/problem.py /{'s' * length}/samples.csv"
+        lines = brief(clean, verdict, about=about, out="o", expected=expected, width=width, room=12).splitlines()
+        assert len(lines) <= 12
+        assert any(line.startswith("- Something") for line in lines)
+        assert any(line.startswith("Next: ") for line in lines)
+
+
 def test_reasons_that_do_not_fit_are_counted(clean):
     sentence = "Something is not quite as it should be, and this sentence takes more than a line to say so."
     verdict = dataclasses.replace(verdict_of(clean), reasons=tuple(f"{k}. {sentence}" for k in range(12)))

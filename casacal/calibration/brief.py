@@ -38,11 +38,15 @@ def brief(
     denied = verdict.level == "do not use"
     head = [_subject(calibration), verdict.words]
     tail = [] if denied else [*expected, _residual(calibration)]
-    tail.append(f"Next: {next_step(calibration, verdict, about=about, out=out)}")
-    above, below = (_wrapped(lines, width) for lines in (head, tail))
-    left = room - len(above) - len(below)
     told = verdict.words.lower()
-    reasons = _reasons([reason for reason in verdict.reasons if reason.lower() not in told], width, left)
+    untold = [reason for reason in verdict.reasons if reason.lower() not in told]
+    above = _wrapped(head, width)
+    for named in (about, "PROBLEM SAMPLES"):  # long paths give way to what speaks against the result
+        below = _wrapped([*tail, f"Next: {next_step(calibration, verdict, about=named, out=out)}"], width)
+        left = room - len(above) - len(below)
+        if left >= min(len(untold), 2):
+            break
+    reasons = _reasons(untold, width, left)
     cure = "" if denied else best_cure(calibration)
     more = _wrapped([f"To know more: {cure}"], width) if cure else []
     if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result
