@@ -1,12 +1,15 @@
 """Threads share rows and candidates; what they find does not depend on how many there are."""
 
+import functools
+import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from test_kernels import BACKENDS
 
-from casacal import bind, lm
+from casacal import annealing, bind, calibrate, check, ekf, ipopt, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
 from casacal.least_squares.losses import huber
 from casacal.threads import shared_out, thread_count
@@ -82,3 +85,60 @@ def test_threads_are_counted(monkeypatch):
     monkeypatch.setenv("CASACAL_THREADS", "many")
     with pytest.raises(ProblemError, match="'many' threads"):
         thread_count()
+
+
+def bits_of(calibration):
+    document = calibration.to_dict()
+    document.pop("seconds")
+    return json.dumps(document, sort_keys=True)
+
+
+def in_turn_and_at_once(jobs, threads):
+    """What each job makes: alone after the others, and many at a time on what nobody has used before."""
+    with ThreadPoolExecutor(threads) as pool:
+        at_once = list(pool.map(lambda job: job(), jobs))
+    return [job() for job in jobs], at_once
+
+
+def nominal_jacobian(bound):
+    return bound.compact_jacobian(bound.x0)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_threads_share_a_problem(hsr, backend):
+    """One problem that nothing was traced or compiled of yet, used by four threads in all ways at once."""
+    problem = load_problem(hsr.path).problem
+    samples = [problem.read(hsr.samples).take(np.arange(k, 120)) for k in range(4)]
+    ways = [
+        lambda s: lm(bind(problem, s, backend=backend)).x.tobytes(),
+        lambda s: sckf(bind(problem, s, backend=backend)).x.tobytes(),
+        lambda s: ekf(bind(problem, s, backend=backend)).x.tobytes(),
+        lambda s: ipopt(bind(problem, s, backend=backend)).x.tobytes(),
+        lambda s: annealing(bind(problem, s, backend=backend), seed=1, budget=200).x.tobytes(),
+        lambda s: repr(check(problem, s)),
+        lambda s: bits_of(calibrate(problem, s, backend=backend, reference=False)),
+        lambda s: repr(calibrate(problem, s, method="lm", backend=backend, reference=False).tip_std),
+        lambda s: calibrate(problem, s, method="lm", reference=False).predict(s.joints, std=True).std.tobytes(),
+        lambda s: nominal_jacobian(bind(problem, s, backend=backend)).tobytes(),
+        lambda s: simulate(problem, hsr.cell, seed=len(s)).samples.columns["reading"].tobytes(),
+    ]
+    jobs = [functools.partial(way, some) for some in samples for way in ways]
+    alone, at_once = in_turn_and_at_once(jobs, 4)
+    assert [k for k, (one, other) in enumerate(zip(alone, at_once, strict=True)) if one != other] == []
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_five_hundred_calibrations_on_eight_threads(hsr, backend):
+    problem = load_problem(hsr.path).problem
+    rows, rng = problem.read(hsr.samples), np.random.default_rng(4)
+    chosen = [rows.take(np.sort(rng.choice(len(rows), 100, replace=False))) for _ in range(20)]
+    methods = ("lm", "sckf-lm", "lm", "ekf", "lm")
+
+    def job(k):
+        made = calibrate(problem, chosen[k % 20], method=methods[k % 5], backend=backend, reference=False)
+        return made.result.x.tobytes(), made.result.covariance.tobytes()
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(job, range(500)))
+    alone = [job(k) for k in range(20)]
+    assert [k for k in range(500) if found[k] != alone[k % 20]] == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import casadi as ca
@@ -14,11 +15,14 @@ BLOCK = 256
 
 
 class Batch:
-    """A CasADi function of dense columns, evaluated for many rows at once."""
+    """A CasADi function of dense columns, evaluated for many rows at once.
+
+    Threads may share it: each has arguments, results and CasADi's work memory of its own.
+    """
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
-        self._widths: dict[int, tuple[Any, ...]] = {}
+        self._own = threading.local()
 
     def __call__(self, *inputs: Array) -> list[Array]:
         """Evaluate: inputs (N, k), or (k,) for all rows alike; outputs (N, size)."""
@@ -37,7 +41,10 @@ class Batch:
 
     def _width(self, width: int) -> tuple[Any, ...]:
         """Arguments, results and the call that fills them; the function must outlive its buffer, so both are kept."""
-        if width not in self._widths:
+        if not hasattr(self._own, "widths"):
+            self._own.widths = {}
+        widths: dict[int, tuple[Any, ...]] = self._own.widths
+        if width not in widths:
             mapped = self.function.map(width) if width > 1 else self.function
             buffer: Any  # CasADi's stubs do not know that it takes a memoryview
             buffer, evaluate = mapped.buffer()
@@ -50,5 +57,5 @@ class Batch:
             for i, array in enumerate(results):
                 if array.size:
                     buffer.set_res(i, memoryview(array.reshape(-1).data))
-            self._widths[width] = (arguments, results, evaluate, buffer, mapped)
-        return self._widths[width]
+            widths[width] = (arguments, results, evaluate, buffer, mapped)
+        return widths[width]

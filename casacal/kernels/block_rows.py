@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import casadi as ca
@@ -23,8 +22,7 @@ class BlockKernels:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self._slopes, self._residual, self._parameters = slopes, slopes.only(0), parameters
-        # one set per thread: CasADi's machine works in memory of its function's own
-        self._local = threading.local()
+        self._functions: dict[tuple[str, int], Buffered] = {}
 
     def lanes(self, d: Array, w: Array) -> BlockLanes:
         """Data (columns, n) and weights (m, n) as the kernels read them."""
@@ -86,12 +84,9 @@ class BlockKernels:
         return self._kept(name, lanes.width, lambda: self._built(name, lanes.width))
 
     def _kept(self, name: str, width: int, build: Callable[[], ca.Function]) -> Buffered:
-        if not hasattr(self._local, "functions"):
-            self._local.functions = {}
-        functions: dict[tuple[str, int], Buffered] = self._local.functions
-        if (name, width) not in functions:
-            functions[name, width] = Buffered(build())
-        return functions[name, width]
+        if (name, width) not in self._functions:  # threads that come at once may build it twice, alike
+            self._functions[name, width] = Buffered(build())
+        return self._functions[name, width]
 
     def _built(self, name: str, width: int) -> ca.Function:
         program = self._residual if name in ("residual", "cost") else self._slopes

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import casadi as ca
 import numpy as np
 
@@ -37,8 +35,7 @@ class CurvatureKernel:
         bent = [ca.project(bend, pattern).nz[:] for bend in bends]
         outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
         self._program = read_program(ca.Function("curved", [v, c, d], outputs), ("once", "once", "lane"))
-        # one set per thread: CasADi's machine works in memory of its function's own
-        self._local = threading.local()
+        self._built: dict[int, Buffered] = {}
 
     def lanes(self, data: Array, noise: Array) -> BlockLanes:
         """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
@@ -62,16 +59,14 @@ class CurvatureKernel:
 
     def _sums(self, p: Array, d: Array, w: Array) -> tuple[Array, Array]:
         """Normal matrix of slopes and residual, and entries of the bend, of some blocks."""
-        if not hasattr(self._local, "built"):
-            self._local.built = {}
-        built: dict[int, Buffered] = self._local.built
         width = d.shape[2]
-        if width not in built:
-            built[width] = Buffered(self._block(width))
+        if width not in self._built:  # threads that come at once may build it twice, alike
+            self._built[width] = Buffered(self._block(width))
+        evaluate = self._built[width]
         s, bent = np.zeros((self.unknowns + 1, self.unknowns + 1)), np.zeros(self._rows.size)
         some, others = np.empty_like(s), np.empty_like(bent)
         for one, weights in zip(d, w, strict=True):
-            built[width]((p, one, weights), (some, others))
+            evaluate((p, one, weights), (some, others))
             s += some
             bent += others
         return s, bent

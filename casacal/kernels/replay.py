@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,31 +13,40 @@ from casacal.kernels.program import Program
 
 
 class Buffered:
-    """A CasADi function called on memory that NumPy owns; the function must outlive its buffer, so both are kept."""
+    """A CasADi function called on memory that NumPy owns, by any number of threads.
+
+    Work memory belongs to a buffer, not to a function, and CasADi lets go of Python's lock while it evaluates. Each
+    thread has a buffer of its own, therefore; the function is one for all.
+    """
 
     def __init__(self, function: ca.Function) -> None:
-        self._kept = function
-        self._buffer: Any
-        self._evaluate: Callable[[], None]
-        self._buffer, self._evaluate = function.buffer()
+        self._function = function
+        self._own = threading.local()
 
     def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Evaluate: arrays of float64 in C order, the outputs' overwritten; shapes are as CasADi's, transposed."""
         self.bound(inputs, outputs)()
 
     def bound(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
-        """What evaluates from and to the same memory whenever it is called, as long as this object lives."""
+        """What evaluates from and to the same memory whenever this thread calls it, as long as this object lives."""
+        buffer, evaluate = self._buffer()
         for i, array in enumerate(inputs):
-            self._buffer.set_arg(i, _flat(array))
+            buffer.set_arg(i, _flat(array))
         for i, array in enumerate(outputs):
-            self._buffer.set_res(i, _flat(array))
-        self._arrays = (inputs, outputs)
-        return self._evaluate
+            buffer.set_res(i, _flat(array))
+        self._own.arrays = (inputs, outputs)
+        return evaluate
 
     def feed(self, i: int, array: Array) -> None:
         """Read argument i from other memory from now on."""
-        self._buffer.set_arg(i, _flat(array))
-        self._fed = array
+        self._buffer()[0].set_arg(i, _flat(array))
+        self._own.fed = array
+
+    def _buffer(self) -> tuple[Any, Callable[[], None]]:
+        if not hasattr(self._own, "buffer"):
+            self._own.buffer = self._function.buffer()
+        buffer: tuple[Any, Callable[[], None]] = self._own.buffer
+        return buffer
 
 
 def _flat(array: Array) -> memoryview:
