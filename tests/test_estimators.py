@@ -36,8 +36,9 @@ from casacal import (
 )
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
-from casacal.estimators.lm import Damping, Move, stop
+from casacal.estimators.lm_decisions import Damping, Move, Point, Shortest, acceptable, given_up, next_move
 from casacal.estimators.sckf import Belief, cubature_update, predict
+from casacal.least_squares.objective import Normal, Step
 from casacal.least_squares.result import Status
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
@@ -256,20 +257,23 @@ class Spoilt(Matrix):
 
     def damped_step(self, x, normal, damping):
         self.asked += 1
-        assert self.asked <= 100, "more steps than max_steps allows"
+        assert self.asked <= 1000, "more steps than max_steps allows"
         return super().damped_step(x, normal, damping) if self.steps else None
+
+    def revealing_step(self, x, normal, damping, loss=None):
+        return super().revealing_step(x, normal, damping, loss) if self.steps else None
 
 
 @pytest.mark.parametrize("slopes", [math.nan, math.inf, -math.inf, 1e200], ids=str)
 @pytest.mark.filterwarnings("ignore:(invalid value|overflow) encountered:RuntimeWarning")
 def test_lm_ends_where_the_cost_is_finite_and_its_derivatives_are_not(slopes):
     start = lm(Spoilt(slopes=slopes))
-    assert (start.status, start.steps, start.converged) == (Status.NOT_FINITE, 1, False)
+    assert (start.status, start.steps, start.converged) == (Status.NOT_FINITE, 0, False)
     np.testing.assert_array_equal(start.x, 0.0)
-    later = lm(Spoilt(slopes=slopes, beyond=0.1))  # after the first step
-    assert later.status is Status.NOT_FINITE
-    assert later.steps == 2
-    assert np.isfinite(later.x).all()
+    later = lm(Spoilt(slopes=slopes, beyond=0.1))  # it goes as far as slopes are finite
+    assert later.status is Status.STUCK
+    assert 0.09 < np.linalg.norm(later.x) <= 0.1
+    assert later.steps < 500
 
 
 def test_lm_ends_where_there_is_never_a_step():
@@ -278,7 +282,7 @@ def test_lm_ends_where_there_is_never_a_step():
     assert result.status is Status.STUCK
     assert result.steps == problem.asked < 20
     assert lm(Spoilt(steps=False), max_steps=3).status is Status.MAX_STEPS
-    assert lm(Spoilt(steps=False), damping=0.0).steps == 100
+    assert lm(Spoilt(steps=False), damping=0.0, max_steps=100).steps == 100
 
 
 @pytest.mark.parametrize("backend", ["c", "blocks"])
@@ -295,7 +299,7 @@ def test_lm_ends_where_a_model_has_an_infinite_slope(backend, monkeypatch):
     monkeypatch.setattr(BoundProblem, "damped_step", lambda *given: (next(allowed), step(*given))[1])
     result = lm(bind(problem, *linear.samples, backend=backend))
     assert math.isfinite(result.cost)
-    assert (result.status, result.steps) == (Status.NOT_FINITE, 1)
+    assert (result.status, result.steps) == (Status.NOT_FINITE, 0)
 
 
 def test_damping_follows_the_gain_ratio_as_nielsen_has_it():
@@ -305,7 +309,7 @@ def test_damping_follows_the_gain_ratio_as_nielsen_has_it():
     assert mus == [18.0, 72.0, 576.0]
     assert level.accepted(0.5) == Damping(576.0, 2.0)
     assert not level.stuck
-    assert Damping(1e21).stuck
+    assert Damping(1e51).stuck
 
 
 def test_on_a_linear_problem_the_model_foretells_the_fall():
@@ -316,16 +320,75 @@ def test_on_a_linear_problem_the_model_foretells_the_fall():
     np.testing.assert_allclose(result.trace["damping"][:2], [1e-3, 1e-3 / 3])
 
 
+def a_move(length, *, undamped=True, hidden=True, predicted=1e-20):
+    return Move(Step(np.zeros(1), length**2, predicted), undamped, hidden)
+
+
 def test_when_lm_stops():
-    seen, hidden = Move(1e-3, False), Move(1e-5, True)
-    assert stop(seen, None, 1e-9) is None
-    assert stop(Move(1e-10, False), seen, 1e-9) is Status.CONVERGED
-    assert stop(hidden, seen, 1e-9) is None  # the first that cannot be seen in the cost
-    assert stop(Move(4e-6, True), hidden, 1e-9) is None  # they shrink
-    assert stop(Move(6e-6, True), hidden, 1e-9) is Status.PRECISION
-    assert not hidden.negligible(seen, 1e-9)
-    assert Move(1e-7, True).negligible(seen, 1e-9)  # the next, again 1e-4 times as long, is below the tolerance
-    assert not Move(1e-7, False).negligible(seen, 1e-9)
+    last = a_move(1e-3)
+    assert a_move(1e-10).negligible(None, 1e-9)
+    assert a_move(1e-7).negligible(last, 1e-9)  # the next, again 1e-4 times as long, is below the tolerance
+    assert not a_move(1e-5).negligible(last, 1e-9)
+    assert not a_move(1e-7).negligible(None, 1e-9)
+    assert not a_move(1e-7).negligible(a_move(1e-3, undamped=False), 1e-9)  # shorter, but not by its own merit
+    assert not a_move(1e-7, hidden=False).negligible(last, 1e-9)
+    assert not a_move(1e-30, undamped=False).negligible(last, 1e-9)  # damping makes any step short
+
+
+def test_lm_gives_up_when_no_damping_is_left_to_try():
+    here = Point(np.zeros(1), Normal(3.0, np.zeros(1), np.eye(1)), 3.0)
+    assert given_up(a_move(1.0, predicted=1e-15), here, Shortest()) is None
+    assert given_up(a_move(1.0, predicted=1e-16), here, Shortest()) is Status.STUCK
+    assert given_up(a_move(1.0, predicted=1e-16), here, Shortest(1e-4, here)) is Status.PRECISION
+    assert given_up(a_move(1.0, predicted=1e-16), here, Shortest(1e-2, here)) is Status.STUCK
+
+
+def test_the_shortest_undamped_step_is_remembered():
+    one, other = (Point(np.full(1, k), Normal(1.0, np.zeros(1), np.eye(1)), 1.0) for k in (0.0, 1.0))
+    shortest = Shortest().after(a_move(1e-3), one).after(a_move(1e-9, undamped=False), other)
+    assert shortest == (1e-3, one, 0)
+    assert shortest.after(a_move(1e-3), other) == (1e-3, one, 1)
+    assert shortest.after(a_move(9e-4), other) == (9e-4, other, 0)
+
+
+def test_a_step_is_accepted_where_the_cost_falls_or_an_undamped_fall_is_hidden():
+    fine, spoilt = (Point(np.zeros(1), Normal(1.0, np.full(1, slope), np.eye(1)), 1.0) for slope in (0.0, math.nan))
+    assert acceptable(a_move(1.0, undamped=False, hidden=False), fine, 1e-9)
+    assert not acceptable(a_move(1.0, undamped=False), fine, -1e-9)
+    assert acceptable(a_move(1.0), fine, -1e-9)
+    assert not acceptable(a_move(1.0), spoilt, -1e-9)
+    assert not acceptable(a_move(1.0, hidden=False), fine, -1e-9)
+
+
+def test_the_undamped_step_is_tried_where_it_is_short_and_none_was_rejected():
+    problem = Matrix(np.eye(2), np.array([1e-2, 1e-3]), np.zeros(2), np.full(2, 1e3))
+    here = Point(problem.x0, problem.normal(problem.x0), problem.cost(problem.x0))
+    move = next_move(problem, here, Damping(1e12), None, None)
+    assert move.undamped
+    np.testing.assert_allclose(move.step.x, [1e-2, 1e-3], rtol=1e-5)
+    damped = next_move(problem, here, Damping(1e12).rejected(), None, None)
+    assert not damped.undamped
+    assert damped.length < 1e-3 * move.length
+    far = Matrix(np.eye(2), np.array([1e2, 1e-3]), np.zeros(2), np.full(2, 1e3))
+    there = Point(far.x0, far.normal(far.x0), far.cost(far.x0))
+    assert not next_move(far, there, Damping(1e12), None, None).undamped  # short for its damping alone
+
+
+@pytest.mark.parametrize("method", [lm, sckf_lm])
+def test_gauges_are_left_alone_whatever_their_number(method):
+    """Three directions that nothing holds, one of them hidden in a badly scaled column."""
+    rng = np.random.default_rng(2)
+    a = rng.normal(size=(40, 6))
+    a[:, 3], a[:, 4], a[:, 5] = a[:, 0], 1e-6 * (a[:, 1] + a[:, 2]), 0.0
+    truth = np.array([1.0, -2.0, 0.5, 0.0, 0.0, 0.0])
+    problem = Matrix(a, a @ truth + 1e-3 * rng.normal(size=40), np.zeros(6), np.full(6, np.inf), np.ones(6))
+    result = method(problem)
+    best = np.linalg.lstsq(a, problem.b, rcond=None)[0]
+    assert result.converged
+    assert result.steps <= 6
+    assert result.cost == pytest.approx(np.sum((a @ best - problem.b) ** 2) / 2, rel=1e-12)
+    assert np.linalg.norm(result.x) == pytest.approx(np.linalg.norm(best), rel=1e-6)  # nothing was added along them
+    assert result.x[5] == 0.0
 
 
 # --- filters ---------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from casacal.estimators.lm import lm
+from casacal.estimators.lm import MAX_STEPS, lm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
 from casacal.least_squares.objective import LeastSquares
@@ -15,7 +15,7 @@ from casacal.least_squares.result import Result
 def sckf_lm(
     problem: LeastSquares,
     *,
-    max_steps: int = 100,
+    max_steps: int = MAX_STEPS,
     tolerance: float = 1e-9,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:

@@ -10,6 +10,9 @@ from casacal.array_types import Array
 LEAST_LEFT = 1e-10
 """Fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
 
+LEAST_PIVOT = 1e-12
+"""Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""
+
 WELL_CONDITIONED = 1e-12
 """Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
 
@@ -45,7 +48,9 @@ def downdated(root: Array, u: Array) -> Array | None:
 
 
 def damped_solution(information: Array, gradient: Array, damping: Array | float) -> Array | None:
-    """Solve (H + diag(damping)) step = -g by Cholesky; None when that matrix is not positive definite.
+    """Solve (H + diag(damping)) step = -g by Cholesky; None when that matrix is not safely positive definite.
+
+    Safely: no pivot falls below `LEAST_PIVOT` of its diagonal element.
 
     Args:
         information: H (n, n), symmetric.
@@ -57,10 +62,36 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
         return gradient.copy()
     matrix = information.copy()
     matrix.flat[:: len(matrix) + 1] += damping
+    diagonal = np.diagonal(matrix)
     root, failed = dpotrf(matrix, lower=1)
-    if failed or not np.isfinite(root[-1, -1]):
+    if failed or not (np.diagonal(root) ** 2 > LEAST_PIVOT * diagonal).all() or not np.isfinite(root[-1, -1]):
         return None
     return np.asarray(-dpotrs(root, gradient, lower=1)[0])
+
+
+def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
+    """Solve (A'A + damping I) s = -g by singular values, apart from directions that A does not see.
+
+    Squaring A loses what lies below 1e-8 of its largest singular value. What lies below rounding itself is a gauge,
+    along which g is rounding too: the step has no part in it.
+
+    Args:
+        rows: A (m, n), m >= n.
+        gradient: g (n,).
+        damping: one number.
+
+    Returns s (n,), its squared length |A s|^2 and the fall -g's - |A s|^2 / 2; None where A or g is not finite.
+
+    """
+    if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
+        return None
+    _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    held = values > len(values) * np.finfo(float).eps * values[0]
+    values, directions = values[held], directions[held]
+    slope = directions @ gradient
+    along = -slope / (values**2 + damping)
+    squared_length = float(np.sum((values * along) ** 2))
+    return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
 
 
 def column_scales(data_information: Array, prior_std: Array) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import damped_solution
+from casacal.least_squares.linalg import damped_solution, revealed_solution
 from casacal.least_squares.losses import Loss
 
 
@@ -156,7 +156,7 @@ class LeastSquares(ABC):
     def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
         """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
 
-        None when that matrix is not positive definite. `normal` is the data's part of H and g at x.
+        None when that matrix is not safely positive definite. `normal` is the data's part of H and g at x.
         """
         scale = self.start_std
         information = scale[:, None] * normal.information * scale
@@ -166,6 +166,16 @@ class LeastSquares(ABC):
         if step is None:
             return None
         return Step(x + scale * step, float(step @ information @ step), float(step @ (damping * step - gradient)) / 2)
+
+    def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> Step | None:
+        """The same step from singular values, where normal equations are not safe; None where not all is finite."""
+        scale, rows = self.start_std, self.compact_jacobian(x)
+        if loss is not None:
+            rows = self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
+        stacked = np.vstack([rows, np.diag(np.sqrt(self.prior_information))]) * scale
+        gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
+        found = revealed_solution(stacked, gradient, damping)
+        return None if found is None else Step(x + scale * found[0], found[1], found[2])
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""

@@ -1,6 +1,8 @@
 #include "lanes.h"
 #include "piece.h"
 
+#define LEAST_PIVOT 1e-12
+
 /* Information[n][n], gradient[n] and cost of each of `count` pieces of the rows, at x, to sums[piece]. */
 void accumulate(long count, const piece *pieces, long n, const double *x, double *sums, double *work)
 {
@@ -22,7 +24,8 @@ void accumulate(long count, const piece *pieces, long n, const double *x, double
 
 /* A damped Gauss-Newton step y in coordinates (x - x0) / scale, (H + damping I) y = -g, with H and g of the whole
    objective: x + scale y to out[n], then y'Hy and the fall of the cost that the model predicts. H + damping I = U'U by
-   rows, which vectorises. work: 2 n (n + 1). Returns whether the matrix was positive definite. */
+   rows, which vectorises. work: 2 n (n + 1). Returns whether the matrix was safely positive definite: a pivot below
+   LEAST_PIVOT of its diagonal element is mostly rounding. */
 long damped_step(long n, const double *restrict information, const double *restrict gradient, const double *restrict x,
                  const double *restrict x0, const double *restrict scale, const double *restrict prior, double damping,
                  double *restrict out, double *restrict work)
@@ -39,7 +42,7 @@ long damped_step(long n, const double *restrict information, const double *restr
     }
     for (long k = 0; k < n; k++) {
         const double *pivot = u + k * n;
-        if (!(pivot[k] > 0.0 && isfinite(pivot[k]))) return 0;
+        if (!(pivot[k] > LEAST_PIVOT * (h[k * n + k] + damping) && isfinite(pivot[k]))) return 0;
         const double inverse = 1.0 / sqrt(pivot[k]);
         for (long i = k; i < n; i++) u[k * n + i] *= inverse;
         y[k] /= pivot[k];
