@@ -8,6 +8,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import ROOT
 from filterpy.kalman import CubatureKalmanFilter
 from linear import Matrix, Weighing, as_symbols, random_linear
 from oracles import central_difference, cubature_step, posterior
@@ -20,10 +21,12 @@ from casacal import (
     Simulated,
     annealing,
     bind,
+    calibrate,
     ekf,
     evolution,
     ipopt,
     lm,
+    load_problem,
     nominal,
     null_step,
     plane_only,
@@ -487,3 +490,43 @@ def test_levenberg_marquardt_needs_at_most_six_evaluations_from_the_drawing(hsr)
         left = lm(bound, start=result.x, tolerance=1e-12)
         shift = left.x - result.x
         assert np.sqrt(shift @ np.linalg.solve(left.covariance, shift)) < 1e-8
+
+
+# --- never worse than the start --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "scale", "seed"), [("ur5", 100.0, 14), ("ur5", 100.0, 41), ("hsr_jr680", 100.0, 44)])
+def test_the_papers_method_is_no_less_robust_than_lm_alone(name, scale, seed):
+    """Errors a hundred times a robot's, where the filter's estimate alone leads to a minimum far above."""
+    source = load_problem(ROOT / "problems" / name)
+    bound = bind(
+        source.problem, simulate(source.problem, dataclasses.replace(source.cell, error_scale=scale), seed=seed).samples
+    )
+    alone, both = lm(bound), sckf_lm(bound)
+    filtered = lm(bound, start=sckf(bound).x)
+    assert filtered.cost > 2 * alone.cost or not filtered.converged
+    assert both.cost <= alone.cost * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("method", ["sckf", "ekf"])
+def test_a_filter_that_ends_far_from_the_minimum_has_failed(hsr, method):
+    """Dial readings in micrometres that were declared as millimetres: linearised, each row throws the belief about."""
+    samples = hsr.problem.read(hsr.samples)
+    wild = dataclasses.replace(samples, columns={**samples.columns, "reading": samples.columns["reading"] * 1e3})
+    found = calibrate(hsr.problem, wild, method=method, reference=False)
+    assert found.result.cost > 100 * calibrate(hsr.problem, wild, method="lm", reference=False).result.cost
+    assert found.result.status in (Status.FAR, Status.WORSE, Status.NOT_FINITE)
+    assert not found.passed
+    fine = calibrate(hsr.problem, samples, method=method, reference=False)
+    assert (fine.result.status, fine.passed) == (Status.ONE_PASS, True)
+
+
+def test_what_ends_at_an_infinite_cost_has_failed(hsr):
+    found = calibrate(hsr.problem, hsr.samples, method=lambda problem: problem.x0 + 1e200, reference=False)
+    assert found.result.status is Status.NOT_FINITE
+    assert not found.passed
+    worse = calibrate(hsr.problem, hsr.samples, method=lambda problem: problem.x0 + problem.start_std, reference=False)
+    assert worse.result.status is Status.WORSE
+    assert not worse.passed
+    drawn = calibrate(hsr.problem, hsr.samples, method=lambda problem: problem.x0, reference=False)
+    assert drawn.result.status is Status.UNSAID

@@ -11,7 +11,8 @@ from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.uncertainty.cures import cure_for, cures
-from casacal.uncertainty.identifiability import correlated_pairs, identifiability, natural_scale, sparse_basis, verdict
+from casacal.uncertainty.expectation import classical_accuracy
+from casacal.uncertainty.identifiability import correlated_pairs, identifiability, prior_scale, sparse_basis, verdict
 from casacal.uncertainty.workspace import workspace_joints
 
 CENTRE = (1350.0, 0.0, 700.0)
@@ -142,7 +143,7 @@ def test_tilt_is_the_cure_for_a_normal_tool_and_does_what_it_says(hsr):
     bound = bind(contact, simulate(contact, cell, seed=1).samples)
     joints = workspace_joints(contact.robot)
     found = identifiability(bound, bound.tip_jacobian(bound.x0, joints), bound.tips(bound.x0, joints))
-    offers, scale = cures(bound), natural_scale(bound)
+    offers, scale = cures(bound), prior_scale(bound)
     advised = {cure_for(bound, offers, d, scale) for d in found.null if d.kind == "blind" and d.tip_mm > 0.1}
     assert advised == {offers[0].words}
     assert offers[0].words.startswith("tilt the tool by 10 degrees")
@@ -160,3 +161,21 @@ def test_structural_directions_stay_null_elsewhere(hsr):
 def test_correlated_pairs_are_the_strongest_first():
     covariance = np.array([[1.0, 0.98, 0.1], [0.98, 1.0, -0.96], [0.1, -0.96, 1.0]])
     assert correlated_pairs(covariance, ["a", "b", "c"]) == [("a", "b", 0.98), ("b", "c", -0.96)]
+
+
+@pytest.mark.parametrize("std", [1e-3, 1.0, 1e6, 1e9, np.inf])
+def test_what_the_samples_tell_alone_does_not_depend_on_the_prior(hsr, std):
+    """Neither the bound without a prior nor rank and null space, which are the rows' own."""
+    samples = hsr.problem.read(hsr.samples)
+    usual = bind(hsr.problem, samples)
+    other = bind(hsr.problem.with_prior({"a": std}), samples)
+    assert classical_accuracy(other, other.x0) == pytest.approx(classical_accuracy(usual, usual.x0), rel=1e-9)
+    joints = workspace_joints(hsr.problem.robot, poses=40)
+    one, two = (identifiability(each, each.tip_jacobian(each.x0, joints), each.tips(each.x0, joints))
+                for each in (usual, other))  # fmt: skip
+    assert one.rank == two.rank
+    assert [direction.kind for direction in one.null] == [direction.kind for direction in two.null]
+    assert [direction.words for direction in one.null] == [direction.words for direction in two.null]
+    null = np.array([direction.direction for direction in two.null]).T
+    seen = other.jacobian(other.x0) * prior_scale(other)
+    assert np.abs(seen @ null).max(initial=0.0) <= 1e-6 * np.linalg.norm(seen, axis=0).max()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -17,7 +19,7 @@ from casacal.calibration.calibration import Reference
 from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.result import Result, as_result
+from casacal.least_squares.result import Result, Status, as_result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
@@ -43,6 +45,9 @@ METHODS: Mapping[str, Method] = {
 
 RANDOM = ("annealing", "swarm", "evolution")
 """Methods that draw random numbers."""
+
+WORSE = 1e-9
+"""Part of the drawing's cost by which an estimate may exceed it: rounding."""
 
 
 def calibrate(
@@ -163,7 +168,7 @@ def _estimate(
 ) -> Result:
     """Run a method: casacal's own with what they understand, others with the problem alone."""
     if METHODS.get(name) is not run:
-        return as_result(run(fit), fit, name)
+        return _judged(as_result(run(fit), fit, name))
     # controls and the reference have nothing to report on the way
     options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}
     if name in RANDOM:
@@ -172,7 +177,24 @@ def _estimate(
         options["loss"] = loss
     found = run(fit, **options)
     assert isinstance(found, Result)
-    return found
+    return _judged(found)
+
+
+def _judged(found: Result) -> Result:
+    """A result with a status that fails where it is no estimate, which many methods cannot tell by themselves."""
+    if not found.converged:
+        return found
+    if not math.isfinite(found.cost):
+        return replace(found, status=Status.NOT_FINITE)
+    if found.cost > replace(found, x=found.problem.x0, information=None).cost * (1 + WORSE):
+        return replace(found, status=Status.WORSE)
+    return replace(found, status=Status.FAR) if found.status is Status.ONE_PASS and _is_far(found) else found
+
+
+def _is_far(found: Result) -> bool:
+    """Whether the minimum beside an estimate is farther than its own spread explains, a chi-square of all unknowns."""
+    step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
+    return step is not None and step.squared_length > found.problem.unknowns
 
 
 def _check(fit: BoundProblem, method: str, result: Result) -> Reference:

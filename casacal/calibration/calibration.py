@@ -22,7 +22,7 @@ from casacal.uncertainty.identifiability import (
     NullDirection,
     WeakDirection,
     identifiability,
-    natural_scale,
+    prior_scale,
 )
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.values import FrozenMapping, Value
@@ -152,7 +152,7 @@ class Calibration(Value):
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        offers, scale = cures(self.fit), natural_scale(self.fit)
+        offers, scale = cures(self.fit), prior_scale(self.fit)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.fit, offers, direction, scale)
             for direction in directions

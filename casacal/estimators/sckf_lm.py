@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,6 +11,9 @@ from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
+
+UNUSUAL = 5.0
+"""Standard deviations above its mean at which a chi-square calls for an explanation."""
 
 
 def sckf_lm(
@@ -21,17 +25,28 @@ def sckf_lm(
 ) -> Result:
     """Minimise f from the filter's estimate; the prior stays where it was, so the data count once.
 
-    The minimum is that of `lm`: the filter gives another start, not more accuracy. Arguments as for `lm`.
+    The minimum is that of `lm`: the filter gives another start, not more accuracy. Where that start leads to no
+    minimum, or to one that is too high for the stated noise and priors, the drawing is tried as well and the lower
+    minimum kept. Arguments as for `lm`.
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf-lm")
     filtered = sckf(problem, progress=progress)
     start = filtered.x if filtered.converged else None
-    refined = lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, progress=progress)
+    tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, progress=progress)]
+    if start is not None and _doubtful(tried[0]):
+        tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, progress=progress))
+    refined = min(tried, key=lambda found: (not found.converged, found.cost))
     return replace(
         refined,
         method="sckf-lm",
         trace={**refined.trace, "filter_x": filtered.trace["x"]},
-        residual_rows=filtered.residual_rows + refined.residual_rows,
-        jacobian_rows=filtered.jacobian_rows + refined.jacobian_rows,
+        residual_rows=filtered.residual_rows + sum(found.residual_rows for found in tried),
+        jacobian_rows=filtered.jacobian_rows + sum(found.jacobian_rows for found in tried),
     )
+
+
+def _doubtful(found: Result) -> bool:
+    """Whether a lower minimum may stand elsewhere: at the true one 2 f is a chi-square with a degree for each row."""
+    rows = found.problem.rows
+    return not found.converged or 2 * found.cost > rows + UNUSUAL * math.sqrt(2 * rows)

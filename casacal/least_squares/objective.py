@@ -193,7 +193,8 @@ class LeastSquares(ABC):
 
     def prior_cost(self, x: Array) -> float:
         """The prior's part of the objective at x (n,)."""
-        return float(self.prior_information @ (x - self.x0) ** 2) / 2
+        away = x - self.x0
+        return float((self.prior_information * away) @ away) / 2
 
     def cost(self, x: Array) -> float:
         """The objective f at x (n,)."""

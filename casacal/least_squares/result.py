@@ -37,12 +37,17 @@ class Status(Enum):
     )
     STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
     NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
+    WORSE = "The estimate fits the samples worse than the arm as drawn. Use lm or sckf-lm, or check the samples."
+    FAR = "One pass over the rows ended far from the minimum for the accuracy that it claims. Use lm or sckf-lm."
     SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
 
     @property
     def ok(self) -> bool:
         """Whether the estimator did all it promises."""
-        return self not in (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.SOLVER)
+        return self not in FAILED
+
+
+FAILED = (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.WORSE, Status.FAR, Status.SOLVER)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,9 +92,10 @@ class Result(Value):
     @cached_property
     def cost(self) -> float:
         """The objective at x, recomputed from the problem; with the loss where there is one."""
-        if self.loss is None:
-            return self.problem.cost(self.x)
-        return float(self.loss.cost(self.problem.residual(self.x)).sum()) + self.problem.prior_cost(self.x)
+        with np.errstate(over="ignore", invalid="ignore"):  # an estimate may lie anywhere
+            if self.loss is None:
+                return self.problem.cost(self.x)
+            return float(self.loss.cost(self.problem.residual(self.x)).sum()) + self.problem.prior_cost(self.x)
 
     @cached_property
     def weights(self) -> Array:

@@ -19,6 +19,12 @@ FIELD_TOLERANCE = 1e-4
 under usual priors, and above what rank tolerance times condition mixes into null directions."""
 
 
+def seen_space(rows: Array) -> tuple[int, Array]:
+    """Rank of a matrix (m, n), and right singular vectors (n, n; rows) of which the first `rank` span what it sees."""
+    _, sizes, right = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
+    return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
+
+
 def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, tips: Array) -> float:
     """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 

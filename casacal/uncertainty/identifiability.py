@@ -1,8 +1,8 @@
 """What the data can and cannot tell: rank, null directions by kind, weak directions.
 
 NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
-figures can be compared: the whitened Jacobian at the nominal, columns times prior standard deviation (flat: 1 mrad,
-1 mm), rank at 1e-9 of the largest singular value.
+figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest singular value, columns
+times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior standard deviation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.least_squares.linalg import correlation
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.bounds import FIELD_TOLERANCE, RANK_TOLERANCE
+from casacal.uncertainty.bounds import FIELD_TOLERANCE, seen_space
 from casacal.uncertainty.workspace import tip_rms, without_rigid
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
@@ -32,7 +32,7 @@ CORRELATED = 0.95
 LEVER = 1000.0
 """Millimetres at which an angle counts when unknowns are named by their part in a direction."""
 
-FLAT_UNITS = {"rad": 1e-3, "mm": 1.0}
+NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
 MEANING: dict[Kind, str] = {
     "invisible": "changes nothing the arm does",
     "rigid": "only moves base frame and planes together",
@@ -98,35 +98,42 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
         tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
 
     """
-    scale = natural_scale(problem)
+    scale, natural = prior_scale(problem), natural_scale(problem)
     # what takes part is judged by how far it moves things, an angle at a lever of a metre
-    lever = scale * np.where(np.array(problem.units) == "rad", LEVER, 1.0)
-    sizes, right, rank = _decompose(problem, problem.x0, scale)
+    lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
+    rank, seen = seen_space(problem.compact_jacobian(problem.x0) * natural)
     field = tip_jacobian * scale
-    elsewhere = [_null_projector(problem, scale, seed) for seed in range(PERTURBATIONS)]
+    elsewhere = [_null_projector(problem, seed) for seed in range(PERTURBATIONS)]
 
     def cost(direction: Array) -> float:
         return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
 
     null = []
-    for kind, basis in split_null_space(right[rank:].T, field, tips):
-        for direction in sparse_basis(basis).T:
-            kept = [float(np.linalg.norm(project @ direction) / np.linalg.norm(direction)) for project in elsewhere]
-            words = f"{_named(direction * lever, problem.names)}: {MEANING[kind]}"
+    for kind, basis in split_null_space(seen[rank:].T, tip_jacobian * natural, tips):
+        for change in sparse_basis(basis).T:
+            kept = [float(np.linalg.norm(project @ change) / np.linalg.norm(change)) for project in elsewhere]
+            words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
+            direction = change * natural / scale
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
+    sizes, right = _seen_directions(problem, seen[rank:].T * (natural / scale)[:, None], scale)
     weak = [
-        WeakDirection(float(sizes[i]), right[i], f"{_named(right[i] * lever, problem.names)}: {WEAK}", cost(right[i]))
-        for i in range(rank)
-        if sizes[i] < 1
+        WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
+        for size, each in zip(sizes, right, strict=True)
+        if size < 1
     ]
-    condition = float(sizes[0] / sizes[rank - 1]) if rank else float("inf")
-    return Identifiability(problem.unknowns, rank, condition, sizes, tuple(null), tuple(weak))
+    condition = float(sizes[0] / sizes[-1]) if rank else float("inf")
+    values = np.concatenate([sizes, np.zeros(problem.unknowns - rank)])
+    return Identifiability(problem.unknowns, rank, condition, values, tuple(null), tuple(weak))
 
 
 def natural_scale(problem: LeastSquares) -> Array:
-    """Prior standard deviation of each unknown (n,), or 1 mrad and 1 mm where the prior is flat."""
-    flat = np.array([FLAT_UNITS.get(unit, 1.0) for unit in problem.units])
-    return np.where(np.isfinite(problem.prior_std), problem.prior_std, flat)
+    """What counts as a small change of each unknown (n,), whatever its prior: 1 mrad, 1 mm."""
+    return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
+
+
+def prior_scale(problem: LeastSquares) -> Array:
+    """Prior standard deviation of each unknown (n,), or its natural scale where the prior is flat."""
+    return np.where(np.isfinite(problem.prior_std), problem.prior_std, natural_scale(problem))
 
 
 def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str, str, float]]:
@@ -137,17 +144,20 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def _decompose(problem: LeastSquares, x: Array, scale: Array) -> tuple[Array, Array, int]:
-    """Singular values (n,), right singular vectors (n, n; rows) and rank of the scaled whitened Jacobian at x."""
-    _, sizes, right = np.linalg.svd(problem.compact_jacobian(x) * scale, full_matrices=problem.rows < problem.unknowns)
-    sizes = np.concatenate([sizes, np.zeros(problem.unknowns - len(sizes))])
-    return sizes, right, int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum())
+def _seen_directions(problem: LeastSquares, null: Array, scale: Array) -> tuple[Array, Array]:
+    """Singular values (rank,) and vectors (rank, n; rows) of the scaled Jacobian beside a null space (n, k)."""
+    basis, _ = np.linalg.qr(np.column_stack([null, np.eye(problem.unknowns)]))
+    rest = basis[:, null.shape[1] :]
+    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
+    return sizes, within @ rest.T
 
 
-def _null_projector(problem: LeastSquares, scale: Array, seed: int) -> Array:
-    """Projector (n, n) on the null space where the parameters are off by a random prior error."""
-    x = problem.x0 + scale * np.random.default_rng(seed).normal(size=problem.unknowns)
-    _, right, rank = _decompose(problem, x, scale)
+def _null_projector(problem: LeastSquares, seed: int) -> Array:
+    """Projector (n, n) on the null space, on natural scales, where parameters are off by random errors of that size."""
+    natural = natural_scale(problem)
+    size = np.minimum(prior_scale(problem), natural)
+    x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
+    rank, right = seen_space(problem.compact_jacobian(x) * natural)
     return np.asarray(right[rank:].T @ right[rank:])
 
 
