@@ -15,6 +15,9 @@ from typing import Any
 
 from casacal.errors import CasacalError
 
+BESIDE = "__casacal_beside__"
+"""Under which a module that `run_file` made holds the files beside it that it imported."""
+
 _IMPORTING = threading.RLock()
 """The import system is one for all threads: one file runs at a time, and those that it loads itself."""
 
@@ -34,27 +37,32 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
     source = file.read_bytes() if text is None else text.encode("utf-8")
     module = ModuleType(f"casacal_user_{hashlib.sha256(str(file).encode() + source).hexdigest()[:16]}")
     module.__file__ = str(file)
-    with _IMPORTING, _folder_first(file.resolve().parent):
+    with _IMPORTING, _folder_first(file.resolve().parent) as beside:
         sys.modules[module.__name__] = module  # dataclasses look there for the names in annotations
         try:
             exec(compile(source, str(file), "exec"), vars(module))
         finally:
             sys.modules.pop(module.__name__, None)
+    vars(module)[BESIDE] = tuple(beside)
     return module
 
 
 @contextmanager
-def _folder_first(folder: Path) -> Iterator[None]:
-    """Let imports find what lies in a folder before anything else; afterwards all is as it was."""
+def _folder_first(folder: Path) -> Iterator[list[str]]:
+    """Let imports find what lies in a folder before anything else; afterwards all is as it was.
+
+    Yields a list that in the end holds the files that were imported from there.
+    """
     beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
     aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside - _running()}
     sys.path.insert(0, str(folder))
+    loaded: list[str] = []
     try:
-        yield
+        yield loaded
     finally:
         sys.path.remove(str(folder))
         for name in [name for name in sys.modules if name.split(".")[0] in beside - _running()]:
-            del sys.modules[name]
+            loaded.append(str(getattr(sys.modules.pop(name), "__file__", None) or ""))
         sys.modules.update(aside)
 
 

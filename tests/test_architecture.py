@@ -17,6 +17,7 @@ ORDER = [
     "user_code",
     "files",
     "kinematics",
+    "graphs",
     "unknowns",
     "least_squares",
     "instruments",

@@ -86,6 +86,10 @@ def test_the_same_input_gives_the_same_bytes(calibrated, tmp_path, run):
         assert (tmp_path / name).read_bytes() == (calibrated / name).read_bytes()
     one, two = (json.loads((folder / "result.json").read_text()) for folder in (tmp_path, calibrated))
     assert one.pop("seconds").keys() == two.pop("seconds").keys()
+    for document in (one, two):  # paths are relative to the folders, which differ
+        for part in (document["problem"], *document["problem"]["files"]):
+            assert part.pop("path").endswith("problems/hsr_jr680/problem.py")
+        assert document["data"].pop("file").endswith("problems/hsr_jr680/samples.csv")
     assert json.dumps(one) == json.dumps(two)
 
 
@@ -285,7 +289,10 @@ def test_a_problem_that_changed_since_is_noticed(run, tmp_path):
     joints = folder / "samples.csv"
     assert run("predict", tmp_path / "out" / "result.json", joints, "--out", tmp_path / "p.csv")[0] == 0
     with (folder / "problem.py").open("a") as stream:
-        stream.write("# changed\n")
+        stream.write("# a comment\n")
+    assert run("predict", tmp_path / "out" / "result.json", joints, "--out", tmp_path / "p2.csv")[0] == 0
+    with (folder / "problem.py").open("a") as stream:
+        stream.write("robot = None\n")
     code, _, err = run("predict", tmp_path / "out" / "result.json", joints, "--out", tmp_path / "p2.csv")
     assert code == 2
     assert "has changed" in err

@@ -391,7 +391,7 @@ def test_languages_refuse_what_they_cannot_hold(form, tmp_path, capsys):
     folder = ROOT / "problems" / "motoman_ma1400"
     source = load_problem(folder)
     document = {
-        "problem": {"path": source.path, "sha256": source.sha256},
+        "problem": {"name": source.name, "path": source.path, "sha256": source.sha256},
         "parameters": [],
     }
     (tmp_path / "r.json").write_text(json.dumps(document))

@@ -606,17 +606,6 @@ def test_an_arm_of_ones_own_exports_what_needs_no_form(tmp_path):
             function(result)
 
 
-def test_a_changed_urdf_is_noticed(place, calibrated, tmp_path):
-    text = calibrated("ur").read_text()
-    shutil.copytree(place / "ur", tmp_path / "ur")
-    path = _written(tmp_path / "result.json", text.replace((place / "ur").as_posix(), (tmp_path / "ur").as_posix()))
-    read_result(path)
-    urdf = tmp_path / "ur" / "ur.urdf"
-    urdf.write_text(urdf.read_text().replace("-0.425", "-0.426"))
-    with pytest.raises(casacal.CasacalError, match="'x3' was -425 and is -426"):
-        read_result(path)
-
-
 def test_least_squares_agrees_on_zero_offsets_of_a_small_arm(tmp_path):
     rows = "1,90,0,300,0\n2,0,400,0,0\n"
     (tmp_path / "small.csv").write_text("# convention: standard\n" + PLAIN + rows)

@@ -3,7 +3,6 @@
 import json
 import logging
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -157,6 +156,10 @@ def test_memory_says_what_files_say(found, by_command):
     document = json.loads((by_command / "result.json").read_text())
     mine = json.loads(json.dumps(found.to_dict()))
     assert mine.keys() == document.keys()
+    for one in (mine, document):  # the file's paths are relative to it
+        one["data"].pop("file")
+        for part in (one["problem"], *one["problem"]["files"]):
+            assert part.pop("path").endswith("problems/hsr_jr680/problem.py")
     for key in mine.keys() - {"seconds"}:
         assert mine[key] == document[key], key
     saved = load(by_command)
@@ -264,40 +267,10 @@ def test_a_problem_made_in_python_is_saved_with_its_result(hsr, tmp_path):
     document = json.loads((tmp_path / "a" / "result.json").read_text())
     assert (document["problem"]["path"], document["problem"]["sha256"]) == ("", problem.digest)
     assert load(tmp_path / "a").arm.source.problem == problem
-    (tmp_path / "a" / "problem.pickle").unlink()
-    with pytest.raises(CasacalError, match="problem=") as refused:
-        load(tmp_path / "a")
-    assert "made in Python" in str(refused.value)
     back = load(tmp_path / "a", problem=problem)
     np.testing.assert_allclose(back.predict(Q).positions, found.predict(Q).positions, atol=1e-9)
     with pytest.raises(CasacalError, match="its arm has changed"):
         load(tmp_path / "a", problem=load_problem(ROOT / "problems" / "ur5").problem)
-    found.save(tmp_path / "a")
-    (tmp_path / "a" / "problem.pickle").write_bytes(b"no pickle")
-    with pytest.raises(CasacalError, match="cannot be read here"):
-        load(tmp_path / "a")
-    (tmp_path / "a" / "problem.pickle").write_bytes(pickle.dumps(3))
-    with pytest.raises(CasacalError, match="holds no problem"):
-        load(tmp_path / "a")
-
-
-def test_a_problem_saved_by_another_result_is_not_taken(tmp_path):
-    """A truth beside a saved calibration of another arm: the saved problem is not its own."""
-    place = written(tmp_path, "stylus")
-    assert main(["simulate", str(place), "--out", str(tmp_path / "out" / "s.csv"), "--samples", "40"]) == 0
-    shutil.rmtree(place)
-    calibrate(ROOT / "problems" / "ur5", method="lm").save(tmp_path / "out")
-    with pytest.raises(CasacalError, match="There is no problem"):
-        load(tmp_path / "out" / "s.truth.json")
-
-
-def test_a_problem_that_changed_is_not_replaced_by_the_saved_one(tmp_path):
-    place = written(tmp_path, "stylus")
-    source = load_problem(place)
-    calibrate(source, simulate(source.problem, samples=80, seed=1).samples, method="lm").save(tmp_path / "a")
-    (place / "problem.py").write_text((place / "problem.py").read_text() + "\n# changed\n")
-    with pytest.raises(CasacalError, match="has changed since"):
-        load(tmp_path / "a")
 
 
 def test_the_same_calibration_gives_the_same_files(found, hsr, tmp_path):

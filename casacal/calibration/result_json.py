@@ -13,9 +13,9 @@ import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibration import Calibration, Reference
+from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
-from casacal.compensation.result_file import save_problem
 from casacal.files import together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
@@ -25,7 +25,7 @@ from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs, verdict
 from casacal.version import __version__
 
-FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png", "problem.pickle")
+FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
 """What a calibration writes, most read first."""
 NOTES = {
     "data": "determined by the samples",
@@ -35,16 +35,18 @@ NOTES = {
 }
 
 
-def calibration_document(calibration: Calibration, source: ProblemFile | None = None) -> dict[str, Any]:
-    """The whole of result.json for a calibration."""
+def calibration_document(
+    calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
+    """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
     result, fit = calibration.result, calibration.fit
     prior_tip, tip = calibration.tip_std
     without = calibration.tip_std_without_prior
     return {
-        **_head(source or calibration.source, result, calibration.seed, fit.backend),
+        **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict_of(calibration)),
         "data": {
-            "file": calibration.samples.file,
+            "file": seen_from(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
@@ -72,13 +74,20 @@ def calibration_document(calibration: Calibration, source: ProblemFile | None = 
     }
 
 
-def truth_document(bound: BoundProblem, truth: Result, source: ProblemFile, seed: int) -> dict[str, Any]:
+def truth_document(
+    bound: BoundProblem, truth: Result, source: ProblemFile, seed: int, *, folder: Path | None = None
+) -> dict[str, Any]:
     """The truth behind simulated samples, in the shape of result.json."""
     samples = bound.block.samples
     rows = [{**row, "std": 0.0, "note": "true value of the simulated arm"} for row in parameter_rows(bound, truth)]
     return {
-        **_head(source, truth, seed, bound.backend),
-        "data": {"file": samples.file, "sha256": samples.sha256, "samples": len(samples), "heldout": 0},
+        **head_of(source, truth, seed, bound.backend, folder),
+        "data": {
+            "file": seen_from(folder, samples.file),
+            "sha256": samples.sha256,
+            "samples": len(samples),
+            "heldout": 0,
+        },
         "cost": truth.cost,
         "parameters": rows,
         **_geometry(bound, truth),
@@ -134,17 +143,6 @@ def _reference(reference: Reference | None) -> dict[str, Any] | None:
     }
 
 
-def _head(source: ProblemFile, result: Result, seed: int, backend: str) -> dict[str, Any]:
-    return {
-        "problem": {"name": source.name, "path": source.path, "sha256": source.sha256},
-        "method": result.method,
-        "status": result.message,
-        "converged": result.converged,
-        "seed": seed,
-        "backend": backend,
-    }
-
-
 def _geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
     """Planes, directions and frames at the estimate, and x itself."""
     found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
@@ -177,7 +175,7 @@ def write_calibration(
     command: str | None = None,
     box: Box | None = None,
 ) -> list[Path]:
-    """Write report.html, result.json, parameters.csv, pictures and the problem as a value into a folder.
+    """Write report.html, result.json, parameters.csv and pictures into a folder.
 
     Args:
         calibration: what was found.
@@ -197,13 +195,12 @@ def write_calibration(
         f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
         for row in rows
     ]
-    document = calibration_document(calibration)
+    document = calibration_document(calibration, folder=folder)
     with together(folder) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
         write_text(place / "parameters.csv", "\n".join(lines) + "\n")
         save_plots(calibration, place)
-        save_problem(place, calibration.source)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]
 
@@ -227,5 +224,5 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
         jacobian_rows=0,
     )
     truth_path = path.with_suffix(".truth.json")
-    write_json(truth_path, truth_document(bound, truth, source, simulation.seed))
+    write_json(truth_path, truth_document(bound, truth, source, simulation.seed, folder=path.parent))
     return [path, truth_path]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,9 @@ from casacal.values import Value
 
 if TYPE_CHECKING:
     import pandas as pd
+
+COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")
+"""Of a parameter in result.json."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,8 +43,9 @@ class SavedCalibration(Value, AsArm):
 
     @property
     def cost(self) -> float:
-        """The objective at the estimate."""
-        return float(self.found.document["cost"])
+        """The objective at the estimate; NaN where the file does not say."""
+        cost = self.found.document.get("cost")
+        return math.nan if cost is None else float(cost)
 
     @property
     def metrics(self) -> Any:
@@ -52,7 +57,7 @@ class SavedCalibration(Value, AsArm):
         """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
         import pandas as pd
 
-        table = pd.DataFrame(list(self.found.document["parameters"])).set_index("name")
+        table = pd.DataFrame(list(self.found.document["parameters"]), columns=list(COLUMNS)).set_index("name")
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})
 
@@ -71,13 +76,13 @@ def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibratio
 
     Args:
         path: the folder, its result.json, or a truth.json.
-        problem: what it answers; by default the problem.py that it names, or the problem saved beside it. That code is
-            run, so load only what you trust.
+        problem: what it answers; by default what the result itself holds, and no code is run. A result from before
+            results held their arm runs the problem.py that it names, where that is what it was.
 
     Returns:
         The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
 
-    Raises CasacalError when it is not a result, or its problem is gone or has changed since.
+    Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
 
     """
     return SavedCalibration(read_result(path, problem=problem))

@@ -87,7 +87,7 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Arra
     if isinstance(unknown, Parameter):
         known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
     else:
-        known = {row["name"]: float(row["value"]) for row in result.document["unknowns"]}
+        known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
         if not known.keys() & set(unknown.names(key)):  # held by the calibration
             return np.zeros(unknown.size)
     missing = [name for name in unknown.names(key) if name not in known]

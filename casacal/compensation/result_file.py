@@ -1,124 +1,133 @@
-"""result.json and truth.json, read back: the document, and the problem it answers."""
+"""result.json and truth.json, read back: the document, and the arm that it holds. No code is run for that.
+
+A result carries its own problem as data. Files that the arm was made from, where they still stand, must be what they
+were: an arm that somebody edited since is another one.
+"""
 
 from __future__ import annotations
 
+import ast
 import json
-import pickle
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.document import check_document
 from casacal.errors import CasacalError
-from casacal.files import place_whole
+from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile, load_problem
-from casacal.samples.layout import LARGEST
+from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
 from casacal.unknowns import Parameter
 
-PROBLEM_BESIDE = "problem.pickle"
-"""The problem as a value, beside a result that was saved, so that the folder can go elsewhere."""
+SCHEMA = 1
+"""Of the files that this version writes. Those without a number are older: they need their problem.py."""
 
 
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:
-    """Read a result.json or a truth, or a folder with a result.json, and find its problem.
+    """Read a result.json or a truth, or a folder with a result.json.
 
-    The problem is the one that is given, else the problem.py that the result names, where that exists, else what was
-    saved beside the result. A result runs its problem's code, as problem.py does: read only results that you trust.
+    The problem is the one that is given, else the one that the result holds. A result from before results held one
+    runs the problem.py that it names, once its SHA-256 is that of the calibration.
 
-    Raises CasacalError when it is not one, or when its problem is gone or has changed since.
+    Raises CasacalError when it is not one, is damaged or newer than this version, or its arm has changed since.
     """
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
-    file = str(place)
+    document = _read(place)
+    if problem is not None:
+        source = ProblemFile.of(problem, document["problem"]["name"])
+    elif document.get("arm") is not None:
+        _refuse_changes(place, document)
+        source = _own_problem(place, document)
+    else:
+        source = _older_problem(place, document)
+    _check_nominal(str(place), source, document)
+    return CalibratedArm(str(place), source, document)
+
+
+def _read(place: Path) -> dict[str, Any]:
+    """The document, whose parts are what others rely on."""
+    fix = "Give the result.json that calibrate --out wrote"
     try:
         document = json.loads(place.read_text(encoding="utf-8"))
-        _ = document["problem"]["path"], document["problem"]["sha256"]
-        numbers = [(row["name"], row["estimate"]) for row in document["parameters"]]
     except FileNotFoundError:
+        raise CasacalError(f"{place}: there is no such file", fix) from None
+    except OSError as error:
+        raise CasacalError(f"{place}: it cannot be read ({error.strerror})", fix) from None
+    except (ValueError, RecursionError):
+        raise CasacalError(f"{place}: this is not a result of casacal", fix) from None
+    schema = document.get("schema", 0) if isinstance(document, dict) else None
+    if isinstance(schema, int) and schema > SCHEMA:
         raise CasacalError(
-            f"{file}: there is no such file", "Give the result.json that calibrate --out wrote"
-        ) from None
-    except (OSError, ValueError, KeyError, TypeError):
-        raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json") from None
-    _check_numbers(file, numbers)
-    source = _problem_of(place, document) if problem is None else ProblemFile.of(problem, document["problem"]["name"])
-    _check_nominal(file, source, document)
-    return CalibratedArm(file, source, document)
+            f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})", "Update casacal"
+        )
+    check_document(str(place), document)
+    return document  # type: ignore[no-any-return]
 
 
-def _check_numbers(file: str, numbers: Sequence[tuple[str, Any]]) -> None:
-    """Refuse a result that somebody edited: estimates that are no numbers, absurd, or there twice."""
-    for name, estimate in numbers:
-        known = isinstance(estimate, (int, float)) and not isinstance(estimate, bool)
-        if not known or not abs(estimate) < LARGEST["length"]:
+def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
+    """The problem that a result holds."""
+    said = document["problem"]
+    try:
+        problem = problem_from(document["arm"])
+    except CasacalError as error:
+        raise CasacalError(f"{place}: {error.what[:1].lower()}{error.what[1:]}", error.fix) from error
+    found = [place.parent / said["path"]] if said["path"] else []
+    path = next((each.as_posix() for each in found if each.is_file()), "")
+    files = tuple(SourceFile(each["path"], each["sha256"], each["text"]) for each in said.get("files", []))
+    return ProblemFile(said["name"], path, said["sha256"], problem, None, files)
+
+
+def _refuse_changes(place: Path, document: Mapping[str, Any]) -> None:
+    """Refuse a result whose arm was edited since, where the files that it was made from still stand."""
+    for kept in document["problem"].get("files", []):
+        path = place.parent / kept["path"]
+        try:
+            now = SourceFile.read(path)
+        except OSError:  # it went elsewhere, and the result stands alone
+            continue
+        if now.sha256 != kept["sha256"] and not _same_code(path, now.text, kept["text"]):
             raise CasacalError(
-                f"{file}: the estimate of '{name}' is {estimate!r}", "Restore the file, or calibrate again"
+                f"{place}: {path} has changed since the calibration",
+                "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was",
             )
-    twice = {name for name, count in Counter(name for name, _ in numbers).items() if count > 1}
-    if twice:
-        raise CasacalError(f"{file}: '{sorted(twice)[0]}' stands there twice", "Restore the file, or calibrate again")
 
 
-def _problem_of(place: Path, document: Mapping[str, Any]) -> ProblemFile:
-    """The problem that a result answers, from its own file or from what was saved beside the result."""
+def _same_code(path: Path, one: str, other: str) -> bool:
+    """Whether two Python files differ in comments and layout alone."""
+    try:
+        return path.suffix == ".py" and ast.dump(ast.parse(one)) == ast.dump(ast.parse(other))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return False
+
+
+def _older_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
+    """The problem.py of a result that holds no problem of its own, which is run only if it is what it was."""
     named, digest = document["problem"]["path"], document["problem"]["sha256"]
-    saved = place.parent / PROBLEM_BESIDE
     for path in (Path(named), place.parent / named) if named else ():
-        if path.exists():
-            source = load_problem(path)
-            if source.sha256 != digest:
+        file = path / "problem.py" if path.is_dir() else path
+        if file.is_file():
+            if SourceFile.read(file).sha256 != digest:
                 raise CasacalError(
-                    f"{place}: its problem {source.path} has changed since the calibration",
+                    f"{place}: its problem {file.as_posix()} has changed since the calibration",
                     "Calibrate again, or restore the problem file",
                 )
-            return source
-    if saved.is_file() and (source := _saved_problem(saved)).sha256 == digest:
-        return source
-    if named:
-        return load_problem(named)  # which says what is missing
-    raise CasacalError(
-        f"{place}: its problem was made in Python and '{PROBLEM_BESIDE}' is not beside it",
-        "Give the problem: casacal.load(path, problem=...)",
-    )
-
-
-def _saved_problem(saved: Path) -> ProblemFile:
-    try:
-        source = pickle.loads(saved.read_bytes())
-    except CasacalError:
-        raise
-    except Exception as error:  # another version of casacal or of what the problem imports
-        raise CasacalError(
-            f"{saved} cannot be read here: {type(error).__name__}: {' '.join(str(error).split())}",
-            "Give the problem: casacal.load(path, problem=...)",
-        ) from error
-    if not isinstance(source, ProblemFile):
-        raise CasacalError(f"{saved} holds no problem", "Restore the file, or give the problem")
-    return source
-
-
-def save_problem(folder: Path, source: ProblemFile) -> Path | None:
-    """Write a problem as a value beside a result; None, and nothing, where its code cannot be taken elsewhere."""
-    try:
-        data = pickle.dumps(source)
-    except Exception:  # a user's class may hold anything
-        return None
-    place_whole(folder / PROBLEM_BESIDE, lambda place: place.write_bytes(data))
-    return folder / PROBLEM_BESIDE
+            return load_problem(path)
+    what = f"its problem '{named}' is not there" if named else "it holds no problem"
+    raise CasacalError(f"{place}: {what}", "Give the problem: casacal.load(path, problem=...), or calibrate again")
 
 
 def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) -> None:
-    """Refuse a result whose arm has changed since, as where problem.py reads a URDF that was edited."""
-    began = {row["name"]: row.get("nominal") for row in document["parameters"]}
+    """Refuse a problem whose arm is not the one that the result began with."""
+    began = {row["name"]: row["nominal"] for row in document["parameters"]}
     for key, unknown in source.problem.robot.parameters.items():
         if not isinstance(unknown, Parameter) or unknown.nominal is None:
             continue
         for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
             was = began.get(name)
-            if isinstance(was, (int, float)) and abs(was - value) > 1e-9 * (1 + abs(value)):
+            if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
                 raise CasacalError(
                     f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})",
                     "Calibrate again, or restore the file that the problem reads",

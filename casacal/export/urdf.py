@@ -27,7 +27,7 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
 
     Args:
         result: of a robot built by `Robot.from_urdf`.
-        source: the URDF; None takes that of the arm's name beside the problem file.
+        source: the URDF; None takes the text that the result holds, else the file of that name beside the problem.
 
     Raises CasacalError for other robots, and for a source that is not the one the calibration began with.
 
@@ -37,13 +37,7 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
         raise CasacalError(
             f"'{result.source.problem.robot.name}' was not built from a URDF", "Export it as dh, zeros or c"
         )
-    path = Path(result.source.path).parent / arm.file if source is None else Path(source)
-    _check_source(path, arm)
-    data = path.read_bytes()
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
+    data = _source_text(result, arm, source)
     places = _Places.of(data)
     edits: list[tuple[int, int, bytes]] = []
     for joint, new in zip(arm.moving, arm.origins_at(arm_values(result)), strict=True):
@@ -58,6 +52,21 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
     return data.decode("utf-8")
+
+
+def _source_text(result: CalibratedArm, arm: UrdfChain, source: str | Path | None) -> bytes:
+    """The URDF to write into, in UTF-8."""
+    kept = [file.text for file in result.source.files if Path(file.path).name == arm.file and file.text]
+    if source is None and kept and "\ufffd" not in kept[0]:
+        return kept[0].encode("utf-8")
+    path = Path(result.source.path).parent / arm.file if source is None else Path(source)
+    _check_source(path, arm)
+    data = path.read_bytes()
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise CasacalError(f"{path}: this is not UTF-8", "Save it as UTF-8; then only origins are edited") from None
+    return data
 
 
 def _check_source(path: Path, arm: UrdfChain) -> None:

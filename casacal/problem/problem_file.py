@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,15 +12,35 @@ from typing import Any
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
-from casacal.user_code import run_file
+from casacal.user_code import BESIDE, run_file
 from casacal.values import Value
+
+LARGEST_KEPT = 2_000_000
+"""Bytes beyond which the text of a file is not kept with its hash."""
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that an arm was made from: its path, the SHA-256 of its bytes, and its text where that is not too long."""
+
+    path: str
+    sha256: str
+    text: str = ""
+
+    @staticmethod
+    def read(path: str | Path) -> SourceFile:
+        """The file as it is now; lets pass OSError."""
+        data = Path(path).read_bytes()
+        text = "" if len(data) > LARGEST_KEPT else data.decode("utf-8", errors="replace")
+        return SourceFile(Path(path).as_posix(), hashlib.sha256(data).hexdigest(), text)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProblemFile(Value):
     """A problem, and the problem.py it was read from; `cell` is None when the file defines none.
 
-    A problem that was made in Python has the path "" and the SHA-256 of what it computes.
+    A problem that was made in Python has the path "" and the SHA-256 of what it computes. `files` are all that it was
+    made from: problem.py, modules beside it, the URDF or DH table that its arm was read from.
     """
 
     name: str
@@ -27,11 +48,12 @@ class ProblemFile(Value):
     sha256: str
     problem: Problem
     cell: Cell | None
+    files: tuple[SourceFile, ...] = ()
 
     @staticmethod
     def of(problem: Problem, name: str | None = None) -> ProblemFile:
         """The same for a problem made in memory; its name is the robot's unless given."""
-        return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None)
+        return ProblemFile(name or problem.robot.name, "", problem.digest, problem, None, _files_of(problem, []))
 
     def __repr__(self) -> str:
         return f"<ProblemFile {self.name}{f' of {self.path}' if self.path else ''}: {self.problem!r}>"
@@ -56,7 +78,7 @@ def load_problem(path: str | Path) -> ProblemFile:
         raise ProblemError(
             f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
         )
-    source = file.read_bytes()
+    source = SourceFile.read(file)
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
@@ -64,9 +86,16 @@ def load_problem(path: str | Path) -> ProblemFile:
         raise ProblemError(f"{file} does not define `problem`{what}", "Add problem = Problem(robot, DialOnPlane(...))")
     if cell is not None and not isinstance(cell, Cell):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
-    digest = hashlib.sha256(source).hexdigest()
     name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
-    return ProblemFile(name, file.as_posix(), digest, problem, cell)
+    files = (source, *_files_of(problem, values.get(BESIDE, ())))
+    return ProblemFile(name, file.as_posix(), source.sha256, problem, cell, files)
+
+
+def _files_of(problem: Problem, beside: Iterable[str]) -> tuple[SourceFile, ...]:
+    """Modules beside a problem file, and what its arm was read from, as they are now."""
+    read = getattr(problem.robot.arm, "path", "")
+    paths = dict.fromkeys(path for path in (*beside, read) if path.endswith(".py") or path == read)
+    return tuple(SourceFile.read(path) for path in paths if path and Path(path).is_file())
 
 
 def _execute(file: Path) -> dict[str, Any]:

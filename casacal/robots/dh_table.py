@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +44,8 @@ class DHTable:
     parallel: tuple[int, ...] = ()
     beta: tuple[float, ...] = ()
     conventions: Conventions | None = None
+    path: str = field(default="", compare=False)
+    """File that it was read from, if any; it says nothing of the arm."""
 
     def __post_init__(self) -> None:
         count = len(self.alpha)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -165,7 +165,7 @@ class Robot(Value):
 
         Raises ProblemError that names the file, the line or joint, and what to do.
         """
-        table = read_dh_file(path)
+        table = replace(read_dh_file(path), path=str(Path(path).resolve()))
         return Robot(table.name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
 
     @staticmethod

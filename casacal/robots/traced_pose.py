@@ -14,6 +14,7 @@ import casadi as ca
 
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Unknown
+from casacal.unknowns.packed import packed_symbols
 from casacal.values import FrozenMapping
 
 
@@ -30,12 +31,8 @@ class TracedPose:
     @staticmethod
     def of(pose: Callable[[Any, Expression], Expression], parameters: Mapping[str, Unknown], joints: int) -> TracedPose:
         """Trace a pose function; lets pass what the function raises."""
-        q, symbols, values = ca.SX.sym("q", joints), [], {}
-        for key, unknown in parameters.items():
-            nominal = ca.SX.zeros(unknown.nominal_size) if unknown.nominal is None else ca.SX(ca.DM(unknown.nominal))
-            rows, columns = ca.SX(unknown.packed(unknown.at(nominal, ca.SX.zeros(unknown.size)))).shape
-            symbols.append(ca.SX.sym(key, rows, columns))
-            values[key] = unknown.unpacked(symbols[-1])
+        q = ca.SX.sym("q", joints)
+        symbols, values = packed_symbols(parameters)
         built = pose(SimpleNamespace(**values), q)
         factors = [ca.SX(f) for f in built.factors] if isinstance(built, Product) else [ca.SX(built)]
         return TracedPose(FrozenMapping(parameters), ca.Function("pose", [*symbols, q], factors))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,16 @@ MM = 1000.0
 
 @dataclass(frozen=True)
 class UrdfChain:
-    """The joints, moving and fixed, between two links of a URDF; `file` is the file's name, without its folder."""
+    """The joints, moving and fixed, between two links of a URDF.
+
+    `file` is the file's name, without its folder; `path`, where it was read, says nothing of the arm.
+    """
 
     file: str
     name: str
     chain: tuple[UrdfJoint, ...]
     conventions: Conventions | None = None
+    path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if not self.moving:
@@ -44,7 +48,7 @@ class UrdfChain:
         joints = found.chain(base, tip)
         for joint in joints:
             check_joint(found.file, joint)
-        return UrdfChain(Path(path).name, found.name, joints, conventions)
+        return UrdfChain(Path(path).name, found.name, joints, conventions, str(Path(path).resolve()))
 
     @property
     def moving(self) -> tuple[UrdfJoint, ...]:

@@ -1,0 +1,108 @@
+"""What a result.json must hold: refused in a sentence that names the part, before anything relies on it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from casacal.errors import CasacalError
+from casacal.samples.layout import LARGEST
+
+HUGE = 1e300
+"""Numbers that no arm has; an integer may be too long for any float."""
+FIX = "Restore the file, or calibrate again"
+
+
+def is_text(value: Any) -> bool:
+    """Whether a value is a string."""
+    return isinstance(value, str)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < HUGE
+
+
+def is_number_or_null(value: Any) -> bool:
+    """Whether a value is a finite number, or null: infinite."""
+    return value is None or is_number(value)
+
+
+Shape = Callable[[Any], bool]
+FILE: Mapping[str, Shape] = {"path": is_text, "sha256": is_text, "text": is_text}
+PARAMETER: Mapping[str, Shape] = {"name": is_text, "unit": is_text, "nominal": is_number, "estimate": is_number}
+UNKNOWN: Mapping[str, Shape] = {"name": is_text, "value": is_number}
+OPTIONAL: Mapping[str, Shape] = {
+    "method": is_text,
+    "status": is_text,
+    "converged": lambda value: isinstance(value, bool),
+    "cost": is_number_or_null,
+    "schema": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "metrics": lambda value: isinstance(value, dict) and all(isinstance(each, dict) for each in value.values()),
+    "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
+    "verdict": lambda value: isinstance(value, dict) and is_text(value.get("level")) and is_text(value.get("words")),
+    "arm": lambda value: isinstance(value, dict),
+    "versions": lambda value: isinstance(value, dict) and all(map(is_text, value.values())),
+}
+
+
+def check_document(file: str, document: Any) -> None:
+    """Raise CasacalError unless a document is a result whose parts can be relied on."""
+    if not isinstance(document, dict) or not isinstance(document.get("problem"), dict):
+        raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json")
+    _check(file, "problem", document["problem"], {"name": is_text, "path": is_text, "sha256": is_text})
+    for row in _rows(file, "problem.files", document["problem"].get("files", [])):
+        _check(file, "problem.files", row, FILE)
+    parameters = _rows(file, "parameters", document.get("parameters"))
+    for row in parameters:
+        _check(file, "parameters", row, PARAMETER)
+        _check_size(file, row["name"], row["estimate"])
+        if not is_number_or_null(row.get("std")):
+            raise CasacalError(f"{file}: the std of '{row['name']}' is {_short(row['std'])}", FIX)
+    unknowns = _rows(file, "unknowns", document.get("unknowns", []))
+    for row in unknowns:
+        _check(file, "unknowns", row, UNKNOWN)
+        _check_size(file, row["name"], row["value"])
+    for what, rows in (("parameters", parameters), ("unknowns", unknowns)):
+        twice = sorted(name for name, count in Counter(row["name"] for row in rows).items() if count > 1)
+        if twice:
+            raise CasacalError(f"{file}: '{twice[0]}' stands twice among its {what}", FIX)
+    for key, fits in OPTIONAL.items():
+        if document.get(key) is not None and not fits(document[key]):
+            raise CasacalError(f"{file}: its '{key}' is {_short(document[key])}", FIX)
+    _check_covariance(file, document.get("covariance"), len(unknowns))
+
+
+def _rows(file: str, what: str, rows: Any) -> list[dict[str, Any]]:
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise CasacalError(f"{file}: its {what} are {_short(rows)}", FIX)
+    return rows
+
+
+def _check(file: str, what: str, part: Mapping[str, Any], shape: Mapping[str, Shape]) -> None:
+    for key, fits in shape.items():
+        if key not in part or not fits(part[key]):
+            named = f" of '{part['name']}'" if key != "name" and is_text(part.get("name")) else f" in its {what}"
+            raise CasacalError(f"{file}: the {key}{named} is {_short(part.get(key))}", FIX)
+
+
+def _check_size(file: str, name: str, value: float) -> None:
+    if not abs(value) < LARGEST["length"]:
+        raise CasacalError(f"{file}: the estimate of '{name}' is {value!r}", FIX)
+
+
+def _check_covariance(file: str, rows: Any, count: int) -> None:
+    """A square of numbers, null where a variance is infinite."""
+    if rows is None:
+        return
+    square = (
+        isinstance(rows, list) and len(rows) == count and all(isinstance(r, list) and len(r) == count for r in rows)
+    )
+    if not square or not all(is_number_or_null(value) for row in rows for value in row):
+        raise CasacalError(f"{file}: its covariance is no table of {count} x {count} numbers", FIX)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."

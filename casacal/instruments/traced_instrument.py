@@ -1,0 +1,101 @@
+"""An instrument as the graph of its residual, tip and plunger: what travels where a user's class cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from casacal.instruments.instrument import Dimension, Instrument
+from casacal.kinematics import Expression, Product
+from casacal.unknowns import Unknown
+from casacal.unknowns.packed import packed_symbols
+from casacal.values import FrozenMapping, frozen
+
+DECLARED = ("columns", "unknowns", "known_columns", "known_by", "datum", "column_stds", "residual_std")
+
+
+@dataclass(frozen=True, eq=False)
+class TracedInstrument(Instrument):
+    """What an instrument declares, and its functions as a graph.
+
+    declared: its properties of `DECLARED`, by name. values: unknowns of the robot and its own, by key, in the order of
+    the graph's arguments. graph: flange pose (4x4, mm), their packed values, and the row's columns to residual, tip (3,
+    mm) and plunger (3, or nothing).
+    """
+
+    declared: Mapping[str, Any]
+    values: Mapping[str, Unknown]
+    graph: ca.Function
+
+    @staticmethod
+    def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:
+        """Trace an instrument on a robot with these parameters; lets pass what its functions raise."""
+        every = {**parameters, **instrument.unknowns}
+        symbols, values = packed_symbols(every)
+        pose, p = ca.SX.sym("pose", 4, 4), SimpleNamespace(**values)
+        columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
+        row = SimpleNamespace(**columns)
+        plunger = instrument.plunger_direction(pose, p)
+        built = [instrument.residual(pose, p, row), instrument.tip(pose, p, row)]
+        built.append(ca.SX(0, 1) if plunger is None else plunger)
+        graph = ca.Function("instrument", [pose, *symbols, *columns.values()], [ca.densify(ca.SX(e)) for e in built])
+        declared = {name: getattr(instrument, name) for name in DECLARED}
+        return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
+
+    @property
+    def columns(self) -> Mapping[str, Dimension]:
+        """As declared."""
+        return self.declared["columns"]  # type: ignore[no-any-return]
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """As declared."""
+        return self.declared["unknowns"]  # type: ignore[no-any-return]
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """As declared."""
+        return self.declared["known_columns"]  # type: ignore[no-any-return]
+
+    @property
+    def known_by(self) -> str:
+        """As declared."""
+        return self.declared["known_by"]  # type: ignore[no-any-return]
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """As declared."""
+        return self.declared["datum"]  # type: ignore[no-any-return]
+
+    @property
+    def column_stds(self) -> Mapping[str, float]:
+        """As declared."""
+        return self.declared["column_stds"]  # type: ignore[no-any-return]
+
+    @property
+    def residual_std(self) -> float:
+        """As declared."""
+        return float(self.declared["residual_std"])
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """The residual that was traced."""
+        return self._called(pose, p, row)[0]
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """The tip that was traced (3, mm)."""
+        return self._called(pose, p, row)[1]
+
+    def plunger_direction(self, pose: Expression, p: Any) -> Expression | None:
+        """The plunger's direction that was traced (3), or None."""
+        return None if self.graph.numel_out(2) == 0 else self._called(pose, p, None)[2]
+
+    def _called(self, pose: Expression, p: Any, row: Any) -> list[Expression]:
+        packed = [unknown.packed(getattr(p, key)) for key, unknown in self.values.items()]
+        names = (*self.columns, *self.known_columns)
+        known = [getattr(row, name, 0.0) for name in names]  # a tip is asked for without a row, at reading zero
+        found: list[Expression] = self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known])
+        return found

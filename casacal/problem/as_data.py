@@ -1,0 +1,120 @@
+"""Problems as data: what result.json holds of an arm and its instrument, so that it can be used without their code.
+
+What is declared in casacal's own words (a DH table, a URDF's chain, parameters, a dial) is written as declared;
+functions of a user's own are written as the graphs that they build.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import CasacalError
+from casacal.graphs import graph_data, graph_from
+from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint
+from casacal.instruments.traced_instrument import TracedInstrument
+from casacal.problem.problem import Problem
+from casacal.robots.conventions import Conventions
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.urdf import UrdfJoint
+from casacal.robots.joints import Joint
+from casacal.robots.robot import Robot
+from casacal.robots.screws import Screws
+from casacal.robots.traced_pose import TracedPose
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.unknowns import Direction, Frame, Parameter, Plane
+from casacal.values import FrozenMapping
+
+ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
+UNKNOWNS = (Parameter, Direction, Plane, Frame)
+INSTRUMENTS = (DialOnPlane, DialOnBody, TrackedPoint, Step, TracedInstrument)
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, TracedPose)}
+"""What may stand in such data: nothing else is ever made of them."""
+
+
+def problem_data(problem: Problem) -> dict[str, Any]:
+    """A problem in JSON's own types, with a hash that says whether somebody changed them.
+
+    Raises CasacalError where a user's function is no graph of elementary operations.
+    """
+    robot = problem.robot
+    pose = None if robot.arm is not None and robot.pose == robot.arm.pose else robot.traced
+    data = {
+        "name": robot.name,
+        "joints": _encoded(robot.axes),
+        "parameters": _encoded(robot.parameters),
+        "arm": _encoded(robot.arm),
+        "pose": _encoded(pose),
+        "instruments": [_encoded(_declared(instrument, robot)) for instrument in problem.instruments],
+    }
+    return {"sha256": _digest(data), **data}
+
+
+def problem_from(data: Mapping[str, Any]) -> Problem:
+    """The problem that such data describe; raises CasacalError where they describe none or were changed."""
+    kept = {key: item for key, item in data.items() if key != "sha256"}
+    if data.get("sha256") != _digest(kept):
+        raise CasacalError("The arm in the file was changed after it was written", "Restore the file")
+    try:
+        arm, pose = _decoded(kept["arm"]), _decoded(kept["pose"])
+        if pose is None:
+            pose = arm.pose
+        robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
+        return Problem(robot, *(_decoded(each) for each in kept["instruments"]))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise CasacalError(
+            f"The arm in the file cannot be read: {said}", "Update casacal, or calibrate again"
+        ) from error
+
+
+def _declared(instrument: Instrument, robot: Robot) -> Instrument:
+    return instrument if type(instrument) in INSTRUMENTS else TracedInstrument.of(instrument, robot.parameters)
+
+
+def _digest(data: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def _encoded(item: Any) -> Any:
+    """Values of the closed set of kinds, and what they hold, in JSON's types; floats that JSON lacks as words."""
+    if item is None or isinstance(item, (bool, int, str)):
+        return item
+    if isinstance(item, (float, np.floating)):
+        return float(item) if math.isfinite(item) else {"is": "number", "text": str(float(item))}
+    if isinstance(item, (tuple, list, np.ndarray)):
+        return [_encoded(each) for each in item]
+    if isinstance(item, Mapping):
+        return {"is": "items", "items": [[key, _encoded(each)] for key, each in item.items()]}
+    if isinstance(item, ca.Function):
+        return {"is": "graph", **graph_data(item)}
+    if type(item) in KINDS.values():
+        fields = {
+            field.name: _encoded(getattr(item, field.name)) for field in dataclasses.fields(item) if field.compare
+        }
+        return {"is": type(item).__name__, **fields}
+    raise CasacalError(
+        f"A {type(item).__name__} cannot be written into a result", "Use casacal's own kinds of unknowns"
+    )
+
+
+def _decoded(item: Any) -> Any:
+    if isinstance(item, list):
+        return tuple(_decoded(each) for each in item)
+    if not isinstance(item, Mapping):
+        return item
+    if item["is"] == "number":
+        return float(item["text"])
+    if item["is"] == "items":
+        return FrozenMapping({str(key): _decoded(each) for key, each in item["items"]})
+    if item["is"] == "graph":
+        return graph_from(item)
+    fields = {key: _decoded(each) for key, each in item.items() if key != "is"}
+    return KINDS[item["is"]](**fields)
