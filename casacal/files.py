@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import glob
+import hashlib
 import json
 import math
 import os
+import platform
+import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +40,16 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
         return
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix)
+        prefix = f".{target.name}."
+        sweep(target.parent, prefix)
+        temporary = target.with_name(f"{prefix}{mark_of_this_run()}-{secrets.token_hex(4)}{target.suffix}")
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # less what the umask takes away
     except OSError as error:
         raise CasacalError(f"'{target}' cannot be written ({error.strerror})", "Choose another place") from error
-    os.close(handle)
-    temporary = Path(name)
     try:
+        if target.exists():
+            shutil.copymode(target, temporary)
         write(temporary)
-        temporary.chmod(0o644)
         os.replace(temporary, target)
     except OSError as error:
         raise CasacalError(f"'{target}' cannot be written ({error.strerror})", "Choose another place") from error
@@ -52,25 +57,34 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-@contextmanager
-def together(folder: Path) -> Iterator[Path]:
-    """A place for several files that all take their places in a folder at the end, or none of them.
+def mark_of_this_run() -> str:
+    """What names of temporary files say of who made them: machine and process."""
+    return f"{_machine()}-{os.getpid()}"
 
-    Raises CasacalError when the folder cannot be written.
-    """
+
+def sweep(folder: Path, prefix: str) -> None:
+    """Remove temporary files and folders of runs on this machine that ended without doing so."""
+    for left in folder.glob(f"{glob.escape(prefix)}{_machine()}-*"):
+        process = left.name.removeprefix(f"{prefix}{_machine()}-").partition("-")[0]
+        if process.isdecimal() and not _runs(int(process)):
+            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
+
+
+def _machine() -> str:
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _runs(process: int) -> bool:
+    """Whether a process with this number runs; where that cannot be asked, it is taken to."""
+    if os.name == "nt":  # there, asking would end it
+        return True
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        place = Path(tempfile.mkdtemp(dir=folder, prefix="."))
-    except OSError as error:
-        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
-    try:
-        yield place
-        for made in sorted(place.iterdir()):
-            os.replace(made, folder / made.name)
-    except OSError as error:
-        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass
+    return True
 
 
 def _into(device: Path, write: Callable[[Path], object]) -> None:

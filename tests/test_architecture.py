@@ -16,6 +16,7 @@ ORDER = [
     "values",
     "user_code",
     "files",
+    "file_sets",
     "kinematics",
     "graphs",
     "unknowns",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,9 @@ from casacal.calibration.calibration import Calibration, Reference
 from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
-from casacal.files import together, write_json, write_text
+from casacal.errors import CasacalError
+from casacal.file_sets import side_by_side, together
+from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.write import write_samples
@@ -27,6 +31,8 @@ from casacal.version import __version__
 
 FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
 """What a calibration writes, most read first."""
+PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
+"""The same in the order of their placing: where result.json stands, all stand."""
 NOTES = {
     "data": "determined by the samples",
     "prior": "partly determined by the samples, partly by the prior",
@@ -189,29 +195,44 @@ def write_calibration(
     from casacal.calibration.page import report_page
     from casacal.calibration.pictures import save_plots
 
-    rows = parameter_rows(calibration.fit, calibration.result)
-    lines = ["name,unit,nominal,estimate,change,std,identifiable,note"] + [
-        f"{row['name']},{row['unit']},{row['nominal']:.12g},{row['estimate']:.12g},"
-        f'{row["estimate"] - row["nominal"]:.6g},{row["std"]:.6g},{row["identifiable"]},"{row["note"]}"'
-        for row in rows
-    ]
     document = calibration_document(calibration, folder=folder)
-    with together(folder) as place:
+    with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", "\n".join(lines) + "\n")
+        write_text(place / "parameters.csv", _table(parameter_rows(calibration.fit, calibration.result)))
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]
 
 
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Parameters as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "identifiable", "note"))
+    for row in rows:
+        change = row["estimate"] - row["nominal"]
+        numbers = (f"{row['nominal']:.12g}", f"{row['estimate']:.12g}", f"{change:.6g}", f"{row['std']:.6g}")
+        writer.writerow((row["name"], row["unit"], *numbers, row["identifiable"], row["note"]))
+    return text.getvalue()
+
+
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
-    """Write simulated samples, and the truth as x.truth.json beside x.csv; returns both paths."""
-    samples = simulation.samples
+    """Write simulated samples, and the truth as x.truth.json beside x.csv, both or neither; returns both paths."""
+    samples, truth_path = simulation.samples, path.with_suffix(".truth.json")
+    if path.exists() and not path.is_file():
+        raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
     comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    write_samples(path, source.problem.layout(), samples, comments)
-    written = source.problem.read(path)
-    bound = bind(source.problem, written)
+    with side_by_side([path, truth_path]) as (rows, answer):
+        write_samples(rows, source.problem.layout(), samples, comments)
+        written = replace(source.problem.read(rows), file=str(path))
+        document = _truth_of(simulation, source, bind(source.problem, written), path.parent)
+        document["data"]["file"] = path.name
+        write_json(answer, document)
+    return [path, truth_path]
+
+
+def _truth_of(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
     truth = Result(
         method="truth",
         problem=bound,
@@ -223,6 +244,4 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
         residual_rows=0,
         jacobian_rows=0,
     )
-    truth_path = path.with_suffix(".truth.json")
-    write_json(truth_path, truth_document(bound, truth, source, simulation.seed, folder=path.parent))
-    return [path, truth_path]
+    return truth_document(bound, truth, source, simulation.seed, folder=folder)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of, whole_number
+from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of, spare, whole_number
 from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 
@@ -70,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
     from casacal.calibration.calibrate import calibrate
+    from casacal.calibration.result_json import FILES
     from casacal.least_squares.losses import huber, tukey
     from casacal.problem.problem_file import load_problem
 
@@ -77,7 +78,11 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
     source = load_problem(options.problem)
     problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
-    samples = problem.read(samples_of(source, options.samples), readings=options.readings, key=options.id)
+    given = samples_of(source, options.samples)
+    if options.out is not None:
+        places = [Path(options.out) / name for name in FILES]
+        spare(places, given, options.readings, *(file.path for file in source.files))
+    samples = problem.read(given, readings=options.readings, key=options.id)
     box = None if options.box is None else _box(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
     with _Progress(method) as progress:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,11 +27,12 @@ def add_result(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def spare(out: str, *inputs: str | None) -> None:
+def spare(outs: Iterable[str | Path], *inputs: str | Path | None) -> None:
     """Raise CasacalError where a command would write over what it reads."""
-    for given in inputs:
-        if given is not None and Path(given).exists() and Path(out).exists() and Path(out).samefile(given):
-            raise CasacalError(f"--out '{out}' is what the command reads", "Name another file")
+    for out in outs:
+        for given in inputs:
+            if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
+                raise CasacalError(f"'{out}' is to be written, and it is what the command reads", "Name another --out")
 
 
 def whole_number(text: str) -> int:

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(
             f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
         )
-    spare(options.out, options.result, options.targets)
+    spare([options.out], options.result, options.targets)
     result = read_result(options.result)
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
-    spare(options.out, options.result)
+    spare([options.out], options.result, options.source)
     result = read_result(options.result)
     write_text(options.out, _exported(result, options))
     if options.json:

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.predict import predict, read_joints, write_prediction
     from casacal.compensation.result_file import read_result
 
-    spare(options.out, options.result, options.joints)
+    spare([options.out], options.result, options.joints)
     result = read_result(options.result)
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)

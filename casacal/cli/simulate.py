@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_problem, whole_number
+from casacal.cli.common import DONE, add_json, add_problem, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -60,12 +60,14 @@ def run(options: argparse.Namespace) -> int:
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
 
-    _spare_measurements(Path(options.out))
+    out = Path(options.out)
+    _spare_measurements(out)
     source = load_problem(options.problem)
+    spare([out, out.with_suffix(".truth.json")], *(file.path for file in source.files))
     cell = _cell(source, options)
     simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
-    paths = write_simulation(simulation, source, Path(options.out))
     before, after = planned_accuracy(bind(source.problem, simulation.samples))
+    paths = write_simulation(simulation, source, Path(options.out))
     faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
     written = [path.as_posix() for path in paths]
     if options.json:
