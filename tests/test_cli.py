@@ -419,4 +419,4 @@ def test_a_misspelt_label_column_is_named(hsr, tmp_path, capsys, written):
     text = hsr.samples.read_text().replace("reading_mm,plane", f"reading_mm,{written}")
     (tmp_path / "s.csv").write_text(text)
     assert main(["calibrate", str(hsr.path), str(tmp_path / "s.csv")]) == 2
-    assert f"written '{written}'" in capsys.readouterr().err
+    assert f"did you mean '{written}'?" in capsys.readouterr().err

@@ -89,7 +89,7 @@ def test_other_spellings_of_the_same_file(tmp_path, content):
         (GOOD.replace("q2_mm", "q1_deg"), 2, "q1_deg", "twice"),
         (GOOD.replace("q2_mm", "q2"), 2, "q2", "no unit"),
         (GOOD.replace("q2_mm", "q2_deg"), 2, "q2_deg", "does not carry a unit"),
-        (GOOD.replace("q2_mm", "Q2_mm"), 2, None, "written 'Q2_mm'"),
+        (GOOD.replace("q2_mm", "Q2_mm"), 2, None, "did you mean 'Q2_mm'"),
         (GOOD.replace("note", "q1_rad"), 2, "q1_rad", "both give q1"),
         (GOOD.replace("note", "q3_deg"), 2, "q3_deg", "2 joints"),
         (GOOD.replace("note", "force_N"), 2, "force_N", "no force is measured"),

@@ -64,6 +64,8 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
 def samples_of(source: ProblemFile, given: str | None) -> str:
     """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
     if given is not None:
+        if not given.strip():
+            raise CasacalError("SAMPLES is empty", "Name a file, or leave it out for samples.csv beside the problem")
         return given
     if source.samples is None or not source.samples.is_file():
         raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")

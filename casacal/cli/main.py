@@ -37,22 +37,26 @@ EPILOG = (
 
 
 class _Parser(argparse.ArgumentParser):
-    """Refuses in one line, as every other refusal of casacal."""
+    """Refuses in one line, as every other refusal of casacal; `commands` are the parsers below it."""
+
+    commands: dict[str, argparse.ArgumentParser]
 
     def error(self, message: str) -> NoReturn:
         raise CasacalError(f"{self.prog}: {message}", f"See {self.prog} --help")
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> _Parser:
     """Parser whose `run` is one command's; it raises CasacalError in place of printing usage."""
     description = "Calibrate a robot arm with a dial indicator and a flat face."
     parser = _Parser(prog="casacal", description=description, epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"casacal {__version__}")
+    parser.commands = {}
     subparsers = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
     for name, command in COMMANDS.items():
         below = subparsers.add_parser(name, help=command.HELP)
         command.add_arguments(below)
         below.set_defaults(run=command.run)
+        parser.commands[name] = below
     return parser
 
 
@@ -75,7 +79,10 @@ def _caught(typed: list[str]) -> int:
         if not typed:
             parser.print_help()
             return DONE
-        options = parser.parse_args(typed)
+        if typed[0] in COMMANDS:  # options may stand between what a command is about, which argparse lets none below
+            options = parser.commands[typed[0]].parse_intermixed_args(typed[1:])
+        else:
+            options = parser.parse_args(typed)
         if "run" not in options:
             parser.error("a COMMAND is missing")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser

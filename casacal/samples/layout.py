@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any
 
 from casacal.errors import SamplesError
@@ -18,6 +19,9 @@ UNITS: Mapping[Dimension, Mapping[str, float]] = {
     "number": {"": 1.0},
 }
 """Suffixes a column may carry, with their factor to rad or mm."""
+
+ALSO_CALLED = {"plane": ("face", "faces", "surface", "side", "wall", "plate", "plane_id", "plane_name", "label")}
+"""What people call a column of labels, by its name: such a column is asked about, never overlooked."""
 
 LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 """Beyond ten turns or a hundred metres a value is absurd whatever the robot."""
@@ -67,10 +71,11 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         number = re.fullmatch(r"q(\d+)(_\w+)?", column)
         if number and not 1 <= int(number[1]) <= len(layout.joints):
             raise refuse(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
-    return {name: _find(table, name, dimension, refuse) for name, dimension in layout.quantities.items()}
+    taken = {f"{name}_{unit}" for name, kind in layout.quantities.items() for unit in UNITS[kind]} | {*layout.labels}
+    return {name: _find(table, name, dimension, taken, refuse) for name, dimension in layout.quantities.items()}
 
 
-def _find(table: Columns, name: str, dimension: Dimension, refuse: Any) -> tuple[str, float]:
+def _find(table: Columns, name: str, dimension: Dimension, taken: set[str], refuse: Any) -> tuple[str, float]:
     spellings = {f"{name}_{unit}" if unit else name: factor for unit, factor in UNITS[dimension].items()}
     present = [column for column in table.header if column in spellings]
     wanted = " or ".join(spellings)
@@ -82,7 +87,11 @@ def _find(table: Columns, name: str, dimension: Dimension, refuse: Any) -> tuple
         raise refuse(f"the column has no unit (for {name}: {wanted})", "Add the unit to its name", name)
     wrong = [column for column in table.header if column.startswith(f"{name}_")]
     if wrong:
-        raise refuse(f"the column does not carry a unit known for {name}", f"Name it {wanted}", wrong[0])
+        raise refuse(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
     alike = [column for column in table.header if column.lower() in {key.lower() for key in spellings}]
-    seen = f"it is written '{alike[0]}'" if alike else "the columns are " + ", ".join(table.header[:20])
-    raise refuse(f"there is no column for {name}: {seen}", f"Add {wanted}", None)
+    if not alike:  # among what is nothing else
+        free = [column for column in table.header if column not in taken]
+        alike = get_close_matches(next(iter(spellings)), free, n=1, cutoff=0.75)
+    seen = f"(did you mean '{alike[0]}'?)" if alike else "among " + ", ".join(table.header[:20])
+    fix = f"Call it {wanted}" if alike else f"Add {wanted}"
+    raise refuse(f"there is no column for {name} {seen}", fix, alike[0] if alike else None)

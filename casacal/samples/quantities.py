@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import SamplesError
-from casacal.samples.layout import LARGEST, Layout, match_columns
+from casacal.samples.layout import ALSO_CALLED, LARGEST, Layout, match_columns
 from casacal.tables.columns import Columns
 from casacal.tables.labels import Labels
 
@@ -65,10 +65,10 @@ class Quantities:
         if name not in self._columns.header:
             alike = get_close_matches(name, [column.lower() for column in self._columns.header], n=1, cutoff=0.8)
             for column in self._columns.header:
-                if column.lower() in alike:
+                if column.lower() in (*alike, *ALSO_CALLED.get(name, ())):
                     raise SamplesError(
                         self._columns.file,
-                        f"there is no column '{name}' of labels, but one that is written '{column}'",
+                        f"there is no column '{name}' of labels (did you mean '{column}'?)",
                         f"Call it {name}, or something else if it holds no labels",
                         line=self._columns.header_line or None,
                         column=column,
