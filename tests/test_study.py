@@ -33,7 +33,10 @@ def serial(tmp_path_factory):
 
 
 def without_timings(path):
-    return [{k: v for k, v in json.loads(line).items() if k != "seconds"} for line in path.read_text().splitlines()]
+    return [
+        {k: v for k, v in json.loads(line).items() if k not in ("seconds", "check")}
+        for line in path.read_text().splitlines()
+    ]
 
 
 def test_every_trial_of_every_method_is_a_record(serial):
@@ -243,7 +246,8 @@ def test_gzipped_records_are_read_and_resumed(serial, tmp_path):
 
 
 def test_numbers_that_are_not_finite_become_null():
-    assert json.loads(to_line({"a": float("nan"), "b": [1.0, float("inf")]})) == {"a": None, "b": [1.0, None]}
+    read = json.loads(to_line({"a": float("nan"), "b": [1.0, float("inf")]}))
+    assert (read["a"], read["b"]) == (None, [1.0, None])
 
 
 def test_seeds_depend_on_nothing_but_study_trial_and_method():
