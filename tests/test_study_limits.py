@@ -97,7 +97,7 @@ def test_what_a_short_limit_ended_is_tried_again_with_a_longer_one(tmp_path, mon
     slow = tmp_path / "slow_study.py"
     slow.write_text(
         "import time\nfrom tiny_study import Linear\nfrom casacal import Study, lm\n"
-        "def slow(problem):\n    time.sleep(0.8)\n    return lm(problem)\n"
+        "def slow(problem):\n    open('slow', 'a').write('x')\n    time.sleep(0.8)\n    return lm(problem)\n"
         "def broken(problem):\n    open('ran', 'a').write('x')\n    raise ZeroDivisionError\n"
         "study = Study('slow', {'one': Linear()}, {'slow': slow, 'broken': broken}, trials=1)\n"
         "def report(run):\n    return [str(r['error']) for r in run.records]\n"
@@ -109,7 +109,9 @@ def test_what_a_short_limit_ended_is_tried_again_with_a_longer_one(tmp_path, mon
         return [r["error"] for r in read_records(tmp_path / "out" / RECORDS)]
 
     assert told("0.3") == ["TimeLimit: no answer within 0.3 s", "ZeroDivisionError: no message"]
-    assert told("0.2", "--resume") == ["TimeLimit: no answer within 0.3 s", "ZeroDivisionError: no message"]
+    for seconds in ("0.2", "0.3"):
+        assert told(seconds, "--resume") == ["TimeLimit: no answer within 0.3 s", "ZeroDivisionError: no message"]
+    assert (tmp_path / "slow").read_text() == "x", "no longer time, no other try"
     assert told("30", "--resume") == [None, "ZeroDivisionError: no message"]
     assert (tmp_path / "ran").read_text() == "x", "other failures are not tried again"
     assert count_lines(tmp_path / "out" / RECORDS) == 2
@@ -128,12 +130,13 @@ def test_what_had_more_time_stands(tmp_path):
         merged([[done, {**done, "error": "other"}]])
 
 
-def test_a_trial_that_cannot_be_made_in_time_fails_every_method(tmp_path):
+def test_a_trial_that_cannot_be_made_in_time_fails_every_method_at_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     file = tmp_path / "stuck_study.py"
     file.write_text(
         "import os, time\nfrom casacal import Study, lm, ekf\n"
         "class Stuck:\n    def trial(self, seed):\n        time.sleep(60)\n"
-        "class Gone:\n    def trial(self, seed):\n        os._exit(4)\n"
+        "class Gone:\n    def trial(self, seed):\n        open('tried', 'a').write('x')\n        os._exit(4)\n"
         "study = Study('stuck', {'stuck': Stuck(), 'gone': Gone()}, {'a': lm, 'b': ekf}, trials=1)\n"
         "def report(run):\n    return []\n"
     )
@@ -144,6 +147,7 @@ def test_a_trial_that_cannot_be_made_in_time_fails_every_method(tmp_path):
     assert [r["error"] for r in made.of("gone", "a") + made.of("gone", "b")] == [
         ENDED + "came to an end with exit code 4"
     ] * 2
+    assert (tmp_path / "tried").read_text() == "x"
 
 
 def test_what_a_method_started_ends_with_it(tmp_path, monkeypatch):
