@@ -12,7 +12,7 @@ import pandas as pd
 
 from casacal import BoundProblem, DialOnPlane, Plane, Problem, bind, load_problem, sckf
 from casacal.errors import ProblemError
-from casacal.kernels.compiler import load_library
+from casacal.kernels.libraries import load_library
 from casacal.samples.samples import Samples
 from casacal.unknowns.unknown import tangent_basis
 from studies.reporting import PROBLEMS
@@ -111,7 +111,8 @@ class ByHand:
     """The functions of limit.c on a case, writing to memory that is there already."""
 
     def __init__(self, made: Case, *, evaluations: int = 5) -> None:
-        self.functions = load_library((Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8"))
+        source = (Path(__file__).parent / "speed" / "limit.c").read_text(encoding="utf-8")
+        self.functions = load_library(source, ("limit_normal", "limit_costs", "limit_lm"))
         self.made, self.n, self.ld = made, made.blocks.rows, made.q.shape[1]
         self.x, self.states = np.empty(27), np.tile(made.p, (CANDIDATES, 1))
         self.s, out = np.empty((28, 28)), np.empty(CANDIDATES)

@@ -16,7 +16,7 @@ from test_new_robots import scara
 from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
-from casacal.kernels import compiler
+from casacal.kernels import compiler, libraries
 from casacal.kernels.backend import RowKernels
 from casacal.kernels.operations import NUMPY, C, evaluate, name_of
 from casacal.kernels.reading import read_program
@@ -257,10 +257,11 @@ def test_a_residual_that_does_not_touch_the_data_still_has_rows():
 def fresh(tmp_path, monkeypatch):
     """An empty cache, and no memory of compilers or notices."""
     monkeypatch.setenv("CASACAL_CACHE", str(tmp_path / "cache"))
-    compiler.compiler.cache_clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    compiler._asked.cache_clear()
     backends._notice.cache_clear()
     yield tmp_path / "cache"
-    compiler.compiler.cache_clear()
+    compiler._asked.cache_clear()
     backends._notice.cache_clear()
 
 
@@ -322,10 +323,10 @@ def test_a_compiler_of_macos_that_only_offers_xcode_is_none(monkeypatch):
 
 
 def test_the_cache_of_windows_is_where_windows_keeps_caches(monkeypatch, tmp_path):
-    monkeypatch.setattr(compiler, "WINDOWS", True)
+    monkeypatch.setattr(libraries, "WINDOWS", True)
     monkeypatch.delenv("CASACAL_CACHE", raising=False)
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "Local"))
-    assert compiler.cache_folder() == tmp_path / "Local" / "casacal"
+    assert libraries.cache_folder() == tmp_path / "Local" / "casacal"
 
 
 @pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
@@ -336,7 +337,7 @@ def test_a_user_without_a_home_gets_blocks(hsr, fresh, monkeypatch, caplog):
     def homeless():
         raise RuntimeError("Could not determine home directory.")
 
-    monkeypatch.setattr(compiler.Path, "home", homeless)
+    monkeypatch.setattr(libraries.Path, "home", homeless)
     with caplog.at_level(logging.WARNING, "casacal"):
         assert kernels(hsr).name == "blocks"
     assert "no home folder" in caplog.text

@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal doctor` takes."""
     parser.description = (
         "Find joint signs, quarter-turn offsets, joints measured against others, units and the convention of "
-        "orientation from poses that the pendant shows, and print them as a [conventions] block. Exit 1 when they are "
-        "not certain or none fits."
+        "orientation from poses that the pendant shows, and print them as a [conventions] block. Where "
+        "none fits for one number copied wrongly, say which one. Exit 1 when they are not certain or none fits."
     )
     add_problem(parser)
     parser.add_argument(
@@ -86,6 +86,7 @@ def _document(found: Diagnosis) -> dict[str, Any]:
         "further": None if found.further is None else asdict(found.further),
         "nearest": None if found.nearest is None else asdict(found.nearest),
         "odd_lines": found.odd_lines,
+        "slips": [asdict(slip) for slip in found.slips],
     }
 
 

@@ -34,6 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
     parser.add_argument("--shard", metavar="I/N", help="run only the I-th of N parts of the trials, to be merged later")
     parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing; put the records of shards together")
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        metavar="SECONDS",
+        help="a process for each trial, and the longest that a method may take in it; one that takes longer or crashes "
+        "is recorded as a failure, and --resume with a longer time tries it again",
+    )
     parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only the missing trials")
     parser.add_argument("--report", action="store_true", help="run nothing; write the report from the records in DIR")
     parser.add_argument("--out", metavar="DIR", help="folder for records and report; default: out/NAME")
@@ -99,6 +106,7 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
             scheduler=options.scheduler,
             shard=_shard(options.shard),
             resume=options.resume,
+            timeout=options.timeout,
             progress=progress,
         )
 

@@ -15,6 +15,7 @@ from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows
 from casacal.doctor.rotations import angle_between, rotations_of
 from casacal.doctor.same_arm import MOST_MEANINGS, Meaning, changes, conventions_of, distinct
 from casacal.doctor.search import Halves, poses_of
+from casacal.doctor.slips import Slip, slips_in
 from casacal.errors import CasacalError
 from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
@@ -31,7 +32,9 @@ MOST_JOINTS = 7
 """Joints beyond which there are more readings than a search can hold."""
 MOST_TURNING = 25.0
 """Joint values beyond which a column cannot be in radians."""
-WORTH_LEAVING_OUT = range(4, 13)
+FEW = 6
+"""Conventions of the other rows up to which the numbers of a row are looked at one by one."""
+WORTH_LEAVING_OUT = range(3, 13)
 """Numbers of rows at which each is left out in turn when no convention fits all."""
 
 
@@ -50,6 +53,7 @@ class Diagnosis:
     meanings: all that fit, the simplest first; empty when none does. more: whether there are more than were looked at.
     postures: how many different ones the rows hold. further: the pose that would settle it, None where nothing is open.
     nearest: how far off the best is when none fits. odd_lines: rows without which one would.
+    slips: single numbers in them that, changed, would let all rows fit, the best first.
     """
 
     rows: PendantRows
@@ -60,6 +64,7 @@ class Diagnosis:
     further: FurtherPose | None
     nearest: Miss | None
     odd_lines: tuple[int, ...] = ()
+    slips: tuple[Slip, ...] = ()
 
     @property
     def certain(self) -> bool:
@@ -132,10 +137,25 @@ def diagnose(
         return replace(found, further=further_pose(axes, robot, meanings, tolerance, seed=len(rows)))
     if more:
         return Diagnosis(rows, tolerance, (), True, 0, None, None)
-    odd: tuple[int, ...] = ()
-    if len(rows) in WORTH_LEAVING_OUT:
-        odd = tuple(rows.lines[i] for i in range(len(rows)) if _meanings(known, rows.without(i), tolerance, reach)[0])
-    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows, reach), odd)
+    odd, slips = _odd(known, rows, tolerance, reach) if len(rows) in WORTH_LEAVING_OUT else ((), ())
+    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows, reach), odd, slips)
+
+
+def _odd(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tuple[tuple[int, ...], tuple[Slip, ...]]:
+    """Lines without which the others fit, and the single numbers in them that could be to blame."""
+    lines: list[int] = []
+    slips: list[Slip] = []
+    looked_at = True
+    for i in range(len(rows)):
+        meanings, more = _meanings(known, rows.without(i), tolerance, reach)
+        if not meanings:
+            continue
+        lines.append(rows.line(i))
+        if more or len(meanings) > FEW:
+            looked_at = False  # what is found elsewhere would only seem to be the only one
+        else:
+            slips += slips_in(known.axes, known.base, rows, i, meanings, tolerance)
+    return tuple(lines), tuple(sorted(slips, key=lambda slip: slip.miss)) if looked_at else ()
 
 
 def _meanings(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tuple[tuple[Meaning, ...], bool]:

@@ -59,7 +59,7 @@ def further_pose(
         rivals = Family(np.concatenate([best.reading[None], family.options]), np.zeros(len(family) + 1, dtype=bool))
         turn, place = poses_of(axes, rivals, shown * scale)
     else:
-        told = [poses_of(axes, _only(m), shown * _scale(axes, m)) for m in meanings]
+        told = [poses_of(axes, m.family, shown * _scale(axes, m)) for m in meanings]
         turn = np.concatenate([each[0] for each in told])
         # as the controller shows it: a metre and a millimetre that read alike cannot be told apart
         place = np.concatenate(
@@ -88,10 +88,6 @@ def further_pose(
 def _scale(axes: Axes, meaning: Meaning) -> Array:
     """From joint values as shown to rad and mm (n,)."""
     return np.where(axes.turns, ANGLES[meaning.joint_unit], LENGTHS[meaning.length_unit])
-
-
-def _only(meaning: Meaning) -> Family:
-    return Family(meaning.reading[None], np.zeros(1, dtype=bool))
 
 
 def _inside(robot: Robot, meaning: Meaning, q: Array) -> NDArray[np.bool_]:

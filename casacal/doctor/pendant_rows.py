@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,18 @@ LENGTHS = {"mm": 1.0, "m": 1000.0}
 QUATERNION = ("qw", "qx", "qy", "qz")
 TRIPLES = (("rx", "ry", "rz"), ("a", "b", "c"), ("w", "p", "r"), ("o", "a", "t"))
 """Names that three columns of an orientation may have, in the order of the pendant; what they mean is found."""
+LARGEST = 1e9
+"""What no joint value, length or angle of a robot exceeds in any unit."""
 
 
 @dataclass(frozen=True)
 class PendantRows:
     """Numbers as shown: joints (N, n), positions (N, 3), orientations (N, 4; w, x, y, z) or (N, 3).
 
-    joint_unit, length_unit, angle_unit: what the column names state, "" where they state nothing.
+    joint_unit, length_unit, angle_unit: what the column names state, "" where they state nothing. columns: those names,
+    of joints, positions and orientations; without them the usual ones.
+
+    Raises SamplesError for a number that is not finite or beyond all robots.
     """
 
     joints: Array
@@ -36,22 +41,45 @@ class PendantRows:
     angle_unit: str = ""
     lines: tuple[int, ...] = ()
     file: str = "rows"
+    columns: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for i, k in np.argwhere(~(np.abs(self.numbers) <= LARGEST))[:1]:
+            raise SamplesError(
+                self.file,
+                f"{self.numbers[i, k]:g} is beyond any robot",
+                "Copy the number again",
+                line=self.line(i),
+                column=self.names[k],
+            )
 
     def __len__(self) -> int:
         return len(self.joints)
 
+    @property
+    def numbers(self) -> Array:
+        """All numbers of the rows (N, columns), in the order of `names`."""
+        return np.hstack([self.joints, self.positions, self.orientations])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """A name for each number of a row."""
+        turn = QUATERNION if self.orientations.shape[1] == 4 else TRIPLES[0]
+        return self.columns or (*(f"q{i}" for i in range(1, self.joints.shape[1] + 1)), "x", "y", "z", *turn)
+
+    def line(self, row: int) -> int:
+        """Line of the file that holds a row; without a file, the row counted from 1."""
+        return self.lines[row] if self.lines else row + 1
+
     def without(self, row: int) -> PendantRows:
         """All rows but one."""
         keep = [i for i in range(len(self)) if i != row]
-        return PendantRows(
-            self.joints[keep],
-            self.positions[keep],
-            self.orientations[keep],
-            self.joint_unit,
-            self.length_unit,
-            self.angle_unit,
-            tuple(self.lines[i] for i in keep),
-            self.file,
+        return replace(
+            self,
+            joints=self.joints[keep],
+            positions=self.positions[keep],
+            orientations=self.orientations[keep],
+            lines=tuple(self.lines[i] for i in keep) if self.lines else (),
         )
 
 
@@ -88,6 +116,7 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         _one_unit(table, turn),
         table.lines,
         table.file,
+        tuple(name for name, _ in (*joints, *place, *turn)),
     )
 
 

@@ -22,17 +22,22 @@ MEANINGS = {
 
 def rotations_of(numbers: Array) -> dict[tuple[str, str], Array]:
     """Rotation matrices (N, 3, 3) that orientations (N, 4) or (N, 3) may mean, by convention and unit ("" for none)."""
+    if numbers.shape[1] == 4:
+        return {("quaternion", ""): rotations_as(numbers, "quaternion")}
+    names = (*SEQUENCES, "rotation-vector")
+    return {(name, unit): rotations_as(numbers, name, unit) for unit in ANGLES for name in names}
+
+
+def rotations_as(numbers: Array, name: str, unit: str = "") -> Array:
+    """Rotation matrices (N, 3, 3) that orientations mean in one convention and unit."""
     from scipy.spatial.transform import Rotation
 
-    if numbers.shape[1] == 4:
-        return {("quaternion", ""): Rotation.from_quat(np.roll(numbers, -1, axis=1)).as_matrix()}
-    found = {}
-    for unit, factor in ANGLES.items():
-        angles = numbers * factor
-        for name, sequence in SEQUENCES.items():
-            found[name, unit] = Rotation.from_euler(sequence, angles).as_matrix()
-        found["rotation-vector", unit] = Rotation.from_rotvec(angles).as_matrix()
-    return found
+    if name == "quaternion":
+        return np.asarray(Rotation.from_quat(np.roll(numbers, -1, axis=1)).as_matrix())
+    angles = numbers * ANGLES[unit]
+    if name == "rotation-vector":
+        return np.asarray(Rotation.from_rotvec(angles).as_matrix())
+    return np.asarray(Rotation.from_euler(SEQUENCES[name], angles).as_matrix())
 
 
 def angle_between(one: Array, other: Array) -> Array:

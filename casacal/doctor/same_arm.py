@@ -43,9 +43,16 @@ class Meaning:
         """The way to write it with the fewest changes from plain."""
         return self.conventions[0]
 
+    @property
+    def family(self) -> Family:
+        """The reading alone, as a family of one."""
+        return Family(self.reading[None], np.zeros(1, dtype=bool))
+
 
 def distinct(axes: Axes, family: Family, seed: int = 0) -> list[NDArray[np.intp]]:
     """Indices of the readings of each meaning, at most `MOST_MEANINGS` of them; decided at random joint values."""
+    if not len(family):
+        return []
     n = len(axes.turns)
     spread = np.where(axes.turns, np.pi, 500.0)
     q = np.random.default_rng(seed).uniform(-spread, spread, (COMPARED, n))

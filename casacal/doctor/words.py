@@ -144,6 +144,9 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         yield f"Give {ENOUGH} rows or more in which every joint stands at another value, none at zero"
         return
     yield f"{len(found.rows)} rows of {found.rows.file}: no convention fits within {found.tolerance:g} mm and mrad"
+    if found.slips:
+        yield _slip(found)
+        return
     if found.nearest is None:
         yield "The positions are beyond the arm's reach in mm and in metres"
     else:
@@ -164,3 +167,22 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         "Searched: signs, quarter turns, any joints measured against the one before or one against any other, deg and "
         "rad, mm and m, five conventions of three angles"
     )
+
+
+def _slip(found: Diagnosis) -> str:
+    """Which number was copied wrongly, as far as the rows tell."""
+    listed = [
+        f"{slip.column} in line {slip.line} ({slip.shown:.10g}; about {_about(slip.fitting)} would fit)"
+        for slip in found.slips
+    ]
+    if len(listed) == 1:
+        return f"All rows fit but for one number: {listed[0]}. Compare it with the pendant; no other number would do"
+    if len(listed) <= SHOWN:
+        return f"All rows fit but for one number, either {' or '.join(listed)}. Compare them with the pendant"
+    where = ", ".join(map(str, sorted({slip.line for slip in found.slips})))
+    return f"All rows fit but for one of {len(listed)} numbers, in line {where}. Compare them with the pendant"
+
+
+def _about(value: float) -> str:
+    """No more digits than rows that are rounded tell: five, and four decimals."""
+    return f"{round(float(f'{value:.5g}'), 4) + 0.0:g}"

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.kernels.c_source import filter_source
-from casacal.kernels.compiler import load_library
 from casacal.kernels.lanes import PAD
+from casacal.kernels.libraries import load_library
 from casacal.kernels.native_normal import PackedPieces
 from casacal.kernels.reading import read_program
 from casacal.least_squares.linalg import LEAST_LEFT
@@ -30,7 +30,7 @@ class NativeCubature:
         program = read_program(residual, ("lane", "once", "once"), ahead=False)
         self.unknowns, self.components = residual.numel_in(0), residual.numel_out(0)
         once = residual.numel_in(1) + residual.numel_in(2)
-        self._pass = load_library(filter_source(program, self.unknowns, once)).cubature_pass
+        self._pass = load_library(filter_source(program, self.unknowns, once), ("cubature_pass",)).cubature_pass
         long, pointer = ctypes.c_long, ctypes.c_void_p
         self._pass.argtypes = [long, long, long, *[pointer] * 6, ctypes.c_double, *[pointer] * 6]
         self._pass.restype = long

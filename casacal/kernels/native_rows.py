@@ -10,12 +10,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.kernels.c_source import kernel_source, rows_of_normal
-from casacal.kernels.compiler import load_library
 from casacal.kernels.lanes import PaddedLanes, aligned
+from casacal.kernels.libraries import load_library
 from casacal.kernels.program import Program
 
 LARGE = 1 << 20
 """Bytes of a Jacobian beyond which it is written around the caches, straight to memory."""
+FUNCTIONS = ("residual", "slopes", "costs", "normal", "accumulate", "damped_step", "extended_pass")
+"""What the C source of a row model defines."""
 
 
 class NativeKernels:
@@ -27,7 +29,7 @@ class NativeKernels:
         self.components = len(slopes.outputs[0])
         self.unknowns = len(slopes.outputs[1]) // self.components
         self.rows = rows_of_normal(self.unknowns)
-        self.compiled = load_library(kernel_source(slopes, parameters))
+        self.compiled = load_library(kernel_source(slopes, parameters), FUNCTIONS)
         long, pointer = ctypes.c_long, ctypes.c_void_p
         self._residual = self._function("residual", long, long, pointer, pointer, pointer)
         self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer, long)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias
@@ -57,8 +58,8 @@ class Method:
     trials: int | None = None
 
     def __call__(self, problem: LeastSquares, seed: int) -> Result | Array:
-        """Estimate, with the seed where the function takes one."""
-        return self.estimate(problem, **self.options, **({"seed": seed} if self.seeded else {}))
+        """Estimate, with options of its own, and the seed where the function takes one."""
+        return self.estimate(problem, **copy.deepcopy(dict(self.options)), **({"seed": seed} if self.seeded else {}))
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,11 @@ def in_processes(function: Callable[[Task], Outcome], tasks: Sequence[Task], wor
             for future in finished:
                 yield future.result()
     except BrokenProcessPool:
-        raise StudyError("A worker process died", "Run again with --resume; fewer workers need less memory") from None
+        raise StudyError(
+            "A worker process died",
+            "Run again with --resume; fewer workers need less memory, and with --timeout SECONDS a method that ends "
+            "its process is recorded as a failure",
+        ) from None
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -53,10 +57,11 @@ def _begin_worker() -> None:
     """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.setdefault(THREADS, "1")  # the processors are shared out already
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """Wait for the process that started this one to be gone, and follow it."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

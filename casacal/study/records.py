@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -29,6 +30,10 @@ DIGITS = 10
 TIMING_DIGITS = 4
 TIMINGS = "seconds"
 """The one entry of a record that may differ when the trial is run again."""
+LIMIT = "limit"
+"""What a record has besides where a time limit ended its method: that limit in seconds."""
+_CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
+"""How a line ends: with the first half of the SHA-256 of the line without this end."""
 
 
 def key_of(record: Mapping[str, Any]) -> Key:
@@ -37,28 +42,53 @@ def key_of(record: Mapping[str, Any]) -> Key:
 
 
 def to_line(record: Mapping[str, Any]) -> str:
-    """A record as one line of JSON with sorted keys; numbers to ten digits, timings to four, null where not finite."""
+    """A record as one line of JSON with sorted keys, and a checksum of it at the end.
+
+    Numbers have ten digits, timings four, and are null where not finite.
+    """
+    text = _text(record)
+    return f'{text[:-1]},"check":"{_checksum(text.encode())}"}}\n'
+
+
+def _text(record: Mapping[str, Any]) -> str:
     plain = {key: _rounded(value, TIMING_DIGITS if key == TIMINGS else DIGITS) for key, value in record.items()}
-    return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False) + "\n"
+    return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _checksum(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()[:16]
 
 
 def read_records(path: Path) -> list[Record]:
     """Records of a file, or of the same file gzipped, without the last line where a kill cut it short.
 
-    None when there is no file. Raises StudyError for a line that is no record.
+    None when there is no file. Raises StudyError for a line that is no record or is not as it was written, and for two
+    records of one trial and method that differ. Only where no line has a checksum, as in files of versions before there
+    were any, none is asked for.
     """
     content = _content_of(path)
-    records = []
-    for number, line in enumerate(content[: content.rfind(b"\n") + 1].splitlines(), start=1):
-        try:
-            record = json.loads(line)
-            key_of(record)
-        except (ValueError, KeyError, TypeError):
-            raise StudyError(
-                f"Line {number} of '{path}' is not a record", "Restore the file, or remove that line and resume"
-            ) from None
-        records.append(record)
-    return records
+    lines = content[: content.rfind(b"\n") + 1].splitlines()
+    checked = any(_CHECKED.search(line) for line in lines)
+    return merged([[_record(line, path, number, checked) for number, line in enumerate(lines, start=1)]])
+
+
+def _record(line: bytes, path: Path, number: int, checked: bool) -> Record:
+    """The record of a line; raises StudyError when it is none, or `checked` and not as it was written."""
+    end = _CHECKED.search(line)
+    whole = end is not None and end[1] == _checksum(line[: end.start()] + b"}").encode()
+    try:
+        record = json.loads(line)
+        key_of(record)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        record = None
+    if not isinstance(record, dict) or (checked and not whole):
+        of = ""
+        if isinstance(record, dict):
+            of = ", ".join(f" {k} {record[k]!r}" for k in ("setting", "method", "trial") if k in record)
+        what = f"is damaged: its checksum is not that of what it says ({of.strip()})" if of else "is not a record"
+        raise StudyError(f"Line {number} of '{path}' {what}", "Restore the file, or remove that line and resume")
+    record.pop("check", None)
+    return record
 
 
 @contextlib.contextmanager
@@ -121,20 +151,30 @@ class Appender:
 
 
 def merged(parts: Sequence[Iterable[Record]]) -> list[Record]:
-    """All records of several runs, each key once.
+    """All records of several runs, each key once; what a time limit ended gives way to what had more time.
 
     Raises StudyError when two records of one key differ in more than their timings.
     """
     found: dict[Key, Record] = {}
     for record in (record for part in parts for record in part):
         other = found.setdefault(key_of(record), record)
-        if _content(other) != _content(record):
+        if other is record:
+            continue
+        if had_less_time(other, record):
+            found[key_of(record)] = record
+        elif not had_less_time(record, other) and _content(other) != _content(record):
             raise StudyError(
                 f"Two records of setting '{record['setting']}', method '{record['method']}', trial {record['trial']} "
                 "differ",
-                "They come from machines or packages that compute differently; run these parts on one kind of machine",
+                "They come from machines or packages that compute differently, or one was edited; run these parts on "
+                "one kind of machine",
             )
     return list(found.values())
+
+
+def had_less_time(one: Record, other: Record) -> bool:
+    """Whether a time limit ended one record's method that the other's did not have, or had longer."""
+    return LIMIT in one and float(one[LIMIT]) < float(other.get(LIMIT, math.inf))
 
 
 def records_digest(records: Iterable[Record]) -> str:
@@ -142,7 +182,7 @@ def records_digest(records: Iterable[Record]) -> str:
 
     Equal numbers have equal digests, also from a later version that computes the same.
     """
-    return hashlib.sha256("".join(_content(record) for record in records).encode()).hexdigest()
+    return hashlib.sha256("".join(f"{_content(record)}\n" for record in records).encode()).hexdigest()
 
 
 def _packed(path: Path) -> Path:
@@ -160,7 +200,7 @@ def _content_of(path: Path) -> bytes:
 
 
 def _content(record: Mapping[str, Any]) -> str:
-    return to_line({name: value for name, value in record.items() if name not in (TIMINGS, "fingerprint")})
+    return _text({name: value for name, value in record.items() if name not in (TIMINGS, "fingerprint")})
 
 
 def _rounded(value: Any, digits: int) -> Any:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from casacal.errors import StudyError
 from casacal.study import executors, records
 from casacal.study.description import Study
 from casacal.study.records import Key, Record
-from casacal.study.tasks import Carried, Errand, Task, carried, perform, perform_carried, perform_errand, tasks_of
+from casacal.study.supervised import supervised
+from casacal.study.task import Task
+from casacal.study.tasks import Carried, Errand, carried, perform, perform_errand, tasks_of
 
 Progress = Callable[[int, int], None]
 
@@ -70,6 +72,7 @@ def run(
     scheduler: str | None = None,
     shard: tuple[int, int] = (1, 1),
     resume: bool = False,
+    timeout: float | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Run what is not yet recorded in `out`.
@@ -83,6 +86,9 @@ def run(
         scheduler: address of a Dask scheduler, in place of local processes.
         shard: (i, n), the i-th of n parts of the trials.
         resume: keep the records that exist, and make only those that are missing; else there must be none.
+        timeout: seconds that each method of a trial may take, and the making of the trial; each trial then has a
+            process of its own, and a method that takes longer, ends its process or crashes is recorded as a failure.
+            With `resume`, what a shorter limit ended is tried again; what another failure ended is kept.
         progress: called with (records done, of how many) at first and after each trial.
 
     Returns:
@@ -94,17 +100,24 @@ def run(
     """
     if workers < 1 or not 1 <= shard[0] <= shard[1]:
         raise StudyError(f"{workers} workers and shard {shard[0]}/{shard[1]} were asked for", "Count both from one")
-    path, everything = out / RECORDS, tasks_of(study)
+    if timeout is not None and not (0 < timeout < math.inf and scheduler is None):
+        raise StudyError(
+            f"A time limit of {timeout:g} s was asked for{'' if scheduler is None else ', and a cluster'}",
+            "Give seconds above zero, and let local processes do the work",
+        )
+    path, everything = (out / RECORDS).absolute(), tasks_of(study)
     mine = everything[shard[0] - 1 :: shard[1]]
     with records.appending(path) as appender:
         found = records.read_records(path)
         done = _kept(study, out, everything, found, resume)
+        if timeout is not None:
+            done -= {records.key_of(r) for r in found if r.get(records.LIMIT, timeout) < timeout}
         missing = [task for task in (task.without(done) for task in mine) if task.methods]
         total = sum(len(task.methods) for task in mine)
         count = total - sum(len(task.methods) for task in missing)
         if progress is not None:
             progress(count, total)
-        for made in _performed(study, missing, file, quick, workers, scheduler):
+        for made in _performed(study, missing, file, quick, workers, scheduler, timeout):
             appender.append(made)
             count += len(made)
             if progress is not None:
@@ -151,23 +164,27 @@ def missing(study: Study, made: Run) -> int:
 
 
 def _performed(
-    study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool, workers: int, scheduler: str | None
+    study: Study,
+    tasks: Sequence[Task],
+    file: str | Path | None,
+    quick: bool,
+    workers: int,
+    scheduler: str | None,
+    timeout: float | None,
 ) -> Iterator[list[Record]]:
-    if workers == 1 and scheduler is None:
+    if workers == 1 and scheduler is None and timeout is None:
         return executors.here(lambda task: perform(study, task), tasks)
+    errands: list[Errand | Carried]
     if file is not None:
         errands = [Errand(str(Path(file).resolve()), quick, study.trials, task) for task in tasks]
-        return _given_out(perform_errand, errands, workers, scheduler)
-    luggage = carried(study)
-    return _given_out(perform_carried, [Carried(luggage, task) for task in tasks], workers, scheduler)
-
-
-def _given_out(
-    function: Callable[[Any], list[Record]], errands: Sequence[Any], workers: int, scheduler: str | None
-) -> Iterator[list[Record]]:
+    else:
+        luggage = carried(study)
+        errands = [Carried(luggage, task) for task in tasks]
+    if timeout is not None:
+        return supervised(study.name, errands, timeout, workers)
     if scheduler is not None:
-        return executors.on_cluster(function, errands, scheduler)
-    return executors.in_processes(function, errands, workers)
+        return executors.on_cluster(perform_errand, errands, scheduler)
+    return executors.in_processes(perform_errand, errands, workers)
 
 
 def _kept(study: Study, out: Path, tasks: Iterable[Task], found: Sequence[Record], resume: bool) -> set[Key]:

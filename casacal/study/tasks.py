@@ -1,45 +1,21 @@
-"""The units of a study's work: all methods of one trial, which see the same arm, touches and noise."""
+"""The tasks of a study, and how a worker that is given one finds the study."""
 
 from __future__ import annotations
 
 import functools
 import pickle
 import threading
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from casacal.errors import StudyError
 from casacal.study.description import Study
-from casacal.study.records import Key, Record
+from casacal.study.records import Record
 from casacal.study.study_file import load_study
-from casacal.study.trial import run_trial
+from casacal.study.task import Task
+from casacal.study.trial import trial_records
 
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """Some methods in one trial of a setting, and the key of each."""
-
-    setting: str
-    trial: int
-    methods: tuple[str, ...]
-    fingerprints: tuple[str, ...]
-
-    @property
-    def keys(self) -> list[Key]:
-        """Key of each record that the task makes."""
-        return [(fingerprint, self.trial) for fingerprint in self.fingerprints]
-
-    def without(self, done: Iterable[Key]) -> Task:
-        """The task without the methods that are recorded already."""
-        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
-        return replace(
-            self,
-            methods=tuple(self.methods[i] for i in kept),
-            fingerprints=tuple(self.fingerprints[i] for i in kept),
-        )
 
 
 @dataclass(frozen=True)
@@ -74,19 +50,25 @@ def tasks_of(study: Study) -> list[Task]:
 
 def perform(study: Study, task: Task) -> list[Record]:
     """Records of a task."""
-    return run_trial(study, task.setting, task.trial, zip(task.methods, task.fingerprints, strict=True))
+    return [record for record in trial_records(study, task) if record is not None]
 
 
-def perform_errand(errand: Errand) -> list[Record]:
+def perform_errand(errand: Errand | Carried) -> list[Record]:
     """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
     with _ONE_AT_A_TIME:
-        study, task = _study(errand.path, errand.quick, errand.trials), errand.task
-        if [_fingerprint(errand, method) for method in task.methods] != list(task.fingerprints):
-            raise StudyError(
-                "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
-                "Give all of them the same",
-            )
-        return perform(study, task)
+        return perform(opened(errand), errand.task)
+
+
+def opened(errand: Errand | Carried) -> Study:
+    """The study of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
+    if isinstance(errand, Carried):
+        return _unpacked(errand.study)
+    if [_fingerprint(errand, method) for method in errand.task.methods] != list(errand.task.fingerprints):
+        raise StudyError(
+            "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
+            "Give all of them the same",
+        )
+    return _study(errand.path, errand.quick, errand.trials)
 
 
 def carried(study: Study) -> bytes:
@@ -98,12 +80,6 @@ def carried(study: Study) -> bytes:
             f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}",
             "Write it to a file, or run it here",
         ) from error
-
-
-def perform_carried(errand: Carried) -> list[Record]:
-    """Records of a task, in a worker that was given the study."""
-    with _ONE_AT_A_TIME:
-        return perform(_unpacked(errand.study), errand.task)
 
 
 @functools.lru_cache(maxsize=4)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from casacal.least_squares.result import Result, as_result
 from casacal.study.description import Study, Trial
 from casacal.study.metering import Metered
 from casacal.study.records import TIMINGS, Record
+from casacal.study.task import Task
+from casacal.study.undone import undone
 
 POINTS = 24
 """Points that a record keeps of the way to the estimate."""
@@ -21,16 +24,58 @@ CANDIDATES = 64
 """States evaluated at once while warming up: what population methods ask for."""
 
 
-def run_trial(study: Study, setting: str, trial: int, methods: Iterable[tuple[str, str]]) -> list[Record]:
-    """Records of some methods, each with its fingerprint, in one trial of a setting."""
-    shared = {"study": study.name, "setting": setting, "trial": trial}
-    heads: list[Record] = [{**shared, "method": method, "fingerprint": key} for method, key in methods]
+def heads(study: str, task: Task) -> list[Record]:
+    """What the records of a task say of where they come from."""
+    shared = {"study": study, "setting": task.setting, "trial": task.trial}
+    return [
+        {**shared, "method": method, "fingerprint": key}
+        for method, key in zip(task.methods, task.fingerprints, strict=True)
+    ]
+
+
+def trial_records(study: Study, task: Task) -> Iterator[Record | None]:
+    """Records of some methods in one trial of a setting, as they are made; None once the trial itself is.
+
+    A method that changed the problem all share is a failure, and those after it get the problem made anew.
+    """
+    waiting = heads(study.name, task)
+    while waiting:
+        try:
+            made = study.settings[task.setting].trial(study.trial_seed(task.trial))
+            rows = warm_up(made.problem)
+            before = _state(made.problem)
+        except _caught() as error:  # a cell out of reach fails every method, and the study goes on
+            yield from ({**head, **failed(_said(error))} for head in waiting)
+            return
+        yield None
+        intact = True
+        while waiting and intact:
+            head = waiting.pop(0)
+            record = _measured(study, made, head["method"], task.trial, rows)
+            intact = _unchanged(made.problem, before)
+            yield {**head, **(record if intact else failed("Changed: the method changed the problem that all share"))}
+
+
+def _caught() -> tuple[type[BaseException], ...]:
+    """What a method may raise that is a failure of its own: in a process that no keyboard reaches, everything."""
+    if multiprocessing.parent_process() is not None:
+        return (BaseException,)
+    return (Exception, SystemExit)
+
+
+def _state(problem: LeastSquares) -> list[Array]:
+    """What methods see of a problem, to be compared."""
+    with np.errstate(all="ignore"):
+        return [problem.x0.copy(), problem.prior_std.copy(), problem.start_std.copy(), problem.residual(problem.x0)]
+
+
+def _unchanged(problem: LeastSquares, before: list[Array]) -> bool:
     try:
-        made = study.settings[setting].trial(study.trial_seed(trial))
-        rows = warm_up(made.problem)
-    except Exception as error:  # a cell out of reach fails every method, and the study goes on
-        return [{**head, **_failure(error), TIMINGS: {}} for head in heads]
-    return [{**head, **_measured(study, made, head["method"], trial, rows)} for head in heads]
+        return all(
+            np.array_equal(one, other, equal_nan=True) for one, other in zip(_state(problem), before, strict=True)
+        )
+    except _caught():
+        return False
 
 
 def warm_up(problem: LeastSquares) -> dict[str, float]:
@@ -50,16 +95,16 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
     seed = study.method_seed(trial, method)
     began, began_cpu = time.perf_counter(), time.process_time()
     try:
-        with np.errstate(all="ignore"):  # what overflows is found below, and said in a sentence
+        with undone(seed):
             outcome = run(metered, seed)
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # what overflows is found below, and said in a sentence
             result = as_result(outcome, made.problem, method)
             figures = dict(made.judge(result))
             detail = _detail(made, metered, result, trial) if trial < study.details else {}
-    except Exception as error:  # failures are rows with their message
+    except _caught() as error:  # failures are rows with their message
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
-        return {**_failure(error), TIMINGS: spent}
+        return {**failed(_said(error)), TIMINGS: spent}
     counts = (metered.residual_rows, metered.jacobian_rows)
     if metered.used_graph:  # its evaluations happen inside the solver, which counts them itself
         counts = (result.residual_rows, result.jacobian_rows)
@@ -74,9 +119,13 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
     }
 
 
-def _failure(error: Exception) -> Record:
-    message = f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
-    return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}}
+def failed(message: str) -> Record:
+    """The record of a method that gave no answer, and what it said instead."""
+    return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}, TIMINGS: {}}
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
 def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:
