@@ -140,7 +140,8 @@ def _parsed(plain: Plain, first: int, form: Form) -> Rows | None:
     """Rows as pandas reads them; None where it cannot read a number, or one is not finite."""
     import pandas as pd
 
-    kinds: Any = dict.fromkeys(form.numbers, "float64") | dict.fromkeys(form.texts, "category")
+    kinds: Any = dict.fromkeys(form.numbers, "float64")
+    kinds |= dict.fromkeys(form.texts, "object")  # among categories, 01 would be 1
     if len(kinds) == len(form.names) and not form.texts:
         kinds = "float64"  # one type for all is sooner dealt with than the same for each
     # before 3.1 pandas had a faster way that may be wrong in the last digit
@@ -156,8 +157,8 @@ def _parsed(plain: Plain, first: int, form: Form) -> Rows | None:
     numbers = {name: frame[name].to_numpy() for name in form.numbers}
     if len(frame) != plain.lines or not all(np.isfinite(column).all() for column in numbers.values()):
         return None
-    texts = {name: frame[name].array for name in form.texts}
-    labels = {name: Labels.coded(text.categories, text.codes) for name, text in texts.items()}
+    coded = {name: pd.factorize(frame[name].to_numpy()) for name in form.texts}
+    labels = {name: Labels.coded(names, codes) for name, (codes, names) in coded.items()}
     return Rows(numbers, labels, range(first, first + plain.lines), plain.mark)
 
 
