@@ -232,7 +232,7 @@ def said_of(kind: Kind, path: Path, figures: Figures) -> str | None:
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        return "".join(traceback.format_exception(error))
+        return "".join(traceback.format_exception(error)[-3:])
     return None
 
 
@@ -275,7 +275,7 @@ def main() -> int:
         f"{len(found.failed)} failed; slowest {found.slowest:.2f} s, {found.memory >> 20} MB more memory\n"
     )
     sys.stdout.writelines(f"  {count:6d}  {words}\n" for words, count in found.refused.most_common(25))
-    sys.stdout.writelines(f"{words}\n" for words in found.failed[:10])
+    sys.stdout.writelines(f"{words[:1000]}\n" for words in found.failed[:4])
     return 1 if found.failed else 0
 
 

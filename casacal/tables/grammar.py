@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterable
 
 from casacal.errors import SamplesError, counted
 
@@ -15,7 +16,8 @@ LONGEST_NAME = 200
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
-_UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+"""What would tear a sentence apart."""
 
 
 def decode(data: bytes, file: str) -> str:
@@ -75,7 +77,7 @@ def numbered_rows(lines: list[tuple[int, str]], delimiter: str, file: str) -> li
 
 
 def check_header(header: tuple[str, ...], file: str, line: int) -> None:
-    """Raise SamplesError unless each column has a name of its own that can be shown in a sentence."""
+    """Raise SamplesError unless the header is one of names, each column having its own."""
     if len(header) > MOST_COLUMNS:
         what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
         raise SamplesError(file, what, "Leave out what is no sample", line=line)
@@ -86,12 +88,17 @@ def check_header(header: tuple[str, ...], file: str, line: int) -> None:
             "Put a header such as q1_deg,q2_deg,... above it",
             line=line,
         )
-    known = set()
-    for i, name in enumerate(header):
+    check_names(header, file, line)
+
+
+def check_names(names: Iterable[str], file: str, line: int | None = None) -> None:
+    """Raise SamplesError unless each column has a name of its own that can be shown in a sentence."""
+    known: set[str] = set()
+    for i, name in enumerate(names, 1):
         if not name:
-            raise SamplesError(file, f"column {i + 1} has no name", "Name it, or remove the delimiter", line=line)
-        if len(name) > LONGEST_NAME or _UNSHOWN.search(name):
-            what = f"the name of column {i + 1} is longer than {LONGEST_NAME} characters, or holds control characters"
+            raise SamplesError(file, f"column {i} has no name", "Name it, or remove the delimiter", line=line)
+        if len(name) > LONGEST_NAME or UNSHOWN.search(name):
+            what = f"the name of column {i} is longer than {LONGEST_NAME} characters, or holds control characters"
             raise SamplesError(file, what, "Give it a short, plain name", line=line)
         if name in known:
             raise SamplesError(file, "the column appears twice", "Keep one of the two", line=line, column=name)
@@ -118,7 +125,7 @@ def not_a_number(cell: str) -> tuple[str, str]:
     """What is wrong with a cell that should be a finite number, and what to do."""
     if not cell:
         return "the cell is empty", "Give a number, or remove the line"
-    shown = _UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
+    shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
     return f"'{shown}' is not a finite number", "Give a plain decimal number such as 12.5"
 
 
