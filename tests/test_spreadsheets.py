@@ -11,8 +11,9 @@ from casacal.cli.main import main
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
+from casacal.tables.joins import joined_tables
 from casacal.tables.text import read_table
-from casacal.tables.workbooks import joined_tables, read_workbook
+from casacal.tables.workbooks import read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]
