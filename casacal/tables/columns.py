@@ -72,7 +72,7 @@ def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Colu
         names, codes = np.unique(values, return_inverse=True)
         try:
             return Labels.coded((each.decode() if isinstance(each, bytes) else str(each) for each in names), codes)
-        except ValueError:
+        except (ValueError, SystemError):  # the latter is what Python makes of signs beyond Unicode
             raise SamplesError(file, "a label is not text of Unicode", "Store it as such", column=name) from None
 
     count = len(next(iter(arrays.values())))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,8 +18,11 @@ from casacal.tables.text import Table, make_table
 WORKBOOKS = (".xlsx", ".xlsm")
 MOST_ROWS = 1 << 20
 """Of a sheet, whatever its file says."""
-MOST_TAGS = 2_000_000
-"""In all parts of a workbook: half a million cells; what is larger takes minutes and gigabytes to read."""
+MOST_TAGS = 1_600_000
+"""In all parts of a workbook, four of them a cell; what is larger takes minutes and gigabytes to read."""
+MOST_OTHER_TAGS = 100_000
+"""Of styles and the like, which take the library longest."""
+CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
 MOST_PLACES = 20_000_000
 """Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""
 ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
@@ -65,13 +69,14 @@ def read_workbook(path: str | Path) -> Table:
 
 def _check_tags(path: Path, file: str) -> None:
     """Raise SamplesError for a workbook whose parts are too many, or that declares parts of its own."""
-    tags = 0
+    tags = others = 0
     for piece in pieces(path):
-        tags += piece.count(b"<")
+        here = piece.count(b"<")
+        tags, others = tags + here, others + here - len(CELL_TAG.findall(piece))
         if b"<!DOCTYPE" in piece:
             raise SamplesError(file, "the workbook declares a document type", "Save it again, or as CSV")
-        if tags > MOST_TAGS:
-            what = f"the workbook has more than {MOST_TAGS // 4:,} cells, or styles and texts as many"
+        if tags > MOST_TAGS or others > MOST_OTHER_TAGS:
+            what = f"the workbook holds more than {MOST_TAGS // 4:,} cells, or {MOST_OTHER_TAGS:,} styles and the like"
             raise SamplesError(file, what, "Save the samples as CSV")
 
 
