@@ -133,7 +133,8 @@ def _cell_by_cell(data: bytes, name: str, first: int, form: Form) -> Rows:
         comma, point = decimal_marks(table)
         marks, table = "," if comma else "." if point else "", replace(table, decimal_comma=comma is not None)
     numbers = {name: np.array(table.numbers(name), dtype=np.float64) for name in form.numbers}
-    return Rows(numbers, {name: Labels.of(table.column(name)) for name in form.texts}, table.lines, marks)
+    labels = {name: Labels.of(table.column(name)) for name in form.texts}
+    return Rows(numbers, {name: (each.names, each.codes) for name, each in labels.items()}, table.lines, marks)
 
 
 def _parsed(plain: Plain, first: int, form: Form) -> Rows | None:
@@ -158,7 +159,7 @@ def _parsed(plain: Plain, first: int, form: Form) -> Rows | None:
     if len(frame) != plain.lines or not all(np.isfinite(column).all() for column in numbers.values()):
         return None
     coded = {name: pd.factorize(frame[name].to_numpy()) for name in form.texts}
-    labels = {name: Labels.coded(names, codes) for name, (codes, names) in coded.items()}
+    labels = {name: (names, codes) for name, (codes, names) in coded.items()}
     return Rows(numbers, labels, range(first, first + plain.lines), plain.mark)
 
 

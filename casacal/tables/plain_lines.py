@@ -6,11 +6,12 @@ Whatever is not proven is not wrong, only not plain: it is read cell by cell.
 from __future__ import annotations
 
 import csv
-import re
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from casacal.tables.grammar import NUMBER
 
 NEWLINE = ord("\n")
 DIGITS = b"0123456789+-.eE"
@@ -18,8 +19,9 @@ DIGITS = b"0123456789+-.eE"
 SHOWN = bytes(range(32, 127)) + b"\t\r"
 HIGH = bytes(range(128, 256))
 
-DIGIT, BLANK, HASH, OTHER, FOREIGN = 1, 2, 4, 8, 16
-"""What a cell may hold, as bits: of numbers, blanks, #, other signs of ASCII, and what lies beyond."""
+DIGIT, BLANK, HASH, OTHER, FOREIGN, POINT, COMMA = (1 << k for k in range(7))
+"""What a cell may hold, as bits: of numbers, blanks, #, other signs of ASCII, what lies beyond, and decimal marks."""
+NUMERIC = DIGIT | BLANK | POINT | COMMA
 
 
 @dataclass(frozen=True)
@@ -46,17 +48,18 @@ def proven(data: bytes, form: Form) -> Plain | None:
     delimiter = form.delimiter.encode()
     if not data.endswith(b"\n"):
         data += b"\n"
-    unusual = data.translate(None, DIGITS + delimiter + b"\n")
+    unusual = data.translate(None, DIGITS + b",\n" + delimiter)
     if unusual.translate(None, SHOWN + HIGH) or not _decodes(data):
         return None
     if b"\r" in unusual:
         if data.count(b"\r\n") != unusual.count(b"\r"):
             return None
         data = data.replace(b"\r\n", b"\n")
-    lines, marks = count(data, b"\n"), "" if form.delimiter == "," else _decimal_marks(data, form.delimiter)
+    lines = count(data, b"\n")
     if not unusual and len(form.numbers) == len(form.names):
         # a cell too many leaves a line with one too few, and no reader takes an empty cell for a number
         whole = count(data, delimiter) == lines * (len(form.names) - 1)
+        marks = "" if form.delimiter == "," else "".join(mark for mark in ",." if mark.encode() in data)
         return Plain(data, lines, marks) if whole and len(marks) < 2 else None
     ends = _ends(data, lines, form)
     if ends is not None and b'"' in unusual:
@@ -64,8 +67,8 @@ def proven(data: bytes, form: Form) -> Plain | None:
             return None
         data = data.replace(b'"', b"")
         ends = _ends(data, lines, form)
-    fits = ends is not None and (not unusual or _cells_fit(data, ends, form))
-    return Plain(data, lines, marks) if fits and len(marks) < 2 else None
+    mark = None if ends is None else _mark_of_cells(data, ends, form)
+    return None if mark is None else Plain(data, lines, mark)
 
 
 def count(data: bytes, sign: bytes) -> int:
@@ -101,25 +104,28 @@ def _quotes_whole_cells(data: bytes, ends: NDArray[np.intp]) -> bool:
     return bool((opening == first).all() and (closing == ends[cell] - 1).all())
 
 
-def _cells_fit(data: bytes, ends: NDArray[np.intp], form: Form) -> bool:
-    """Whether cells of numbers hold signs of numbers alone, and no line is a comment."""
+def _mark_of_cells(data: bytes, ends: NDArray[np.intp], form: Form) -> str | None:
+    """The decimal mark of all numbers; None where there are two, where numbers hold other signs, or # begins a line."""
     kinds = np.frombuffer(data.translate(_KINDS[form.delimiter]), dtype=np.uint8)
-    held = np.bitwise_or.reduceat(kinds, np.concatenate([[0], ends[:-1] + 1])).reshape(-1, len(form.names))
-    if (held[:, [form.names.index(name) for name in form.numbers]] & ~np.uint8(DIGIT | BLANK)).any():
-        return False
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    held = np.bitwise_or.reduceat(kinds, starts).reshape(-1, len(form.names))
+    numbers = [form.names.index(name) for name in form.numbers]
+    found = int(np.bitwise_or.reduce(held[:, numbers], axis=None))
     first = held[:, 0]  # where it is blank, a # after it begins the line, if tabs are between the cells
-    return b"#" not in data or not ((first & HASH) | ((first & (DIGIT | OTHER)) == 0)).any()
-
-
-def _decimal_marks(data: bytes, delimiter: str) -> str:
-    """Which of comma and point stand in the numbers of lines."""
-    marks = [mark for mark in ",." if mark.encode() in data]
-    if len(marks) == 2:  # one of them may be that of dates or remarks
-        text, blank = data.decode("utf-8"), rf"[^\S\n{delimiter}]*"
-        end, power = rf"[\n{delimiter}]", r"(?:[eE][+-]?\d+)?"
-        cells = {m: rf"(?:\A|{end}){blank}[+-]?(?:\d+[{m}]\d*|[{m}]\d+){power}{blank}{end}" for m in marks}
-        marks = [mark for mark, cell in cells.items() if re.search(cell, text)]
-    return "".join(marks)
+    if b"#" in data and ((first & HASH) | ((first & (DIGIT | POINT | COMMA | OTHER)) == 0)).any():
+        return None
+    if found & ~NUMERIC:
+        return None
+    if form.delimiter == ",":
+        return ""
+    marks = {mark for mark, bit in ((",", COMMA), (".", POINT)) if found & bit}
+    held[:, numbers] = 0  # others may hold numbers, too; or dates, which are none
+    odd = np.flatnonzero((held & (POINT | COMMA)).astype(bool) & ~(held & (OTHER | HASH)).astype(bool))
+    for written in {data[start:end] for start, end in zip(starts[odd].tolist(), ends[odd].tolist(), strict=True)}:
+        text = written.decode("utf-8").strip()
+        if NUMBER.fullmatch(text.replace(",", ".")):
+            marks.add("," if "," in text else ".")
+    return "".join(marks) if len(marks) < 2 else None
 
 
 def _kinds(delimiter: str) -> bytes:
@@ -127,9 +133,7 @@ def _kinds(delimiter: str) -> bytes:
     kinds = np.full(256, OTHER, dtype=np.uint8)
     kinds[128:] = FOREIGN
     kinds[list(DIGITS)] = DIGIT
-    kinds[list(b" \t")], kinds[ord("#")] = BLANK, HASH
-    if delimiter != ",":
-        kinds[ord(",")] = DIGIT
+    kinds[list(b" \t")], kinds[ord("#")], kinds[ord(".")], kinds[ord(",")] = BLANK, HASH, POINT, COMMA
     kinds[[NEWLINE, ord(delimiter)]] = 0
     return kinds.tobytes()
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.tables.columns import Columns
@@ -23,10 +24,10 @@ MANY = 100_000
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of one section: numbers and labels by column, their lines, and their decimal mark, or ""."""
+    """Rows of one section: numbers, different labels and which a row has, their lines, their decimal mark, or ""."""
 
     numbers: dict[str, Array]
-    labels: dict[str, Labels]
+    labels: dict[str, tuple[Sequence[str], NDArray[Any]]]
     lines: range | tuple[int, ...]
     mark: str
 
@@ -50,10 +51,10 @@ class Gathered:
             raise ValueError("two decimal marks")
         for name, values in rows.numbers.items():
             self._numbers[name][here] = values
-        for name, labels in rows.labels.items():
+        for name, (labels, codes) in rows.labels.items():
             known = self._known[name]
-            numbered = np.array([known.setdefault(label, len(known)) for label in labels.names], dtype=np.int32)
-            self._codes[name][here] = numbered[labels.codes]
+            numbered = np.array([known.setdefault(label.strip(), len(known)) for label in labels], dtype=np.int32)
+            self._codes[name][here] = numbered[codes]
         self._lines.append(rows.lines)
         self._count = here.stop
 
