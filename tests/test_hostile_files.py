@@ -154,6 +154,11 @@ def test_archives(tmp_path):
     archive_of(tmp_path / "s.npz", [(f"a{k}", "<f8", 1) for k in range(10_001)])
     with pytest.raises(SamplesError, match="10001 members"):
         read_samples(tmp_path / "s.npz")
+    with zipfile.ZipFile(tmp_path / "s.npz", "w") as archive:
+        for name in columns:
+            archive.writestr(f"{name}.npy", header("<f8", (2,)) + bytes(32))  # four rows, of which two would be read
+    with pytest.raises(SamplesError, match="or it is damaged"):
+        read_samples(tmp_path / "s.npz")
     np.savez(tmp_path / "s.npz", **{name: np.zeros(50) for name in columns})
     data = bytearray((tmp_path / "s.npz").read_bytes())
     data[data.index(b"\x93NUMPY") + 200] ^= 1  # a number within: only the checksum knows

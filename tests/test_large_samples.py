@@ -101,6 +101,7 @@ def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatc
     [
         (lambda lines: [*lines[:100], "", *lines[100:]], None),  # a blank line is fine
         (lambda lines: [*lines[:100], "# pause", *lines[100:]], None),
+        (lambda lines: [*lines[:100], "1,2,3,left\r1,2,3,left", "", *lines[101:]], None),
         (lambda lines: [*lines[:100], "nan,1,2,left", *lines[101:]], 101),
         (lambda lines: [*lines[:100], "1,,2,left", *lines[101:]], 101),
         (lambda lines: [*lines[:100], "1,2,left", *lines[101:]], 101),
@@ -165,8 +166,15 @@ def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monk
 
 def test_two_decimal_marks_are_refused_however_far_apart(tmp_path):
     file = tmp_path / "s.csv"
-    file.write_text(text(";", ",") + "1.5;2.5;3;left\n")
-    with pytest.raises(SamplesError, match=f"line {ROWS + 2}, column 'q1_deg': decimal commas and decimal points"):
+    file.write_text(text(";", ",") + "1;2;3;left\n" * 3000 + "1.5;2.5;3;left\n" * 3000)  # each in its own sections
+    with pytest.raises(SamplesError, match=f"line {ROWS + 3002}, column 'q1_deg': decimal commas and decimal points"):
+        Samples.from_csv(file, LAYOUT)
+
+
+def test_a_number_that_is_too_large_is_not_finite(tmp_path):
+    file = tmp_path / "s.csv"
+    file.write_text(text() + "1,1e999,3,left\n")
+    with pytest.raises(SamplesError, match=f"line {ROWS + 2}, column 'q2_mm': '1e999' is not a finite number"):
         Samples.from_csv(file, LAYOUT)
 
 
