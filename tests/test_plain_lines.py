@@ -33,8 +33,8 @@ def test_plain(form, written, data, mark):
 @pytest.mark.parametrize(
     ("form", "written"),
     [
-        (LABELLED, "a,1,x\rb,2,y\n"),
-        (LABELLED, "a,1\nb,2,x,y\n"),
+        (LABELLED, "a,1,x\ry\n"),
+        (LABELLED, "a,1\n2,3,4,5\n"),
         (LABELLED, "a,1\n"),
         (LABELLED, "a,1,x,y\n"),
         (LABELLED, "a,1,x\n\nb,2,y\n"),
