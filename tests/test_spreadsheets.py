@@ -2,6 +2,7 @@
 
 import datetime
 import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from casacal.cli.main import main
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
+from casacal.tables.joins import joined_tables
 from casacal.tables.text import read_table
-from casacal.tables.workbooks import joined_tables, read_workbook
+from casacal.tables.workbooks import read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 HEADER = ["q1_deg", "q2_mm", "reading_mm", "plane", "when"]
@@ -52,6 +54,75 @@ def test_a_workbook_is_read_like_the_csv_file_it_would_be_saved_as(tmp_path):
 def test_bad_sheets_are_refused(tmp_path, rows, words):
     with pytest.raises(SamplesError, match=words):
         Samples.from_file(workbook(tmp_path / "s.xlsx", rows), LAYOUT)
+
+
+def changed(path, old, new):
+    """The workbook with something else in the text of its first sheet."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    sheet = members["xl/worksheets/sheet1.xml"]
+    assert old in sheet
+    members["xl/worksheets/sheet1.xml"] = sheet.replace(old, new)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
+
+
+def test_a_size_that_is_said_wrong_loses_no_row(tmp_path):
+    file = workbook(tmp_path / "s.xlsx", [HEADER, *[[k, 2, 3, "left", ""] for k in range(60)]])
+    assert len(Samples.from_file(changed(file, b'ref="A1:E%d"' % 61, b'ref="B2:C5"'), LAYOUT)) == 60
+
+
+@pytest.mark.parametrize("place", ["XFD20000", "XFD1048576"])
+def test_a_cell_that_is_only_coloured_is_no_cell(tmp_path, place):
+    file = workbook(tmp_path / "s.xlsx", [HEADER, ROWS[0]])
+    row = f'<row r="{place[3:]}"><c r="{place}" s="0"/></row></sheetData>'
+    assert len(Samples.from_file(changed(file, b"</sheetData>", row.encode()), LAYOUT)) == 1
+
+
+def test_rows_out_of_their_order_are_refused(tmp_path):
+    file = workbook(tmp_path / "s.xlsx", [HEADER, ROWS[0], ROWS[0]])  # of which the library drops one
+    with pytest.raises(SamplesError, match="line 2: the rows are out of order"):
+        read_workbook(changed(file, b'<row r="3"', b'<row r="2"'))
+
+
+def test_hidden_rows_are_refused_where_they_hold_something(tmp_path):
+    book = Workbook()
+    for row in ([], ["# a remark"], HEADER, ROWS[0], ROWS[0]):
+        book.active.append(row)
+    for number in (1, 2):
+        book.active.row_dimensions[number].hidden = True
+    book.save(tmp_path / "s.xlsx")
+    assert len(read_workbook(tmp_path / "s.xlsx").rows) == 2
+    book.active.row_dimensions[5].hidden = True
+    book.save(tmp_path / "s.xlsx")
+    with pytest.raises(SamplesError, match="line 5: the row is hidden"):
+        read_workbook(tmp_path / "s.xlsx")
+
+
+def test_which_sheet_was_read_is_said_where_there_are_more(tmp_path):
+    book = Workbook()
+    book.active.title = "old"
+    book.active.sheet_state = "hidden"
+    for row in (HEADER, ROWS[0]):
+        book.create_sheet("dial").append(row) if row is HEADER else book["dial"].append(row)
+    book.create_sheet("remarks").append(["none"])
+    book.save(tmp_path / "s.xlsx")
+    assert read_workbook(tmp_path / "s.xlsx").file == f"{tmp_path / 's.xlsx'}, sheet 'dial'"
+    assert Samples.from_file(tmp_path / "s.xlsx", LAYOUT).joints[0, 1] == 200.5
+
+
+def test_what_could_not_be_calculated_is_no_comment(tmp_path):
+    file = workbook(tmp_path / "s.xlsx", [HEADER, ROWS[0], ["#REF!", *ROWS[0][1:]]])
+    with pytest.raises(SamplesError, match="line 3, column 'q1_deg': '#REF!' is not a finite number"):
+        Samples.from_file(file, LAYOUT)
+
+
+def test_a_label_of_two_lines_is_refused(tmp_path):
+    with pytest.raises(SamplesError, match="line 2, column 'plane': the label holds a line break") as refusal:
+        Samples.from_file(workbook(tmp_path / "s.xlsx", [HEADER, [1, 2, 3, "left\nwall", ""]]), LAYOUT)
+    assert "\n" not in str(refusal.value)
 
 
 def test_without_its_library_a_workbook_is_refused_in_a_sentence(tmp_path, monkeypatch, hsr, capsys):

@@ -11,6 +11,7 @@ from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.samples.layout import ALSO_CALLED, LARGEST, Layout, match_columns
 from casacal.tables.columns import Columns
+from casacal.tables.grammar import UNSHOWN
 from casacal.tables.labels import Labels
 
 
@@ -78,6 +79,9 @@ class Quantities:
         if "" in labels.names:
             row = int(np.flatnonzero(labels.codes == labels.names.index(""))[0])
             raise self._refusal(row, name, "the label is empty", "Give the row its label")
+        for name_of_row in filter(UNSHOWN.search, labels.names):
+            row = int(np.flatnonzero(labels.codes == labels.names.index(name_of_row))[0])
+            raise self._refusal(row, name, "the label holds a line break or control characters", "Write it plainly")
         return labels
 
     def _refusal(self, row: int, column: str, what: str, fix: str) -> SamplesError:

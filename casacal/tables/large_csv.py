@@ -1,205 +1,180 @@
-"""CSV files of a million rows: parsed by threads in sections, each number straight into its place.
+"""CSV files of a million rows: section by section, by threads.
 
-What is unusual in a file is left to `tables`, which reads cell by cell, understands more and can say what is wrong in
-which line.
+The grammar is that of `text`, cell by cell, and so is every refusal. A section whose lines are proven plain is given to
+pandas, which reads them a hundred times as fast; any other section is read by `text`; and a file in which anything is
+wrong is read by `text` from its beginning, which can say what.
 """
 
 from __future__ import annotations
 
 import contextlib
+import csv
 import ctypes
 import hashlib
-import warnings
+import io
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from io import FileIO
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.errors import SamplesError
 from casacal.tables.columns import Columns
+from casacal.tables.grammar import LINE_END, check_header, delimiter_of, logical_lines, numbered_rows, refuse_controls
 from casacal.tables.labels import Labels
+from casacal.tables.plain_lines import Form, Plain, count, proven
+from casacal.tables.sections import Gathered, Rows
+from casacal.tables.text import decimal_marks, table_of_lines
 from casacal.threads import thread_count
 
 LARGE_FILE = 1 << 21
 """Bytes from which a CSV file is worth the time it takes to import pandas."""
-SECTION = 1 << 23
-"""Bytes that one thread parses, more or less."""
-PIECE = 1 << 20
-"""Bytes read at a time."""
-ROWS = 25_000
-"""Rows parsed at a time."""
+SECTION = 1 << 20
+"""Bytes that one thread reads, more or less."""
 MOST_THREADS = 4
 """One thread makes the file's SHA-256, and has no time for more that parse."""
-NEWLINE = ord("\n")
 
 
 def read_large_csv(
     path: Path, numbers: Callable[[tuple[str, ...]], Sequence[str]], labels: Sequence[str]
 ) -> Columns | None:
-    """Columns of a plain large CSV file; None where the file is small, or anything in it is out of the ordinary.
+    """Columns of a large CSV file; None where the file is small, or `read_table` must say what is wrong with it.
 
     Args:
         path: of the file.
         numbers: which columns of a header must be numbers.
-        labels: columns of text that are kept, where the file has them; others, such as times, are not.
+        labels: columns of text that are kept, where the file has them; others, such as times, are left in the file.
 
     """
-    try:
+    with contextlib.suppress(OSError, ValueError, SamplesError):
         if path.stat().st_size < LARGE_FILE:
             return None
         with path.open("rb") as file:
-            header, before = _header(file)
-    except (OSError, UnicodeDecodeError):
-        return None
-    delimiter = max(",;\t", key=header.count)
-    names = tuple(name.strip() for name in header.split(delimiter))
-    wanted = numbers(names)
-    if len(set(names)) != len(names) or not all(name.isprintable() and name for name in names) or '"' in header:
-        return None
-    for decimal in (".",) if delimiter == "," else (".", ","):
-        form = _Form(delimiter, decimal, names, frozenset(wanted), tuple(name for name in labels if name in names))
-        read = _read_sections(path, before, form) if wanted else None
-        if read is not None:
-            digest, values, texts = read
-            first, rows = before.count(b"\n") + 1, len(values[wanted[0]])
-            lines = range(first, first + rows)
-            return Columns(str(path), digest, names, first - 1, lines, values.__getitem__, texts.__getitem__)
+            before, line, delimiter, header = _header(file, str(path))
+            wanted = tuple(dict.fromkeys(numbers(header)))
+            if wanted:
+                form = Form(delimiter, header, wanted, tuple(name for name in labels if name in header))
+                digest, gathered = _read(file, path, before, line, form)
+                return gathered.columns(path, digest, line)
     return None
 
 
-@dataclass(frozen=True)
-class _Form:
-    """How a text file is written."""
-
-    delimiter: str
-    decimal: str
-    names: tuple[str, ...]
-    numbers: frozenset[str]
-    texts: tuple[str, ...]
-
-
-def _header(file: BinaryIO) -> tuple[str, bytes]:
-    """The header line, and all up to its end; comment lines and blank ones may come first."""
-    before = b""
-    for line in file:
-        before += line
-        text = line.decode("utf-8-sig").strip()
-        if text and not text.startswith("#"):
-            return text, before
-    return "", before
+def _header(file: BinaryIO, name: str) -> tuple[bytes, int, str, tuple[str, ...]]:
+    """All bytes up to the end of the header, its line, its delimiter and its names; raises ValueError, SamplesError."""
+    before = []
+    while data := file.readline(SECTION):
+        before.append(data)
+        if data == b"\n":  # for those files that have a million of them
+            continue
+        text = data.decode("utf-8-sig" if len(before) == 1 else "utf-8").removesuffix("\n").removesuffix("\r")
+        refuse_controls(text, name)
+        if "\r" in text or not data.endswith(b"\n"):
+            raise ValueError("lines that end otherwise")
+        if lines := logical_lines(text, len(before)):
+            delimiter = delimiter_of(text)
+            header = tuple(numbered_rows(lines, delimiter, name)[0][1])
+            check_header(header, name, len(before))
+            return b"".join(before), len(before), delimiter, header
+    raise ValueError("no header")
 
 
-def _read_sections(path: Path, before: bytes, form: _Form) -> tuple[str, dict[str, Array], dict[str, Labels]] | None:
-    """SHA-256 of the file, its numbers, its labels; sections are parsed by threads. None for what is not ordinary."""
-    digest, rows = hashlib.sha256(before), 0
-    most = path.stat().st_size // (2 * len(form.names)) + 1  # a cell takes two bytes at least; memory not used is free
-    values = {name: np.empty(most) for name in form.numbers}
-    codes = {name: np.empty(most, dtype=np.int32) for name in form.texts}
-    known: dict[str, dict[str, int]] = {name: {} for name in form.texts}
-
-    def finish(parsed: Future[list[dict[str, Any]] | None], first: int) -> bool:
-        for k, texts in enumerate(parsed.result() or ()):
-            for name, column in texts.items():
-                numbered = [known[name].setdefault(str(label).strip(), len(known[name])) for label in column.categories]
-                here = slice(first + k * ROWS, first + k * ROWS + len(column))
-                codes[name][here] = np.array(numbered, dtype=np.int32)[column.codes]
-        return parsed.result() is not None
-
-    with path.open("rb", buffering=0) as file, warnings.catch_warnings():
-        warnings.simplefilter("error")
-        file.seek(len(before))
-        pool, waiting = ThreadPoolExecutor(min(thread_count(), MOST_THREADS)), deque[tuple[Any, int]]()
-        try:
-            for start, end, lines in _sections(file, digest):
-                places = {name: column[rows : rows + lines] for name, column in values.items()}
-                waiting.append((pool.submit(_parsed, path, start, end, form, places), rows))
-                rows += lines
-                while waiting and waiting[0][0].done():
-                    if not finish(*waiting.popleft()):
-                        return None
-            if not all(finish(*each) for each in waiting):
-                return None
-        finally:
-            pool.shutdown(cancel_futures=True)
+def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> tuple[str, Gathered]:
+    """SHA-256 of the file, and the rows of its sections; raises ValueError, SamplesError for what is not understood."""
+    digest, gathered = hashlib.sha256(before), Gathered(path.stat().st_size, form)
+    pool, waiting = ThreadPoolExecutor(min(thread_count(), MOST_THREADS)), deque[Any]()
+    try:
+        for data in _sections(file):
+            waiting.append(pool.submit(_rows, data, str(path), line + 1, form))
+            digest.update(data)
+            line += count(data, b"\n")
+            while waiting and (waiting[0].done() or len(waiting) > 2 * MOST_THREADS):
+                gathered.add(waiting.popleft().result())
+        while waiting:
+            gathered.add(waiting.popleft().result())
+    finally:
+        pool.shutdown(cancel_futures=True)
     _give_back()
-    labels = {name: Labels(tuple(known[name]), codes[name][:rows]) for name in form.texts}
-    return (digest.hexdigest(), {name: column[:rows] for name, column in values.items()}, labels) if rows else None
+    return digest.hexdigest(), gathered
 
 
-def _sections(file: FileIO, digest: Any) -> Iterator[tuple[int, int, int]]:
-    """Where sections of whole lines begin and end, and how many lines each has; all that is read goes to `digest`."""
-    piece, start = np.empty(PIECE, dtype=np.uint8), file.tell()
-    lines, end, last = 0, start, NEWLINE
-    while count := file.readinto(piece.data):
-        here = piece[:count]
-        digest.update(here.data)
-        breaks = here == NEWLINE
-        if end + count - start >= SECTION and breaks.any():
-            cut = count - int(np.argmax(breaks[::-1]))
-            yield start, end + cut, lines + int(np.count_nonzero(breaks[:cut]))
-            start, lines, breaks = end + cut, 0, breaks[cut:]
-        lines, end, last = lines + int(np.count_nonzero(breaks)), end + count, here[-1]
-    if end > start:
-        yield start, end, lines + (last != NEWLINE)
-
-
-class _Section:
-    """Some bytes of a file as a file of bytes; what pandas reads as text, it decodes only to encode it again."""
-
-    def __init__(self, file: BinaryIO, start: int, end: int) -> None:
+def _sections(file: BinaryIO) -> Iterator[bytes]:
+    """The rest of a file in pieces of whole lines; raises ValueError for a line longer than a piece."""
+    start = file.tell()
+    while True:
+        file.seek(start + SECTION)
+        if len(file.readline(SECTION)) == SECTION:
+            raise ValueError("a long line")
+        end = file.tell()
         file.seek(start)
-        self._file, self._left = file, end - start
+        if not (data := file.read(end - start)):
+            return
+        yield data
+        start = end
 
-    def read(self, count: int) -> bytes:
-        """The next bytes; raises ValueError for a zero, at which pandas would end a number."""
-        some = self._file.read(min(count, self._left))
-        if b"\0" in some:
-            raise ValueError("zero bytes")
-        self._left -= len(some)
-        return some
+
+def _rows(data: bytes, name: str, first: int, form: Form) -> Rows:
+    """Rows of whole lines, of which the first has that number; raises ValueError, SamplesError."""
+    plain = proven(data, form)
+    rows = None if plain is None else _parsed(plain, first, form)
+    return _cell_by_cell(data, name, first, form) if rows is None else rows
+
+
+def _cell_by_cell(data: bytes, name: str, first: int, form: Form) -> Rows:
+    """Rows as `text` reads them."""
+    text = data.decode("utf-8")
+    if len(LINE_END.findall(text)) != data.count(b"\n"):
+        raise ValueError("lines that end otherwise")
+    table = table_of_lines(text, name, form.names, first, form.delimiter)
+    marks = ""
+    if form.delimiter != ",":
+        comma, point = decimal_marks(table)
+        marks, table = "," if comma else "." if point else "", replace(table, decimal_comma=comma is not None)
+    numbers = {name: np.array(table.numbers(name), dtype=np.float64) for name in form.numbers}
+    labels = {name: Labels.of(table.column(name)) for name in form.texts}
+    return Rows(numbers, {name: (each.names, each.codes) for name, each in labels.items()}, table.lines, marks)
+
+
+def _parsed(plain: Plain, first: int, form: Form) -> Rows | None:
+    """Rows as pandas reads them; None where it cannot read a number, or one is not finite."""
+    import pandas as pd
+
+    kinds: Any = dict.fromkeys(form.numbers, "float64")
+    kinds |= dict.fromkeys(form.texts, "object")  # among categories, 01 would be 1
+    if len(kinds) == len(form.names) and not form.texts:
+        kinds = "float64"  # one type for all is sooner dealt with than the same for each
+    # before 3.1 pandas had a faster way that may be wrong in the last digit
+    exact: Any = {} if _version(pd.__version__) >= (3, 1) else {"float_precision": "round_trip"}
+    try:
+        frame = pd.read_csv(
+            _Bytes(plain.data), sep=form.delimiter, decimal=plain.mark or ".", names=list(form.names), header=None,  # type: ignore[call-overload]
+            usecols=[*form.numbers, *form.texts], index_col=False, dtype=kinds, keep_default_na=False, na_filter=False,
+            encoding="utf-8", quoting=csv.QUOTE_NONE, skip_blank_lines=False, **exact,
+        )  # fmt: skip
+    except (ValueError, pd.errors.ParserError):
+        return None
+    numbers = {name: frame[name].to_numpy() for name in form.numbers}
+    if len(frame) != plain.lines or not all(np.isfinite(column).all() for column in numbers.values()):
+        return None
+    coded = {name: pd.factorize(frame[name].to_numpy()) for name in form.texts}
+    labels = {name: (names, codes) for name, (codes, names) in coded.items()}
+    return Rows(numbers, labels, range(first, first + plain.lines), plain.mark)
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".")[:2])
+
+
+class _Bytes:
+    """Bytes as a file; what pandas takes for a file of text, it decodes only to encode it again."""
+
+    def __init__(self, data: bytes) -> None:
+        self.read = io.BytesIO(data).read
 
     def __iter__(self) -> Iterator[bytes]:
         return iter(())
-
-
-def _parsed(path: Path, start: int, end: int, form: _Form, numbers: dict[str, Array]) -> list[dict[str, Any]] | None:
-    """Fill in the numbers of some lines; the rest as categories, some rows at a time.
-
-    None when pandas cannot read them, when a number is not finite, or when there are other than as many rows as lines:
-    blank lines or quoted ones, after which lines are not where they seem.
-    """
-    import pandas as pd
-
-    # one type for all is sooner dealt with than the same for each; to leave a column out would hide cells too many
-    kinds: Any = dict.fromkeys(form.names, "object") | dict.fromkeys(form.numbers, "float64")
-    kinds |= dict.fromkeys(form.texts, "category")
-    kinds = "float64" if set(kinds.values()) == {"float64"} else kinds
-    texts, first, lines = [], 0, min(map(len, numbers.values()))
-    try:
-        with path.open("rb") as file:
-            source: Any = _Section(file, start, end)
-            frames = pd.read_csv(
-                source, sep=form.delimiter, decimal=form.decimal, names=list(form.names), header=None,
-                index_col=False, dtype=kinds, keep_default_na=False, na_filter=False, encoding="utf-8",
-                encoding_errors="strict", chunksize=ROWS,
-            )  # fmt: skip
-            for frame in frames:
-                here = slice(first, first + len(frame))
-                for name, place in numbers.items():
-                    column = frame[name].to_numpy()
-                    if here.stop > lines or not np.isfinite(column).all():
-                        return None
-                    place[here] = column
-                texts.append({name: frame[name].array for name in form.texts})
-                first = here.stop
-    except (OSError, ValueError, pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.DtypeWarning):
-        return None
-    return texts if first == lines else None
 
 
 def _give_back() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from casacal.tables.columns import ARRAYS, Columns, read_arrays
+from casacal.tables.arrays import ARRAYS, read_arrays
+from casacal.tables.columns import Columns
 from casacal.tables.large_csv import read_large_csv
 from casacal.tables.text import Table, read_table
 from casacal.tables.workbooks import WORKBOOKS, read_workbook

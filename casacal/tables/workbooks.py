@@ -1,104 +1,145 @@
-"""Samples kept in a spreadsheet, and readings kept apart from the poses they belong to."""
+"""Samples kept in a spreadsheet."""
 
 from __future__ import annotations
 
 import hashlib
+import io
+import re
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from casacal.errors import CasacalError, SamplesError
+from casacal.tables.archives import check_unpacked, pieces
+from casacal.tables.grammar import UNSHOWN
 from casacal.tables.text import Table, make_table
 
 WORKBOOKS = (".xlsx", ".xlsm")
-KEY = "pose"
-"""Column by which readings find their pose, unless another one is named."""
+MOST_ROWS = 1 << 20
+"""Of a sheet, whatever its file says."""
+MOST_TAGS = 1_600_000
+"""In all parts of a workbook, four of them a cell; what is larger takes minutes and gigabytes to read."""
+MOST_OTHER_TAGS = 100_000
+"""Of styles and the like, which take the library longest."""
+CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
+MOST_PLACES = 20_000_000
+"""Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""
+ERRORS = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
+"""What a sheet shows where it could not calculate; these are no comments."""
+
+Rows = list[tuple[int, list[str]]]
 
 
 def read_workbook(path: str | Path) -> Table:
-    """Read the first sheet of an Excel workbook as it is calculated: a header row, then one row per sample.
+    """Read the first visible sheet of an Excel workbook as it is calculated: a header row, then one row per sample.
 
-    Blank rows, and rows whose first cell begins with #, are skipped; "line" is the sheet's row.
+    Blank rows, and rows whose first cell begins with #, are skipped; "line" is the sheet's row. Where there are more
+    sheets, the table's `file` says which one was read.
 
-    Raises SamplesError for anything else, CasacalError without the extra `excel`.
+    Raises SamplesError for anything else, such as hidden rows; CasacalError without the extra `excel`.
     """
     try:
-        from openpyxl import load_workbook
+        import openpyxl
     except ImportError:
         raise CasacalError(
             f"{path} is an Excel workbook, which needs a library", 'Install casacal with the extra: "casacal[excel]"'
         ) from None
     file = str(path)
     try:
+        check_unpacked(Path(path), file)
+        _check_tags(Path(path), file)
         data = Path(path).read_bytes()
-        book = load_workbook(path, read_only=True, data_only=True)
-        rows = list(book.worksheets[0].iter_rows(values_only=True))
-        book.close()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what the library thinks of styles and the like
+            book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
+            try:
+                file, rows = _first_sheet(book, file)
+            finally:
+                book.close()
     except FileNotFoundError:
         raise SamplesError(file, "there is no such file", "Check the path") from None
+    except CasacalError:
+        raise
     except Exception as error:  # whatever a damaged archive makes of the library, it is the file that must change
         raise SamplesError(file, f"this is no readable workbook ({type(error).__name__})", "Save it again, or as CSV"
         ) from None  # fmt: skip
-    texts = [(number, [_text(cell) for cell in row]) for number, row in enumerate(rows, 1)]
-    kept = [(number, row) for number, row in texts if any(row) and not row[0].startswith("#")]
-    width = max((k for k, cell in enumerate(kept[0][1], 1) if cell), default=0) if kept else 0
-    for number, row in kept:
-        if any(row[width:]):
-            raise SamplesError(file, "a cell stands where the header has no name", "Name its column", line=number)
-    narrow = [(number, row[:width]) for number, row in kept]
-    return make_table(file, hashlib.sha256(data).hexdigest(), narrow, "\t")
+    return make_table(file, hashlib.sha256(data).hexdigest(), rows, "\t")
 
 
-def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
-    """Each pose with the reading that carries the same id: the columns of both.
+def _check_tags(path: Path, file: str) -> None:
+    """Raise SamplesError for a workbook whose parts are too many, or that declares parts of its own."""
+    tags = others = 0
+    for piece in pieces(path):
+        here = piece.count(b"<")
+        tags, others = tags + here, others + here - len(CELL_TAG.findall(piece))
+        if b"<!DOCTYPE" in piece:
+            raise SamplesError(file, "the workbook declares a document type", "Save it again, or as CSV")
+        if tags > MOST_TAGS or others > MOST_OTHER_TAGS:
+            what = f"the workbook holds more than {MOST_TAGS // 4:,} cells, or {MOST_OTHER_TAGS:,} styles and the like"
+            raise SamplesError(file, what, "Save the samples as CSV")
 
-    Args:
-        poses: rows of joint values.
-        readings: rows of readings, in any order.
-        key: column of both that holds the id, compared as text.
 
-    Raises SamplesError when an id is missing, doubled, or without its counterpart.
-
-    """
-    for table in (poses, readings):
-        if key not in table.header:
-            raise SamplesError(
-                table.file,
-                f"there is no column '{key}' that says which reading belongs to which pose",
-                "Name it by --id",
-            )
-    both = [name for name in readings.header if name in poses.header and name != key]
-    if both:
-        raise SamplesError(readings.file, f"'{poses.file}' has this column too", "Keep one of the two", column=both[0])
-    poses, readings = poses.with_points(), readings.with_points()
-    found = _by_id(readings, key)
-    _by_id(poses, key)
-    rows = []
-    for row, line, name in zip(poses.rows, poses.lines, poses.column(key), strict=True):
-        if name not in found:
-            raise SamplesError(
-                poses.file, f"pose '{name}' has no reading in {readings.file}", "Add it, or remove the line", line=line
-            )
-        extra = zip(readings.header, readings.rows[found.pop(name)], strict=True)
-        rows.append((*row, *(cell for column, cell in extra if column != key)))
-    for name, k in found.items():
+def _first_sheet(book: Any, file: str) -> tuple[str, Rows]:
+    """Cells of the first visible sheet as text, and the file with the sheet's name where there are more."""
+    sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+    if not sheets:
         raise SamplesError(
-            readings.file, f"'{name}' has no pose in {poses.file}", "Add it, or remove the line", line=readings.lines[k]
+            file, "the workbook has no visible sheet", "Show the one with the samples, or save it as CSV"
         )
-    header = (*poses.header, *(column for column in readings.header if column != key))
-    digest = hashlib.sha256((poses.sha256 + readings.sha256).encode()).hexdigest()
-    return Table(
-        f"{poses.file} with {readings.file}", digest, header, poses.header_line, tuple(rows), poses.lines, False
-    )
+    sheet = sheets[0]
+    if len(book.sheetnames) > 1:
+        file = f"{file}, sheet '{UNSHOWN.sub('?', sheet.title)[:40]}'"
+    with book._archive.open(sheet._worksheet_path) as stream:  # the library passes over what it does not show
+        hidden = _hidden_rows(stream, file)
+    sheet.reset_dimensions()  # they may be wrong
+    rows: Rows = []
+    for number, cells in _filled(sheet, file):
+        width = len(rows[0][1]) if rows else len(cells)
+        if len(cells) > width:
+            raise SamplesError(file, "a cell stands where the header has no name", "Name its column", line=number)
+        if number in hidden:
+            raise SamplesError(
+                file, "the row is hidden, so that it is not clear whether it counts", "Show or delete it", line=number
+            )
+        rows.append((number, cells + [""] * (width - len(cells))))
+    return file, rows
 
 
-def _by_id(table: Table, key: str) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for k, (name, line) in enumerate(zip(table.column(key), table.lines, strict=True)):
-        if not name or name in found:
-            what = f"'{name}' appears twice" if name else "the id is empty"
-            raise SamplesError(table.file, what, "Give each row an id of its own", line=line, column=key)
-        found[name] = k
-    return found
+def _hidden_rows(stream: Any, file: str) -> set[int]:
+    """Numbers of the rows that a sheet hides; raises SamplesError where its rows are not in their order."""
+    hidden, last, depth = set(), 0, 0
+    for event, element in ElementTree.iterparse(stream, ("start", "end")):
+        depth += 1 if event == "start" else -1
+        if event == "end":
+            element.clear()
+        elif element.tag.rpartition("}")[2] == "row" and depth == 3:
+            number = int(element.get("r", last + 1))
+            if not last < number <= MOST_ROWS:
+                raise SamplesError(file, "the rows are out of order", "Save it again, or as CSV", line=number)
+            last = number
+            if element.get("hidden", "0").strip() not in ("0", "false"):
+                hidden.add(number)
+    return hidden
+
+
+def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a sheet that are neither blank nor comments, each with its number, up to its last cell with text."""
+    places = 0
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        places += len(row)
+        if places > MOST_PLACES:
+            what = f"the sheet spans more than {MOST_PLACES:,} cells, most of them empty"
+            raise SamplesError(file, what, "Delete the columns beside the samples, or save them as CSV", line=number)
+        width = len(row)
+        while width and row[width - 1] is None:
+            width -= 1
+        cells = [_text(cell) for cell in row[:width]]
+        while cells and not cells[-1]:
+            cells.pop()
+        if cells and (not cells[0].startswith("#") or cells[0] in ERRORS):
+            yield number, cells
 
 
 def _text(cell: Any) -> str:

@@ -1,0 +1,134 @@
+"""The grammar of delimited text: encodings, lines, comments, cells, the header; every refusal names file and line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable
+
+from casacal.errors import SamplesError, counted
+
+MOST_COLUMNS = 16_384
+"""What a sheet of a spreadsheet holds."""
+LONGEST_NAME = 200
+"""Of a column, in characters."""
+
+LINE_END = re.compile(r"\r\n|\n|\r")
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
+UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+"""What would tear a sentence apart."""
+
+
+def decode(data: bytes, file: str) -> str:
+    """Text of a file's bytes: UTF-8 with or without a byte-order mark, UTF-16 with one; raises SamplesError."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encoding = "utf-16"
+    elif b"\x00" in data:
+        raise SamplesError(file, "this is not a text file (it holds zero bytes)", "Save it as CSV text in UTF-8")
+    else:
+        encoding = "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        line = len(LINE_END.findall(data[: error.start].decode(encoding, "replace"))) + 1
+        name = encoding.removesuffix("-sig").upper()
+        raise SamplesError(file, f"this is not {name} text", "Save it as CSV text in UTF-8", line=line) from None
+    refuse_controls(text, file)
+    return text
+
+
+def refuse_controls(text: str, file: str, first: int = 1) -> None:
+    """Raise SamplesError for control characters, which text does not hold; `first` is the line it begins with."""
+    if found := _CONTROL.search(text):
+        line = first + len(LINE_END.findall(text, 0, found.start()))
+        raise SamplesError(
+            file, "this is not a text file (it holds control characters)", "Save it as CSV text", line=line
+        )
+
+
+def logical_lines(text: str, first: int = 1) -> list[tuple[int, str]]:
+    """Lines that are neither blank nor comments, each with its number; `first` is the number of the first line."""
+    lines = LINE_END.split(text)
+    return [(i, line) for i, line in enumerate(lines, first) if line.strip() and not line.lstrip().startswith("#")]
+
+
+def delimiter_of(header: str) -> str:
+    """What stands between the cells of a header line."""
+    return max(",;\t", key=header.count)
+
+
+def numbered_rows(lines: list[tuple[int, str]], delimiter: str, file: str) -> list[tuple[int, list[str]]]:
+    """Cells of each logical line, without surrounding blanks; raises SamplesError unless quotes end on their line."""
+    reader = csv.reader((text for _, text in lines), delimiter=delimiter, strict=True)
+    rows = []
+    for count, (number, text) in enumerate(lines, 1):
+        try:
+            row = next(reader)
+        except csv.Error:
+            row = []
+        if not row or reader.line_num != count:
+            if max(map(len, text.split(delimiter))) > csv.field_size_limit():
+                what = f"a cell has more than {csv.field_size_limit()} characters"
+                raise SamplesError(file, what, "Shorten it, or leave its column out", line=number)
+            raise SamplesError(file, "a quoted cell does not end on its line", "Close the quote", line=number)
+        rows.append((number, [cell.strip() for cell in row]))
+    return rows
+
+
+def check_header(header: tuple[str, ...], file: str, line: int) -> None:
+    """Raise SamplesError unless the header is one of names, each column having its own."""
+    if len(header) > MOST_COLUMNS:
+        what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
+        raise SamplesError(file, what, "Leave out what is no sample", line=line)
+    if any(NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
+        raise SamplesError(
+            file,
+            "the first line holds numbers, not column names",
+            "Put a header such as q1_deg,q2_deg,... above it",
+            line=line,
+        )
+    check_names(header, file, line)
+
+
+def check_names(names: Iterable[str], file: str, line: int | None = None) -> None:
+    """Raise SamplesError unless each column has a name of its own that can be shown in a sentence."""
+    known: set[str] = set()
+    for i, name in enumerate(names, 1):
+        if not name:
+            raise SamplesError(file, f"column {i} has no name", "Name it, or remove the delimiter", line=line)
+        if len(name) > LONGEST_NAME or UNSHOWN.search(name):
+            what = f"the name of column {i} is longer than {LONGEST_NAME} characters, or holds control characters"
+            raise SamplesError(file, what, "Give it a short, plain name", line=line)
+        if name in known:
+            raise SamplesError(file, "the column appears twice", "Keep one of the two", line=line, column=name)
+        known.add(name)
+
+
+def body(
+    rows: list[tuple[int, list[str]]], header: tuple[str, ...], delimiter: str, file: str
+) -> tuple[tuple[tuple[str, ...], ...], tuple[int, ...]]:
+    """Cells of rows and their lines; raises SamplesError unless each has as many as the header."""
+    for number, row in rows:
+        if len(row) != len(header):
+            hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
+            raise SamplesError(
+                file,
+                f"the line has {counted(len(row), 'cell')} where the header has {len(header)}",
+                f"Give {counted(len(header), 'cell')} separated by {named(delimiter)}{hint}",
+                line=number,
+            )
+    return tuple(tuple(row) for _, row in rows), tuple(number for number, _ in rows)
+
+
+def not_a_number(cell: str) -> tuple[str, str]:
+    """What is wrong with a cell that should be a finite number, and what to do."""
+    if not cell:
+        return "the cell is empty", "Give a number, or remove the line"
+    shown = UNSHOWN.sub(lambda found: ascii(found[0])[1:-1], cell[:40])
+    return f"'{shown}' is not a finite number", "Give a plain decimal number such as 12.5"
+
+
+def named(delimiter: str) -> str:
+    """What a delimiter is called."""
+    return {",": "commas", ";": "semicolons", "\t": "tabs"}[delimiter]
