@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.binding.limits import COMPACT, MOST_SUMS, check_unknowns
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import FEW, RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
@@ -24,9 +25,6 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.values import alike, read_only, short
-
-COMPACT = 50_000
-"""Rows beyond which no whole Jacobian is held."""
 
 
 def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
@@ -66,6 +64,7 @@ class BoundProblem(LeastSquares):
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
         self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
         self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
+        check_unknowns(self.slots, len(pairs))
         self.x0 = read_only(np.zeros(len(pairs)))
         self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
         self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
@@ -159,8 +158,8 @@ class BoundProblem(LeastSquares):
 
     @cached_property
     def _native(self) -> NativeNormal | None:
-        """Sums over all rows in C; None where some instrument's rows are not evaluated in C."""
-        if self._packed is None:
+        """Sums over all rows in C; None where some rows are not evaluated in C, or pieces and unknowns are many."""
+        if self._packed is None or len(self._packed.pieces) * self.unknowns**2 > MOST_SUMS:
             return None
         threads = self._threads if self.rows >= FEW else 1
         return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)

@@ -58,6 +58,10 @@ class Simulation(Value):
         return x
 
 
+MOST_SAMPLES = 1_000_000
+"""Rows beyond which drawing postures takes hours."""
+
+
 def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int = 120, seed: int = 0) -> Simulation:
     """Draw a true arm from the prior and let its instrument measure.
 
@@ -81,8 +85,8 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
     """
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
-    if samples < 1:
-        raise SimulationError(f"{samples} samples were asked for", "Ask for at least one")
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise SimulationError(f"{samples} samples were asked for", f"Ask for 1 to {MOST_SAMPLES:,}")
     if not isinstance(problem, Problem):
         raise SimulationError(
             f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"

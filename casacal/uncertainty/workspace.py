@@ -59,7 +59,7 @@ def tip_stds(covariance: Array, field: Array) -> Array:
     """
     lost = ~np.isfinite(np.diagonal(covariance))
     held = np.where(np.isfinite(covariance), covariance, 0.0)
-    variance = np.einsum("ij,jk,ik->i", field, held, field)
+    variance = ((field @ held) * field).sum(axis=1)
     variance[(np.abs(field[:, lost]) > BLIND_FIELD).any(axis=1)] = np.inf
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
 
