@@ -22,6 +22,7 @@ from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import read_result
 from casacal.problem.new import new_from_dh, new_from_urdf
+from casacal.robots.files.urdf_reader import read_urdf
 
 PLAIN = "joint,alpha_deg,a_mm,d_mm,theta_deg\n"
 IIWA_CSV = "# convention: modified\n" + PLAIN
@@ -514,7 +515,7 @@ def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, na
     reach = 6 * 0.7  # prior standard deviations of a length, mm
     if name == "ur":
         there, here = (
-            {j.name: np.array(j.xyz) * 1000 for j in casacal.robots.files.urdf.read_urdf(path).joints}
+            {j.name: np.array(j.xyz) * 1000 for j in read_urdf(path).joints}
             for path in (place / "ur.urdf", _written(tmp_path / "ur.urdf", export.urdf_text(result)))
         )
         for joint, xyz in there.items():

@@ -13,6 +13,7 @@ import time
 
 import pytest
 from conftest import ROOT
+from hears_signals import hears_signals
 
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
@@ -67,7 +68,7 @@ def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
     for k in range(KILLS):
         out = tmp_path / "out"
         writer = subprocess.Popen([sys.executable, "-c", WRITER, str(HSR), str(out)], stdout=subprocess.PIPE,
-                                  stderr=subprocess.DEVNULL, env=environment)  # fmt: skip
+                                  stderr=subprocess.DEVNULL, env=environment, preexec_fn=hears_signals)  # fmt: skip
         assert writer.stdout.readline() == b"ready\n"
         time.sleep(0.05 + (k * 0.37) % 1.9)
         stop(writer, getattr(signal, kind))
@@ -114,10 +115,11 @@ def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
         move(source, target)
 
     monkeypatch.setattr(shutil, "move", slowly)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever started these tests may ignore it
     with pytest.raises(KeyboardInterrupt):
         write_pair(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.json"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
     place_in_thread = []
     thread = threading.Thread(target=lambda: place_in_thread.append(write_set(tmp_path / "t")))
     thread.start()

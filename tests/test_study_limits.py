@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import tiny_study
 from conftest import ROOT
+from hears_signals import hears_signals
 from test_study import alive, count_lines, within
 
 from casacal import Study
@@ -171,7 +172,7 @@ def test_an_interrupted_run_leaves_no_process_and_goes_on(tmp_path, how):
     command = [sys.executable, "-m", "casacal", "study", str(file), "--out", "out", "--timeout", "50", "--resume"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL,
-                               stderr=subprocess.PIPE, text=True)  # fmt: skip
+                               stderr=subprocess.PIPE, text=True, preexec_fn=hears_signals)  # fmt: skip
     note = tmp_path / "pid"
     assert within(30, lambda: note.is_file() and note.read_text())
     process.send_signal(how)

@@ -92,8 +92,8 @@ def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_
 
 
 def product(one: ca.MX, other: ca.MX) -> ca.MX:
-    """Matrix product by the BLAS that CasADi was built with, several times faster than its own; 3.8 lets one choose."""
+    """Matrix product by the BLAS that CasADi was built with, several times faster than its own, where there is one."""
     try:
         return ca.mtimes(one, other, "classic")
-    except (TypeError, NotImplementedError, RuntimeError):
+    except RuntimeError:
         return ca.mtimes(one, other)
