@@ -22,7 +22,8 @@ from casacal.errors import CasacalError
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 text file completely, then put it in place; raises CasacalError when it cannot."""
-    place_whole(path, lambda place: place.write_bytes(text.encode("utf-8")))
+    # names of files may hold bytes that are no text: escaped, as JSON has them
+    place_whole(path, lambda place: place.write_bytes(text.encode("utf-8", errors="backslashreplace")))
 
 
 def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:

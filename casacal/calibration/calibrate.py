@@ -89,7 +89,24 @@ def calibrate(
     source = problem_from(problem)
     rows = samples_from(samples, source)
     run, name = _chosen(method, loss)
-    began = time.perf_counter()
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
+        return _calibrated(source, rows, (run, name), loss, holdout, seed, reference, backend, threads, progress)
+
+
+def _calibrated(
+    source: ProblemFile,
+    rows: Samples,
+    method: tuple[Method, str],
+    loss: Loss | None,
+    holdout: float,
+    seed: int,
+    reference: bool,
+    backend: str | None,
+    threads: int | None,
+    progress: Progress | None,
+) -> Calibrated:
+    """The same of samples that were read, with a method that was found."""
+    (run, name), began = method, time.perf_counter()
     fitted, held = split(rows, holdout, seed)
     fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
     heldout = fit.on(rows.take(held)) if held.size else None

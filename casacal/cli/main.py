@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _caught(typed: list[str]) -> int:
+    warnings.filterwarnings("ignore", category=RuntimeWarning)  # NumPy's, of numbers that a sentence is said about
     try:
         parser = build_parser()
         if not typed:

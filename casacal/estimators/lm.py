@@ -55,6 +55,19 @@ def lm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "lm")
+    with np.errstate(over="ignore", invalid="ignore"):  # a status says what is not finite
+        return _searched(problem, start, max_steps, tolerance, damping, loss, progress)
+
+
+def _searched(
+    problem: LeastSquares,
+    start: Array | None,
+    max_steps: int,
+    tolerance: float,
+    damping: float,
+    loss: Loss | None,
+    progress: Callable[[int, float], None] | None,
+) -> Result:
     here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
     level, last, shortest, tried, evaluations = Damping(damping), None, Shortest(), 0, 1
     trace = [(here.cost, level.mu, math.nan, math.nan)]

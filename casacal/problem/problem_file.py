@@ -87,6 +87,7 @@ def load_problem(path: str | Path) -> ProblemFile:
     if cell is not None and not isinstance(cell, Cell):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")
     name = file.parent.name if file.name == "problem.py" and file.parent.name else file.stem
+    name = "".join(letter if letter.isprintable() else "_" for letter in name)  # it stands in exports
     files = (source, *_files_of(problem, values.get(BESIDE, ())))
     return ProblemFile(name, file.as_posix(), source.sha256, problem, cell, files)
 

@@ -51,6 +51,8 @@ class Robot(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", joints_of(self.joints))
         object.__setattr__(self, "parameters", FrozenMapping(self.parameters))
+        if not self.name.isprintable():
+            raise ProblemError(f"A robot is named {self.name!r}", "Use letters that can be printed on one line")
         if not self.axes:
             raise ProblemError(f"Robot '{self.name}' has no joints", "Give at least one")
         for key, unknown in self.parameters.items():

@@ -18,6 +18,9 @@ Expression: TypeAlias = Any
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 """Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
 
+LARGEST_STD = 1e12
+"""A standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does."""
+
 START_STD = {"mm": 10.0, "rad": 0.01}
 """Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""
 
@@ -156,6 +159,12 @@ def check_stds(stds: Array, what: str) -> None:
         raise ProblemError(
             f"{what} is {_shown(stds)}",
             "A standard deviation is positive, or math.inf for a flat prior; use free=False to hold a value",
+        )
+    absurd = np.isfinite(stds) & ((stds > LARGEST_STD) | (stds < 1 / LARGEST_STD))
+    if absurd.any():
+        raise ProblemError(
+            f"{what} is {stds[absurd][0]:g}, which no prior knowledge is",
+            "Give math.inf (inf on the command line) for a flat prior, or free=False (--fix) to hold a value",
         )
 
 
