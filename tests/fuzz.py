@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
 
+import fuzz_arms
 import fuzz_seeds
 import numpy as np
 
@@ -170,6 +171,12 @@ KINDS: Mapping[str, Kind] = {
     "large-csv": Kind(fuzz_seeds.csv_files, read_both_ways, fuzz_seeds.CSV_TOKENS, mutated_lines, 250),
     "npy": Kind(fuzz_seeds.npy_files, read_samples, fuzz_seeds.NPY_TOKENS, quick=150),
     "npz": Kind(fuzz_seeds.npz_files, read_samples, fuzz_seeds.NPY_TOKENS, mutated_members, 100),
+    "urdf": Kind(fuzz_arms.urdf_files, fuzz_arms.read_arm, fuzz_arms.URDF_TOKENS, quick=250),
+    "dh": Kind(fuzz_arms.dh_files, fuzz_arms.read_arm, fuzz_arms.TABLE_TOKENS, mutated_lines, 200),
+    "result": Kind(fuzz_arms.result_files, fuzz_arms.use_result, fuzz_arms.RESULT_TOKENS, mutated, 120),
+    "joints": Kind(fuzz_arms.joint_files, fuzz_arms.read_joint_values, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
+    "targets": Kind(fuzz_arms.target_files, fuzz_arms.read_target_poses, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
+    "pendant": Kind(fuzz_arms.pendant_files, fuzz_arms.read_pendant, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
     "xlsx": Kind(fuzz_seeds.xlsx_files, read_samples, fuzz_seeds.XLSX_TOKENS, mutated_members, 40),
 }
 
