@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+LONGEST = 1000
+"""Letters of a refusal that anybody reads."""
+
 
 def came(value: object) -> str:
     """What came, at the start of a sentence: "A list", "An int", "Nothing"."""
@@ -23,8 +26,9 @@ class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 
     def __init__(self, what: str, fix: str) -> None:
-        self.what = what
-        self.fix = fix
+        if len(what) > LONGEST:  # what came may be as long as a file
+            what = f"{what[: LONGEST - 4]} ..."
+        self.what, self.fix = what, fix
         super().__init__(f"{what}. {fix}.")
 
     def __reduce__(self) -> tuple[type[CasacalError], tuple[str, str]]:

@@ -64,8 +64,8 @@ def _place(moves: Sequence[tuple[Path, Path]]) -> None:
     """Put files where they belong, after those of before are gone; a link's target is written, not the link."""
     ends = [(source, Path(os.path.realpath(target))) for source, target in moves]
     for _, target in ends:
-        if target.is_dir():
-            raise CasacalError(f"'{target}' is a folder", "Name another folder for the answer, or remove it")
+        if target.exists() and not target.is_file():
+            raise CasacalError(f"'{target}' is no file", "Name another folder for the answer, or remove it")
     with _undisturbed():
         for _, target in reversed(ends):
             target.unlink(missing_ok=True)

@@ -16,6 +16,9 @@ from casacal.errors import CasacalError
 MOST = 1_000_000
 """Operations beyond which a graph is no arm's."""
 
+MOST_PARTS = 500
+"""Arguments and results beyond which it is none either."""
+
 UNARY = (
     *("assign", "neg", "exp", "log", "sqrt", "sq", "twice", "sin", "cos", "tan", "asin", "acos", "atan", "not"),
     *("floor", "ceil", "fabs", "sign", "erf", "inv", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erfinv"),
@@ -71,6 +74,8 @@ def graph_data(function: ca.Function) -> dict[str, Any]:
 def graph_from(data: Mapping[str, Any]) -> ca.Function:
     """The function that such data describe; raises CasacalError for what describes none."""
     try:
+        if len(data["arguments"]) + len(data["results"]) > MOST_PARTS:
+            raise ValueError("it has too many arguments and results")
         symbols = [ca.SX.sym(str(name), _size(rows), _size(columns)) for name, rows, columns in data["arguments"]]
         elements = [ca.vec(symbol).elements() if symbol.numel() else [] for symbol in symbols]
         values = _values(data["operations"], elements)
@@ -94,10 +99,10 @@ def _values(lines: Sequence[str], elements: Sequence[Sequence[Any]]) -> list[ca.
     values: list[ca.SX] = []
     for line in lines:
         name, *words = line.split()
-        if name == "const":
+        if name == "const" and len(words) == 1:
             values.append(ca.SX(float(words[0])))
             continue
-        if name == "input":
+        if name == "input" and len(words) == 2:
             argument = elements[_place(words[0], len(elements))]
             values.append(ca.SX(argument[_place(words[1], len(argument))]))
             continue

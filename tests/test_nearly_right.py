@@ -4,6 +4,7 @@ import shutil
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
 from test_result_file import URDF
@@ -125,3 +126,46 @@ def test_a_label_that_begins_with_a_hash_does_not_vanish(tmp_path):
     found = problem.read(tmp_path / "s.csv")
     assert len(found) == len(problem.read(HSR / "samples.csv"))
     assert "#1" in found.labels["plane"].names
+
+
+@pytest.mark.parametrize("given", ["samples.csv", "README.md"])
+def test_only_python_is_run_as_a_problem(given, capsys):
+    """Problem and samples exchanged: nothing of the samples is run."""
+    assert main(["calibrate", str(HSR / given), str(HSR)]) == 2
+    assert "is no problem file" in capsys.readouterr().err
+
+
+def test_simulate_says_that_it_writes_csv(tmp_path, capsys):
+    assert main(["simulate", str(HSR), "--out", str(tmp_path / "s.xlsx")]) == 2
+    assert "Name it s.csv" in capsys.readouterr().err
+
+
+def test_a_frame_where_a_file_is_read_meets_a_sentence():
+    with pytest.raises(casacal.CasacalError, match=r"Samples\.from_frame takes a frame"):
+        casacal.load_problem(HSR).problem.read(pd.DataFrame())
+
+
+def test_what_a_readers_own_function_does_is_told(tmp_path, capsys):
+    """An instrument that leaves the program must not end it with success."""
+    text = (
+        (HSR / "problem.py")
+        .read_text()
+        .replace("        joint_axis =", "        raise SystemExit(0)\n        joint_axis =")
+    )
+    (tmp_path / "problem.py").write_text(text)
+    assert main(["simulate", str(tmp_path), "--out", str(tmp_path / "s.csv")]) == 2
+    assert "ends the program" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("out", ["", " ", "n" * 300])
+def test_an_out_that_is_no_name_is_refused(out, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", str(HSR), "--method", "lm", "--no-reference", "--out", out]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_deep_urdf_is_read_at_once(tmp_path):
+    (tmp_path / "deep.urdf").write_text('<robot name="r">' + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>")
+    with pytest.raises(ProblemError, match="0 links that could be the tip"):
+        Robot.from_urdf(tmp_path / "deep.urdf")

@@ -1,7 +1,9 @@
 """result.json stands alone: it holds the arm as data, runs no code, and notices an arm that was edited since."""
 
 import copy
+import hashlib
 import json
+import os
 import random
 import shutil
 
@@ -174,7 +176,16 @@ def test_comments_and_layout_are_no_change(made, tmp_path):
     shutil.copytree(made / "dh", tmp_path / "dh")
     file = tmp_path / "dh" / "problem.py"
     file.write_text("# a comment\n\n" + file.read_text().replace("noise_std=NOISE, ", "noise_std = NOISE,  # why\n"))
+    (tmp_path / "dh" / "arm.csv").write_text(
+        (tmp_path / "dh" / "arm.csv").read_text().replace("400", "400.0") + "# end\n"
+    )
     assert load(tmp_path / "dh" / "out").success in (True, False)
+    shutil.copytree(made / "urdf", tmp_path / "urdf")
+    arm = tmp_path / "urdf" / "arm.urdf"
+    arm.write_text(
+        arm.read_text().replace("<robot", "<!-- mine -->\n<robot").replace('xyz="0.4 0 0"', 'xyz="0.40 0 0.0"')
+    )
+    assert load(tmp_path / "urdf" / "out").success in (True, False)
 
 
 def test_no_code_is_run(tmp_path):
@@ -245,7 +256,7 @@ def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
     """Whatever one changes: an answer or a sentence, in all that is asked of a result."""
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
     rng, q, said = random.Random(0), np.zeros((1, 3)), []
-    for _ in range(400):
+    for _ in range(160):
         (tmp_path / "r.json").write_text(json.dumps(mutated(document, rng)))
         try:
             saved = load(tmp_path / "r.json")
@@ -254,5 +265,60 @@ def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
             saved.export("zeros")
         except CasacalError as error:
             said.append(str(error))
-    assert 100 < len(said) < 400
+    assert 40 < len(said) < 160
     assert not [sentence for sentence in said if "\n" in sentence]
+
+
+def resealed(document, edit):
+    """A copy with an edited arm whose hash was made anew: what somebody who knows how may write."""
+    changed = copy.deepcopy(document)
+    edit(changed["arm"])
+    kept = {key: item for key, item in changed["arm"].items() if key != "sha256"}
+    changed["arm"]["sha256"] = hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+    return changed
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda arm: arm.update(joints=20_000_000),
+        lambda arm: arm.update(joints=10**40),
+        lambda arm: arm.update(pose="x"),
+        lambda arm: arm["parameters"].update(items={}),
+        lambda arm: arm["instruments"][0]["tool"].update(labels=[True, 1, None]),
+        lambda arm: arm["instruments"][0].update(noise_std=10**400),
+        lambda arm: arm["instruments"].clear(),
+    ],
+)
+def test_an_arm_of_the_wrong_kind_is_refused(made, tmp_path, edit):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    (tmp_path / "r.json").write_text(json.dumps(resealed(document, edit)))
+    with pytest.raises(CasacalError):
+        load(tmp_path / "r.json")
+
+
+def test_a_result_that_says_two_things_is_refused(made, tmp_path):
+    text = (made / "dh" / "out" / "result.json").read_text()
+    for edit in ("parameters", "unknowns", "covariance"):
+        document = json.loads(text)
+        if edit == "parameters":
+            document["parameters"][0]["estimate"] += 0.01
+        elif edit == "unknowns":
+            document["unknowns"][0]["value"] += 0.01
+        else:
+            document["covariance"][0][1] *= 1.01
+        (tmp_path / "r.json").write_text(json.dumps(document))
+        with pytest.raises(CasacalError, match=r"two things|symmetric"):
+            load(tmp_path / "r.json")
+    (tmp_path / "r.json").write_text(text.rstrip().rstrip("}") + ', "seed": 3}')
+    with pytest.raises(CasacalError, match="not a result"):
+        load(tmp_path / "r.json")
+
+
+def test_files_that_a_result_names_are_read_only_if_they_are_files(made, tmp_path):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    os.mkfifo(tmp_path / "pipe")
+    for path in ("/dev/zero", str(tmp_path / "pipe")):
+        document["problem"]["files"][0]["path"] = path
+        (tmp_path / "r.json").write_text(json.dumps(document))
+        assert load(tmp_path / "r.json").predict(np.zeros((1, 3))).positions.shape == (1, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from casacal.calibration.calibration import Calibration
+from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.verdict import Verdict
 
@@ -61,7 +61,10 @@ def _subject(calibration: Calibration) -> str:
         rows += f", {len(held.block.samples)} of them held out"
     checked = ""
     if calibration.reference is not None:
-        checked = f"; {calibration.reference.solver} {'agrees' if calibration.reference.agrees else 'DIFFERS'}"
+        found = calibration.reference
+        lower = calibration.method not in MINIMISERS and found.gap > 0
+        apart = f"finds a cost lower by {found.gap:.2g}" if lower else "DIFFERS"
+        checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
     return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{checked}"
 
 

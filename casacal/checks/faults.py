@@ -140,7 +140,7 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
         return []
     weights = 1 / np.maximum(np.array(errors), 1e-9) ** 2
     slope, std = float(np.average(slopes, weights=weights)), float(1 / np.sqrt(weights.sum()))
-    if slope < 1.0 or slope < 5 * std:
+    if slope < 5 * std or slope + 3 * std < 2.0:  # an arm far from its drawing follows the reading too, but not so far
         return []
     return [
         Finding(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.compensation.arm import CalibratedArm
     from casacal.problem.problem_file import ProblemFile
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -33,6 +34,14 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None) -> None:
         for given in inputs:
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
                 raise CasacalError(f"'{out}' is to be written, and it is what the command reads", "Name another --out")
+
+
+def made_from(result: CalibratedArm) -> list[Path]:
+    """The files that a result's arm and samples came from, where they may still stand."""
+    place = Path(result.file).parent
+    data = result.document.get("data") or {}
+    named = [file.path for file in result.source.files] + [data.get("file")]
+    return [place / name for name in named if isinstance(name, str) and name]
 
 
 def whole_number(text: str) -> int:

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_json, add_result, spare
+from casacal.cli.common import DONE, FAILED, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
         )
     spare([options.out], options.result, options.targets)
     result = read_result(options.result)
+    spare([options.out], *made_from(result))
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)
     compensation = compensate(

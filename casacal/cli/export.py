@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_result, spare
+from casacal.cli.common import DONE, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -47,6 +47,7 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     spare([options.out], options.result, options.source)
     result = read_result(options.result)
+    spare([options.out], *made_from(result))
     write_text(options.out, _exported(result, options))
     if options.json:
         say_json({"form": options.to, "remarks": remark(result), "written": [options.out]})

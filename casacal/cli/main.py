@@ -43,7 +43,8 @@ class _Parser(argparse.ArgumentParser):
     commands: dict[str, argparse.ArgumentParser]
 
     def error(self, message: str) -> NoReturn:
-        raise CasacalError(f"{self.prog}: {message}", f"See {self.prog} --help")
+        command = self.prog.removeprefix("casacal").strip()
+        raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
 def build_parser() -> _Parser:
@@ -65,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 done, 1 a result not to be used or a check failed, 2 bad input, 130 interrupted."""
     one_thread_each()
     prepare()
-    code = _caught(sys.argv[1:] if arguments is None else list(arguments))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, of numbers that a sentence is said about
+        code = _caught(sys.argv[1:] if arguments is None else list(arguments))
     try:
         finish()
     except CasacalError as error:
@@ -75,7 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _caught(typed: list[str]) -> int:
-    warnings.filterwarnings("ignore", category=RuntimeWarning)  # NumPy's, of numbers that a sentence is said about
     try:
         parser = build_parser()
         if not typed:
@@ -87,13 +89,25 @@ def _caught(typed: list[str]) -> int:
             options = parser.parse_args(typed)
         if "run" not in options:
             parser.error("a COMMAND is missing")
+        if getattr(options, "out", None) is not None and not options.out.strip():
+            raise CasacalError("--out is empty", "Name where the answer is to be written")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser
-        return int(options.run(options))
+        return _answer(options)
     except CasacalError as error:
         complain(" ".join(str(error).split()))
+        return BAD_INPUT
+    except OSError as error:  # a name that is too long, say, which no reader or writer foresaw
+        complain(f"'{error.filename or 'A file'}' cannot be used ({error.strerror}). Choose another name or place.")
         return BAD_INPUT
     except KeyboardInterrupt:
         complain("Interrupted. No file was left half-written.")
         return INTERRUPTED
     except SystemExit as end:  # argparse's, after --help and --version
         return DONE if end.code is None else int(end.code)
+
+
+def _answer(options: argparse.Namespace) -> int:
+    try:
+        return int(options.run(options))
+    except SystemExit as end:
+        raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add_json, add_result, spare
+from casacal.cli.common import DONE, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "poses of a calibrated arm at joint values"
@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
     spare([options.out], options.result, options.joints)
     result = read_result(options.result)
+    spare([options.out], *made_from(result))
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
     write_prediction(options.out, prediction)

@@ -62,6 +62,10 @@ def run(options: argparse.Namespace) -> int:
 
     out = Path(options.out)
     _spare_measurements(out)
+    if out.suffix.lower() not in (".csv", ".txt", ""):
+        raise CasacalError(
+            f"simulate writes CSV, and '{out}' is called otherwise", f"Name it {out.with_suffix('.csv').name}"
+        )
     source = load_problem(options.problem)
     spare([out, out.with_suffix(".truth.json")], *(file.path for file in source.files))
     cell = _cell(source, options)

@@ -68,6 +68,11 @@ def check_document(file: str, document: Any) -> None:
         twice = sorted(name for name, count in Counter(row["name"] for row in rows).items() if count > 1)
         if twice:
             raise CasacalError(f"{file}: '{twice[0]}' stands twice among its {what}", FIX)
+    values = {row["name"]: row["value"] for row in unknowns}
+    for row in parameters:
+        change = row["estimate"] - row["nominal"]
+        if abs(values.get(row["name"], change) - change) > 1e-6 * (1 + abs(change)):
+            raise CasacalError(f"{file}: it says two things of '{row['name']}'", FIX)
     for key, fits in OPTIONAL.items():
         if document.get(key) is not None and not fits(document[key]):
             raise CasacalError(f"{file}: its '{key}' is {_short(document[key])}", FIX)
@@ -96,11 +101,16 @@ def _check_covariance(file: str, rows: Any, count: int) -> None:
     """A square of numbers, null where a variance is infinite."""
     if rows is None:
         return
-    square = (
-        isinstance(rows, list) and len(rows) == count and all(isinstance(r, list) and len(r) == count for r in rows)
-    )
-    if not square or not all(is_number_or_null(value) for row in rows for value in row):
-        raise CasacalError(f"{file}: its covariance is no table of {count} x {count} numbers", FIX)
+    lists = isinstance(rows, list) and len(rows) == count and all(isinstance(row, list) for row in rows)
+    numbers = lists and all(len(row) == count and all(map(is_number_or_null, row)) for row in rows)
+    if not numbers or not all(_symmetric(rows, i, j) for i in range(count) for j in range(i)):
+        raise CasacalError(f"{file}: its covariance is no symmetric table of {count} x {count} numbers", FIX)
+
+
+def _symmetric(rows: list[list[float | None]], i: int, j: int) -> bool:
+    """Whether two elements are equal to rounding; null stands for infinite ones."""
+    one, other, size = rows[i][j], rows[j][i], (rows[i][i] or 0.0) * (rows[j][j] or 0.0)
+    return one is None or other is None or (one - other) ** 2 <= 1e-16 * abs(size)
 
 
 def _short(value: Any) -> str:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,10 @@ from casacal.errors import CasacalError
 from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.dh_file import read_dh_file
+from casacal.robots.robot import Arm
+from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Parameter
 
 SCHEMA = 1
@@ -39,19 +45,23 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     if problem is not None:
         source = ProblemFile.of(problem, document["problem"]["name"])
     elif document.get("arm") is not None:
-        _refuse_changes(place, document)
         source = _own_problem(place, document)
+        _refuse_changes(place, document, source.problem)
     else:
         source = _older_problem(place, document)
     _check_nominal(str(place), source, document)
     return CalibratedArm(str(place), source, document)
 
 
+LARGEST_SOURCE = 100_000_000
+"""Bytes beyond which a file is none that an arm was made from."""
+
+
 def _read(place: Path) -> dict[str, Any]:
     """The document, whose parts are what others rely on."""
     fix = "Give the result.json that calibrate --out wrote"
     try:
-        document = json.loads(place.read_text(encoding="utf-8"))
+        document = json.loads(place.read_text(encoding="utf-8"), object_pairs_hook=_without_twins)
     except FileNotFoundError:
         raise CasacalError(f"{place}: there is no such file", fix) from None
     except OSError as error:
@@ -67,6 +77,14 @@ def _read(place: Path) -> dict[str, Any]:
     return document  # type: ignore[no-any-return]
 
 
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; raises ValueError where a key stands in it twice."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        raise ValueError("a key stands there twice")
+    return made
+
+
 def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
     """The problem that a result holds."""
     said = document["problem"]
@@ -80,15 +98,18 @@ def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
     return ProblemFile(said["name"], path, said["sha256"], problem, None, files)
 
 
-def _refuse_changes(place: Path, document: Mapping[str, Any]) -> None:
+def _refuse_changes(place: Path, document: Mapping[str, Any], problem: Problem) -> None:
     """Refuse a result whose arm was edited since, where the files that it was made from still stand."""
     for kept in document["problem"].get("files", []):
-        path = place.parent / kept["path"]
+        path = Path(os.path.normpath(place.parent / kept["path"]))
         try:
+            if not path.is_file() or path.stat().st_size > LARGEST_SOURCE:  # it went elsewhere: the result stands alone
+                continue
             now = SourceFile.read(path)
-        except OSError:  # it went elsewhere, and the result stands alone
+        except OSError:
             continue
-        if now.sha256 != kept["sha256"] and not _same_code(path, now.text, kept["text"]):
+        same = now.sha256 == kept["sha256"] or _same_code(path, now.text, kept["text"])
+        if not same and not _same_arm(path, problem.robot.arm):
             raise CasacalError(
                 f"{place}: {path} has changed since the calibration",
                 "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was",
@@ -100,6 +121,17 @@ def _same_code(path: Path, one: str, other: str) -> bool:
     try:
         return path.suffix == ".py" and ast.dump(ast.parse(one)) == ast.dump(ast.parse(other))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return False
+
+
+def _same_arm(path: Path, arm: Arm | None) -> bool:
+    """Whether a URDF or a DH table says what it said, whatever its comments and its layout."""
+    try:
+        if isinstance(arm, UrdfChain) and path.name == arm.file:
+            there = UrdfChain.read(path, arm.chain[0].parent, arm.chain[-1].child, arm.conventions)
+            return [replace(joint, line=0) for joint in there.chain] == [replace(joint, line=0) for joint in arm.chain]
+        return isinstance(arm, DHTable) and path.suffix != ".py" and read_dh_file(path) == arm
+    except CasacalError:
         return False
 
 

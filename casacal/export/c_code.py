@@ -60,8 +60,10 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
     `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
     name.
     """
-    prefix = re.sub(r"\W", "_", result.source.name, flags=re.ASCII).lstrip("_") or "arm" if prefix is None else prefix
-    if not re.fullmatch(r"[A-Za-z]\w*", prefix, flags=re.ASCII):
+    if prefix is None:
+        plain = re.sub(r"[\W_]+", "_", result.source.name, flags=re.ASCII).strip("_")
+        prefix = plain if plain[:1].isalpha() else f"arm_{plain}".rstrip("_")
+    if not ca.Function.check_name(f"{prefix}_pose"):
         raise CasacalError(
             f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and _"
         )

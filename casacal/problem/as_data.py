@@ -67,8 +67,12 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         if pose is None:
             pose = arm.pose
         robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
-        return Problem(robot, *(_decoded(each) for each in kept["instruments"]))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        problem = Problem(robot, *(_decoded(each) for each in kept["instruments"]))
+        _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
+        return problem
+    except CasacalError:
+        raise
+    except Exception as error:  # whatever stands in the file
         said = " ".join(str(error).split())[:200]
         raise CasacalError(
             f"The arm in the file cannot be read: {said}", "Update casacal, or calibrate again"

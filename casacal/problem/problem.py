@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from casacal.errors import ProblemError, UnknownNameError
+from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
 from casacal.instruments import Instrument
 from casacal.instruments.instrument import check_declaration
 from casacal.problem.compile import RowModel
@@ -145,6 +145,10 @@ class Problem(Value):
 
         """
         layout = self.layout(instrument)
+        if not isinstance(path, (str, Path)):
+            raise SamplesError(
+                "samples", f"{came(path)} came as the file", "Give a path; Samples.from_frame takes a frame"
+            )
         if readings is None:
             return Samples.from_file(path, layout, absurd=absurd)
         together = joined_tables(read_any_table(path), read_any_table(readings), key=key)

@@ -78,6 +78,11 @@ def load_problem(path: str | Path) -> ProblemFile:
         raise ProblemError(
             f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
         )
+    if file.suffix != ".py":
+        raise ProblemError(
+            f"'{path}' is no problem file, which is a program in Python",
+            "Give a folder with a problem.py, or such a file; casacal new makes one from a URDF or a DH table",
+        )
     source = SourceFile.read(file)
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")

@@ -148,7 +148,10 @@ def _traced(call: Any, what: str, owner: str, shape: tuple[int, int] | None, *ar
         built = call(*arguments)
         value = built if isinstance(built, Product) else ca.SX(built)
         found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
-    except Exception as error:  # whatever a user's function raises, it is their problem file that must change
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # whatever a user's function raises, it is their problem file that must change
         raise ProblemError(
             f"{what} of '{owner}' failed with {type(error).__name__}: {' '.join(str(error).split())}",
             "It must build CasADi expressions from its arguments; see casacal.kinematics",

@@ -9,6 +9,8 @@ from typing import Literal
 
 from casacal.errors import ProblemError
 
+MOST_JOINTS = 100
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -41,6 +43,8 @@ def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
     Limits that are not given are +-pi rad and +-1000 mm.
     """
     if isinstance(joints, int):
+        if not 0 <= joints <= MOST_JOINTS:
+            raise ProblemError(f"{joints:.6g} joints were asked for", f"Give 1 to {MOST_JOINTS}")
         joints = "R" * joints
     if isinstance(joints, str):
         if set(joints) - set("RP"):

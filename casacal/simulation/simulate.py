@@ -86,7 +86,7 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
     if not 1 <= samples <= MOST_SAMPLES:
-        raise SimulationError(f"{samples} samples were asked for", f"Ask for 1 to {MOST_SAMPLES:,}")
+        raise SimulationError(f"{samples} samples were asked for", f"Ask for at least one, at most {MOST_SAMPLES:,}")
     if not isinstance(problem, Problem):
         raise SimulationError(
             f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"

@@ -48,7 +48,7 @@ def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Colu
 
     def number(name: str) -> Array:
         values = np.asarray(arrays[name])
-        if values.dtype.kind not in "iuf":
+        if values.dtype.kind not in "iuf" or values.dtype == np.float16:
             raise SamplesError(file, f"the column holds {_kind(values)}, not numbers", "Store float64", column=name)
         with np.errstate(all="ignore"):  # a number beyond float64 becomes infinite, and is refused as such
             values = np.asarray(values, dtype=np.float64)

@@ -92,6 +92,10 @@ class _Reader:
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self.path.append(tag)
+        if len(self.path) > 3:  # what other programs keep inside the parts of a joint, however deep
+            if tag.startswith("xacro:"):
+                self._refuse(f"is xacro (<{tag}>)", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
+            return
         self._spelling(tag, attributes)
         if tag.startswith("xacro:"):
             self._refuse(f"is xacro (<{tag}>)", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
