@@ -141,6 +141,7 @@ def test_hundreds_of_faces_are_calibrated(hsr):
     bound = bind(hsr.problem, faces(hsr, 150))
     found, few = lm(bound), bind(hsr.problem, faces(hsr, 150), backend="blocks")
     assert bound.unknowns == 24 + 450
+    assert bound._native is None  # whose sums, one of all unknowns for each face, would take 270 MB
     assert found.converged
     assert few.cost(found.x) == pytest.approx(found.cost, rel=1e-9)
     gradient = bound.normal(found.x).gradient + bound.prior_information * (found.x - bound.x0)
