@@ -70,9 +70,8 @@ class Point(NamedTuple):
 
     @property
     def usable(self) -> bool:
-        """Whether cost and derivatives are finite, so that steps can start here."""
-        slopes = self.normal.gradient.sum() + self.normal.information.trace()
-        return math.isfinite(self.cost) and math.isfinite(slopes)
+        """Whether cost and slopes are finite, so that steps can start here; what spoils a slope spoils the gradient."""
+        return math.isfinite(self.cost) and math.isfinite(self.normal.gradient @ self.normal.gradient)
 
 
 class Move(NamedTuple):
