@@ -173,7 +173,7 @@ KINDS: Mapping[str, Kind] = {
     "npz": Kind(fuzz_seeds.npz_files, read_samples, fuzz_seeds.NPY_TOKENS, mutated_members, 100),
     "urdf": Kind(fuzz_arms.urdf_files, fuzz_arms.read_arm, fuzz_arms.URDF_TOKENS, quick=250),
     "dh": Kind(fuzz_arms.dh_files, fuzz_arms.read_arm, fuzz_arms.TABLE_TOKENS, mutated_lines, 200),
-    "result": Kind(fuzz_arms.result_files, fuzz_arms.use_result, fuzz_arms.RESULT_TOKENS, mutated, 120),
+    "result": Kind(fuzz_arms.result_files, fuzz_arms.use_result, fuzz_arms.RESULT_TOKENS, mutated, 60),
     "joints": Kind(fuzz_arms.joint_files, fuzz_arms.read_joint_values, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
     "targets": Kind(fuzz_arms.target_files, fuzz_arms.read_target_poses, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
     "pendant": Kind(fuzz_arms.pendant_files, fuzz_arms.read_pendant, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),

@@ -22,7 +22,7 @@ from casacal.file_sets import PREFIX, side_by_side, together
 from casacal.files import mark_of_this_run, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
-KILLS = int(os.environ.get("CASACAL_KILLS", "6"))
+KILLS = int(os.environ.get("CASACAL_KILLS", "2"))
 """Kills of each kind; a hundred were run once."""
 WRITER = """
 import sys

@@ -108,7 +108,7 @@ def nominal_jacobian(bound):
 def test_threads_share_a_problem(hsr, backend):
     """One problem that nothing was traced or compiled of yet, used by four threads in all ways at once."""
     problem = load_problem(hsr.path).problem
-    samples = [problem.read(hsr.samples).take(np.arange(k, 120)) for k in range(4)]
+    samples = [problem.read(hsr.samples).take(np.arange(k, 120)) for k in range(2)]
     ways = [
         lambda s: lm(bind(problem, s, backend=backend)).x.tobytes(),
         lambda s: sckf(bind(problem, s, backend=backend)).x.tobytes(),

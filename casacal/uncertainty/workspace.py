@@ -13,6 +13,8 @@ from casacal.robots.robot import Robot
 WORKSPACE_POSES = 400
 
 
+FEW_UNKNOWNS = 100
+
 BLIND_FIELD = 1e-9
 """Motion (mm per unit) below which a tip does not see an unknown."""
 
@@ -59,7 +61,10 @@ def tip_stds(covariance: Array, field: Array) -> Array:
     """
     lost = ~np.isfinite(np.diagonal(covariance))
     held = np.where(np.isfinite(covariance), covariance, 0.0)
-    variance = ((field @ held) * field).sum(axis=1)
+    if len(held) <= FEW_UNKNOWNS:  # where the threads of matrix products would only wait for one another
+        variance = np.einsum("ij,jk,ik->i", field, held, field)
+    else:
+        variance = ((field @ held) * field).sum(axis=1)
     variance[(np.abs(field[:, lost]) > BLIND_FIELD).any(axis=1)] = np.inf
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
 
