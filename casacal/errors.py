@@ -26,10 +26,9 @@ class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 
     def __init__(self, what: str, fix: str) -> None:
-        if len(what) > LONGEST:  # what came may be as long as a file
-            what = f"{what[: LONGEST - 4]} ..."
-        self.what, self.fix = what, fix
-        super().__init__(f"{what}. {fix}.")
+        # what came may be as long as a file
+        self.what, self.fix = (text if len(text) <= LONGEST else f"{text[: LONGEST - 4]} ..." for text in (what, fix))
+        super().__init__(f"{self.what}. {self.fix}.")
 
     def __reduce__(self) -> tuple[type[CasacalError], tuple[str, str]]:
         """Let a refusal travel from a worker process: what it says arrives, as the general kind."""

@@ -169,3 +169,15 @@ def test_a_deep_urdf_is_read_at_once(tmp_path):
     (tmp_path / "deep.urdf").write_text('<robot name="r">' + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>")
     with pytest.raises(ProblemError, match="0 links that could be the tip"):
         Robot.from_urdf(tmp_path / "deep.urdf")
+
+
+def test_deep_toml_and_long_lists_of_names_meet_a_short_sentence(tmp_path):
+    (tmp_path / "arm.toml").write_text("a = " + "[" * 50_000)
+    with pytest.raises(ProblemError) as refused:
+        Robot.from_dh_file(tmp_path / "arm.toml")
+    assert len(str(refused.value)) < 2500
+    links = "".join(f'<link name="{"x" * 20}{k}"/>' for k in range(2000))
+    (tmp_path / "arm.urdf").write_text(URDF.replace("</robot>", f"{links}</robot>"))
+    with pytest.raises(ProblemError) as refused:
+        Robot.from_urdf(tmp_path / "arm.urdf", base="nowhere", tip="flange")
+    assert len(str(refused.value)) < 2500

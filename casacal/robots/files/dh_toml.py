@@ -28,7 +28,7 @@ def read_toml(path: str | Path) -> Fields:
         raise ProblemError(f"{file}: there is no such file", "Check the path") from None
     except OSError as error:
         raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable TOML file") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ProblemError(f"{file}: this is not TOML ({error})", "Mend the file") from None
     check_names(document, TOP, file)
     inner, joints = document.get("conventions", {}), document.get("joint", [])
