@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +44,12 @@ def together(folder: Path, names: Sequence[str]) -> Iterator[Path]:
                 _place([(place / name, folder / name) for name in names])
             finally:
                 shutil.rmtree(place, ignore_errors=True)
-                made = made and not any(folder.iterdir())
     except OSError as error:
         raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
     finally:
-        if made and folder.exists():
-            shutil.rmtree(folder, ignore_errors=True)
+        if made:  # and still empty: another run may have come in between
+            with suppress(OSError):
+                folder.rmdir()
 
 
 @contextmanager

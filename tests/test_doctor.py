@@ -10,6 +10,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
+from casacal.checks.faults import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import _spreads
 from casacal.cli.main import main
@@ -257,3 +258,15 @@ def test_a_known_step_and_a_ruler_are_no_faults(folder, silent):
     """A step is small and gives a length; on certified angles a sliding joint measures one."""
     source = load_problem(ROOT / "problems" / folder)
     assert silent not in {finding.about for finding in check(source.problem, source.problem.read(source.samples))}
+
+
+@pytest.mark.parametrize(
+    ("slope", "std", "wrong"),
+    [
+        *[(1.96, 0.18, True), (1.78, 0.24, True), (2.4, 0.2, True)],
+        *[(1.0, 0.11, False), (1.2, 0.23, False), (0.3, 0.1, False), (0.0, 0.1, False), (1.9, 0.5, False)],
+    ],
+)
+def test_only_a_slope_of_two_tells_a_wrong_sign(slope, std, wrong):
+    """Slopes about one were measured on right signs: arms far from their drawing, driven by it."""
+    assert tells_a_wrong_sign(slope, std) is wrong

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import DialOnPlane, Parameter, Problem, ProblemError, Robot, bind, calibrate, lm, load_problem, simulate
+from casacal import DialOnPlane, Parameter, Problem, ProblemError, Robot, bind, calibrate, lm, simulate
 from casacal.binding.limits import MOST_UNKNOWNS
 from casacal.calibration.calibrate import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.least_squares.result import Status
 
 HSR = ROOT / "problems" / "hsr_jr680"
 
@@ -41,9 +40,7 @@ class Hole(DialOnPlane):
 def test_a_cost_that_is_not_finite_ends_in_a_sentence(hsr, kind, method):
     problem = Problem(hsr.problem.robot, kind(noise_std=0.01))
     found = calibrate(problem, hsr.samples, method=method, reference=False)
-    assert found.result.status in Status
     assert np.isfinite(found.result.cost) or not found.passed
-    assert found.result.steps < 100_000
 
 
 @pytest.mark.parametrize("std", ["1e300", "1e-300", "1e13", "1e-13"])
@@ -154,4 +151,3 @@ def test_thousands_of_faces_are_refused_in_a_sentence(hsr):
     labels = tuple(str(i // 6) for i in range(len(many)))
     with pytest.raises(ProblemError, match="at most 3,000 can be"):
         bind(hsr.problem, dataclasses.replace(many, labels={"plane": labels}))
-    assert load_problem(HSR).problem == hsr.problem

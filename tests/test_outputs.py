@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from conftest import ROOT
@@ -142,6 +143,22 @@ def write_pair(folder):
 def write_set(folder):
     with together(folder, ["a"]) as place:
         (place / "a").write_text("a")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")
+def test_a_run_that_is_turned_away_leaves_the_others_folder_alone(tmp_path, monkeypatch):
+    """The folder comes into being, with another run's file in it, between the look for it and the lock."""
+    made, mkdir = tmp_path / "out", Path.mkdir
+
+    def beaten(path, *given, **options):
+        mkdir(path, *given, **options)
+        (path / "theirs").write_text("theirs")
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(Path, "mkdir", beaten)
+    with pytest.raises(CasacalError, match="cannot be written"):
+        write_set(made)
+    assert (made / "theirs").read_text() == "theirs"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")

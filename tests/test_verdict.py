@@ -271,3 +271,12 @@ def test_a_contact_problem_is_judged_too(hsr):
     contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.02, reading=False))
     samples = simulate(contact, hsr.cell, seed=2).samples
     assert verdict_of(calibrate(contact, samples, reference=False)).level == "calibrated"
+
+
+def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner_simulation):
+    found = calibrate(hsr.problem, corner_simulation.samples, method="ekf")
+    first = brief(found, verdict_of(found)).splitlines()[0]
+    assert not found.reference.agrees
+    assert "ipopt finds a cost lower by" in first
+    assert "DIFFERS" not in first
+    assert brief(clean, verdict_of(clean)).splitlines()[0].endswith("ipopt agrees")

@@ -89,40 +89,24 @@ def calibrate(
     source = problem_from(problem)
     rows = samples_from(samples, source)
     run, name = _chosen(method, loss)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
-        return _calibrated(source, rows, (run, name), loss, holdout, seed, reference, backend, threads, progress)
-
-
-def _calibrated(
-    source: ProblemFile,
-    rows: Samples,
-    method: tuple[Method, str],
-    loss: Loss | None,
-    holdout: float,
-    seed: int,
-    reference: bool,
-    backend: str | None,
-    threads: int | None,
-    progress: Progress | None,
-) -> Calibrated:
-    """The same of samples that were read, with a method that was found."""
-    (run, name), began = method, time.perf_counter()
+    began = time.perf_counter()
     fitted, held = split(rows, holdout, seed)
-    fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
-    heldout = fit.on(rows.take(held)) if held.size else None
-    if fit.rows < fit.unknowns:
-        raise SamplesError(
-            rows.file,
-            f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
-            "Take more samples, hold fewer out, or hold parameters with --fix",
-        )
-    built = time.perf_counter()
-    _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
-    result = _estimate(run, name, fit, seed, loss, progress)
-    solved = time.perf_counter()
-    _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
-    before = plane_only(fit)
-    checked = _check(fit, name, result) if reference and loss is None else None
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
+        fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
+        heldout = fit.on(rows.take(held)) if held.size else None
+        if fit.rows < fit.unknowns:
+            raise SamplesError(
+                rows.file,
+                f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
+                "Take more samples, hold fewer out, or hold parameters with --fix",
+            )
+        built = time.perf_counter()
+        _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
+        result = _estimate(run, name, fit, seed, loss, progress)
+        solved = time.perf_counter()
+        _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
+        before = plane_only(fit)
+        checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source)
 

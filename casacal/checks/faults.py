@@ -140,7 +140,7 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
         return []
     weights = 1 / np.maximum(np.array(errors), 1e-9) ** 2
     slope, std = float(np.average(slopes, weights=weights)), float(1 / np.sqrt(weights.sum()))
-    if slope < 5 * std or slope + 3 * std < 2.0:  # an arm far from its drawing follows the reading too, but not so far
+    if not tells_a_wrong_sign(slope, std):
         return []
     return [
         Finding(
@@ -151,6 +151,11 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
             "Reverse the sign of the dial in the problem",
         )
     ]
+
+
+def tells_a_wrong_sign(slope: float, std: float) -> bool:
+    """Whether residuals follow the reading with slope 2, not 0; an arm far from its drawing lies between."""
+    return slope >= 5 * std and slope + 3 * std >= 2.0
 
 
 def _scale_columns(names: tuple[str, ...], factor: float) -> Callable[[Samples], Samples]:

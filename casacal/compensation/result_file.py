@@ -31,6 +31,9 @@ from casacal.unknowns import Parameter
 SCHEMA = 1
 """Of the files that this version writes. Those without a number are older: they need their problem.py."""
 
+LARGEST_SOURCE = 100_000_000
+"""Bytes beyond which a file is none that an arm was made from."""
+
 
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:
     """Read a result.json or a truth, or a folder with a result.json.
@@ -51,10 +54,6 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
         source = _older_problem(place, document)
     _check_nominal(str(place), source, document)
     return CalibratedArm(str(place), source, document)
-
-
-LARGEST_SOURCE = 100_000_000
-"""Bytes beyond which a file is none that an arm was made from."""
 
 
 def _read(place: Path) -> dict[str, Any]:
