@@ -36,7 +36,7 @@ class Watched(SimulatedTrial):
         """Figures of a simulated trial; found over stated noise, and the lower and upper end of its interval."""
         covariance = result.covariance
         known = bool(np.isfinite(covariance).all())
-        found = noise_interval(self.problem, result.x, covariance, result.weights >= 0.5) if known else (np.nan,) * 3
+        found = noise_interval(result) if known else (np.nan,) * 3
         names = ("noise_ratio", "noise_low", "noise_high")
         return {**super().judge(result), **dict(zip(names, found, strict=True))}
 

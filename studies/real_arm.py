@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import BoundProblem, Problem, Result, Run, Samples, Study, TrackedPoint, bind, lm, load_problem
-from casacal.least_squares.objective import Restricted
+from casacal.least_squares.restricted import Restricted
 from casacal.samples.holdout import split
 from casacal.study.statistics import mean_interval, paired
 from casacal.uncertainty.figures import residual_figures

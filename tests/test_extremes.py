@@ -1,7 +1,6 @@
 """Numbers and names that nobody means: a sentence, in time, without a warning."""
 
 import csv
-import dataclasses
 import os
 import shutil
 import subprocess
@@ -12,8 +11,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import DialOnPlane, Parameter, Problem, ProblemError, Robot, bind, calibrate, lm, simulate
-from casacal.binding.limits import MOST_UNKNOWNS
+from casacal import DialOnPlane, Parameter, Problem, ProblemError, Robot, calibrate, simulate
 from casacal.calibration.calibrate import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
@@ -126,28 +124,3 @@ def test_a_problem_with_nothing_free_says_so(hsr, method):
     assert found.fit.unknowns == 0
     assert found.result.x.size == 0
     assert verdict_of(found).level != "calibrated"
-
-
-def faces(hsr, count):
-    samples = simulate(hsr.problem, hsr.cell, samples=6 * count, seed=1).samples
-    labels = tuple(f"{label}{(i // 3) % (count // 3)}" for i, label in enumerate(samples.labels["plane"]))
-    return dataclasses.replace(samples, labels={"plane": labels})
-
-
-def test_hundreds_of_faces_are_calibrated(hsr):
-    bound = bind(hsr.problem, faces(hsr, 150))
-    found, few = lm(bound), bind(hsr.problem, faces(hsr, 150), backend="blocks")
-    assert bound.unknowns == 24 + 450
-    assert bound._native is None  # whose sums, one of all unknowns for each face, would take 270 MB
-    assert found.converged
-    assert few.cost(found.x) == pytest.approx(found.cost, rel=1e-9)
-    gradient = bound.normal(found.x).gradient + bound.prior_information * (found.x - bound.x0)
-    assert np.abs(bound.start_std * gradient).max() < 1e-3
-
-
-def test_thousands_of_faces_are_refused_in_a_sentence(hsr):
-    samples, count = hsr.problem.read(hsr.samples), MOST_UNKNOWNS // 3
-    many = samples.take(np.tile(np.arange(len(samples)), 6 * count // len(samples) + 1))
-    labels = tuple(str(i // 6) for i in range(len(many)))
-    with pytest.raises(ProblemError, match="at most 3,000 can be"):
-        bind(hsr.problem, dataclasses.replace(many, labels={"plane": labels}))

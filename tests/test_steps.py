@@ -18,7 +18,9 @@ from casacal.estimators.sckf import Belief, cubature_update
 from casacal.kernels.block_filter import BlockCubature
 from casacal.kernels.native_filter import NativeCubature
 from casacal.kernels.native_normal import NativeNormal
-from casacal.least_squares.objective import LeastSquares, Restricted
+from casacal.least_squares import information
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.restricted import Restricted
 
 needs_compiler = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 SIZES = ((1, 1), (2, 9), (5, 40), (27, 300), (5, 9_000))
@@ -254,7 +256,7 @@ def taken(monkeypatch):
     watch(module[BoundProblem.__module__], "extended_pass", "extended in C")
     watch(module["casacal.estimators.ekf"], "linear_update", "extended in NumPy")
     watch(NativeNormal, "step", "damped in C")
-    watch(module[LeastSquares.__module__], "damped_solution", "damped in NumPy")
+    watch(information, "damped_solution", "damped in NumPy")
     return seen
 
 

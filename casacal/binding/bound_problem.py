@@ -8,17 +8,20 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.limits import COMPACT, MOST_SUMS, check_unknowns
+from casacal.binding.limits import COMPACT
 from casacal.binding.raw_graph import RawGraph
-from casacal.binding.row_groups import FEW, RowGroups, places
+from casacal.binding.row_groups import RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
+from casacal.binding.sums import Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.kernels.native_filter import extended_pass
-from casacal.kernels.native_normal import NativeNormal, PackedPieces
-from casacal.kernels.steps import all_rows_in_c
 from casacal.kinematics import stacked_poses
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.elimination import GroupRows
+from casacal.least_squares.groups import Groups
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
@@ -64,7 +67,6 @@ class BoundProblem(LeastSquares):
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
         self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
         self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
-        check_unknowns(self.slots, len(pairs))
         self.x0 = read_only(np.zeros(len(pairs)))
         self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
         self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
@@ -132,37 +134,34 @@ class BoundProblem(LeastSquares):
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
-        if loss is None and self._native is not None:
-            return Normal(*self._native.sums(x))
-        parts = [groups.normal(x, loss) for groups in self._groups]
-        costs, gradients, informations = zip(*parts, strict=True)
-        return Normal(sum(costs), np.sum(gradients, axis=0), np.sum(informations, axis=0))
+        return self._sums.normal(x, loss)
+
+    @property
+    def groups(self) -> Groups | None:
+        """Which unknowns belong to one label alone, where these are many: they are taken out label by label."""
+        return self._sums.groups
+
+    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
+        """The whitened Jacobian at x (n,) group by group, where information is an arrow; rows weighted by a loss."""
+        return self._sums.group_rows(x, loss)
 
     def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
         """A damped Gauss-Newton step; in C where rows are evaluated in C."""
-        if self._native is None:
+        native, information = self._sums.native, normal.information
+        if native is None or isinstance(information, Arrow):
             return super().damped_step(x, normal, damping)
-        found = self._native.step(x, normal.gradient, normal.information, damping)
+        found = native.step(x, normal.gradient, information, damping)
         return None if found is None else Step(*found)
 
     def compact_jacobian(self, x: Array) -> Array:
         """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
         if self.rows <= COMPACT:
             return self.jacobian(x)
-        triangles = [triangle for groups in self._groups for triangle in groups.triangles(x)]
-        return np.asarray(np.linalg.qr(np.vstack(triangles), mode="r"))
+        return self._sums.triangles(x)
 
     @cached_property
-    def _packed(self) -> PackedPieces | None:
-        return all_rows_in_c([groups.native_pieces for groups in self._groups])
-
-    @cached_property
-    def _native(self) -> NativeNormal | None:
-        """Sums over all rows in C; None where some rows are not evaluated in C, or pieces and unknowns are many."""
-        if self._packed is None or len(self._packed.pieces) * self.unknowns**2 > MOST_SUMS:
-            return None
-        threads = self._threads if self.rows >= FEW else 1
-        return NativeNormal(self._packed, self.x0, self.start_std, self.prior_information, threads)
+    def _sums(self) -> Sums:
+        return Sums(self._groups, self.slots, (self.x0, self.start_std, self.prior_information), self._threads)
 
     def costs(self, states: Array) -> Array:
         """Objective at many states (m, n): (m,)."""
@@ -182,10 +181,10 @@ class BoundProblem(LeastSquares):
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
         """Let an extended filter take in all rows, in C where there is a compiler."""
-        if self._packed is None:
+        if self._sums.packed is None:
             return None
         mean, covariance = mean.copy(), np.ascontiguousarray(covariance.copy())
-        trace = extended_pass(self._packed, places(self._groups), self.x0, self.start_std, mean, covariance)
+        trace = extended_pass(self._sums.packed, places(self._groups), self.x0, self.start_std, mean, covariance)
         return ExtendedPass(mean, covariance, *trace)
 
     def row(self, k: int, states: Array) -> Array:
@@ -210,13 +209,14 @@ class BoundProblem(LeastSquares):
         """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
         return np.asarray(self._tip_inputs(self.blocks[instrument], x, joints, "tip")[0])
 
-    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0) -> Array:
-        """Derivative (3 N, n) of those tips by x, in units of mm per unit of x."""
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0, by: NDArray[np.intp] | None = None) -> Array:
+        """Derivative (3 N, n) of those tips by x, or by some (s,) of its unknowns, in units of mm per unit of x."""
         block = self.blocks[instrument]
         _, slopes = self._tip_inputs(block, x, joints, "tip_jacobian")
-        columns = block.columns[0]
-        jacobian = np.zeros((3 * len(joints), self.unknowns))
-        jacobian[:, columns] = slopes.reshape(3 * len(joints), columns.size)
+        by = np.arange(self.unknowns) if by is None else by
+        _, inside, seen = np.intersect1d(by, block.columns[0], return_indices=True)
+        jacobian = np.zeros((3 * len(joints), by.size))
+        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
         return jacobian
 
     def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:

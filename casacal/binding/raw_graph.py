@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,10 @@ from casacal.binding.slots import Block, Slot
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.replay import Buffered
+from casacal.tables.labels import rows_by_code
 from casacal.unknowns import Unknown
+
+Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 @dataclass(frozen=True)
@@ -56,22 +60,42 @@ class RawGraph:
     """v -> g, zero where v is valid."""
     local: ca.Function
     """v -> x, the local coordinates that other estimators use."""
+    unknowns: tuple[tuple[Unknown, Array], ...]
+    """Each with its nominal, in the order in which they stand in x."""
 
     @cached_property
     def prior(self) -> Buffered:
-        """(v, information (n,), x0 (n,)) -> half the prior's weighted square, its gradient and Hessian by v."""
-        v, x0 = ca.SX.sym("v", self.start.size), ca.SX.sym("x0", self.local.numel_out(0))
-        information = ca.SX.sym("information", x0.numel())
-        hessian, gradient = ca.hessian(cost := ca.dot(information, (self.local(v) - x0) ** 2) / 2, v)
-        terms = [ca.densify(term) for term in ca.cse([cost, gradient, hessian])]
-        return Buffered(ca.Function("prior", [v, information, x0], terms))
+        """(v, information (n,), x0 (n,)) -> half the prior's weighted square, its gradient, its Hessian's entries."""
+        return Buffered(self._prior)
+
+    @cached_property
+    def prior_places(self) -> Places:
+        """Rows and columns of those entries, of the upper triangle."""
+        return _places(self._prior.sparsity_out(2))
+
+    @cached_property
+    def _prior(self) -> ca.Function:
+        terms = [_prior_of(unknown, nominal) for unknown, nominal in self.unknowns]
+        v, information, x0, cost, gradient, hessian = zip(*terms, strict=True)
+        given = [ca.vertcat(*each) for each in (v, information, x0)]
+        total = ca.densify(ca.sum1(ca.vertcat(*cost)))
+        return ca.Function("prior", given, [total, ca.densify(ca.vertcat(*gradient)), ca.diagcat(*hessian)])
 
     @cached_property
     def bend(self) -> Buffered:
-        """(v, multipliers) -> Hessian by v of the constraints times their multipliers."""
+        """(v, multipliers) -> entries of the Hessian by v of the constraints times their multipliers."""
+        return Buffered(self._bend)
+
+    @cached_property
+    def bend_places(self) -> Places:
+        """Rows and columns of those entries, of the upper triangle."""
+        return _places(self._bend.sparsity_out(0))
+
+    @cached_property
+    def _bend(self) -> ca.Function:
         v, multipliers = ca.SX.sym("v", self.start.size), ca.SX.sym("lam", self.constraints.numel_out(0))
         hessian, _ = ca.hessian(ca.dot(multipliers, self.constraints(v)), v)
-        return Buffered(ca.Function("bend", [v, multipliers], [ca.densify(hessian)]))
+        return ca.Function("bend", [v, multipliers], [ca.triu(hessian)])
 
     @staticmethod
     def of(slots: Sequence[Slot], blocks: Sequence[Block], threads: int) -> RawGraph:
@@ -80,8 +104,8 @@ class RawGraph:
         first = {slot.name: int(start) for slot, start in zip(slots, starts, strict=False)}
         found = []
         for block in blocks:
-            for i, seen in enumerate(block.slots):
-                rows = np.flatnonzero(block.pattern == i)
+            of_each = rows_by_code(block.pattern, len(block.slots))
+            for i, (seen, rows) in enumerate(zip(block.slots, of_each, strict=True)):
                 columns = [first[s.name] + j for s in seen for j in range(s.unknown.raw_size)]
                 position = np.array(columns, dtype=np.intp)
                 kernel, constants = block.model.curvature, block.constants[i]
@@ -101,4 +125,19 @@ class RawGraph:
             start=np.concatenate([u.raw_start(n) for u, n, _ in pairs]),
             constraints=ca.Function("constraints", [v], [ca.densify(ca.vertcat(*constraints, ca.SX(0, 1)))]),
             local=ca.Function("local", [v], [ca.densify(ca.vertcat(*local, ca.SX(0, 1)))]),
+            unknowns=tuple(unknowns),
         )
+
+
+def _prior_of(unknown: Unknown, nominal: Array) -> tuple[ca.SX, ...]:
+    """Symbols v, information and x0 of one unknown; its part of the prior's cost, gradient and upper Hessian."""
+    v = ca.SX.sym("v", unknown.raw_size)
+    information, x0 = ca.SX.sym("information", unknown.size), ca.SX.sym("x0", unknown.size)
+    cost = ca.dot(information, (unknown.raw_local(nominal, v) - x0) ** 2) / 2 if unknown.size else ca.SX(0)
+    hessian, gradient = ca.hessian(cost, v)
+    return v, information, x0, *ca.cse([cost, gradient, ca.triu(hessian)])
+
+
+def _places(pattern: ca.Sparsity) -> Places:
+    rows, columns = pattern.get_triplet()
+    return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)

@@ -16,6 +16,7 @@ from casacal.kernels.native_normal import NativePiece
 from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
+from casacal.tables.labels import rows_by_code
 from casacal.threads import shared_out
 
 FEW = 8_192
@@ -24,6 +25,8 @@ MOST_PIECES = 16
 LARGEST_PIECE = 16_384
 MANY_LANES = 50_000
 """Candidates times rows from which candidates are shared out."""
+PIECES = 1024
+"""Pieces whose sums are held at a time."""
 STATES = 32
 """Candidates evaluated together, when there are many."""
 
@@ -77,8 +80,9 @@ class RowGroups:
     def pieces(self) -> tuple[Piece, ...]:
         """Rows by pattern, packed for the kernels when first used."""
         block, found = self.block, []
-        for i, (columns, constants) in enumerate(zip(block.columns, block.constants, strict=True)):
-            rows, square = np.flatnonzero(block.pattern == i), np.ix_(columns, columns)
+        of_each = rows_by_code(block.pattern, len(block.columns))
+        for columns, constants, rows in zip(block.columns, block.constants, of_each, strict=True):
+            square = np.ix_(columns, columns)
             for some in _parts(rows):
                 lanes = self._rows.lanes([block.rows(some)], block.noise[some])
                 found.append(Piece(some, columns, constants, self._unknowns, lanes, square))
@@ -132,8 +136,8 @@ class RowGroups:
         few = [states[k : k + STATES] for k in range(0, len(states), STATES)]
         return np.concatenate(shared_out(total, few, self._shared_by))
 
-    def normal(self, x: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
-        """Half the whitened sum of squares, its gradient (n,), and J'J (n, n); with a loss, rows by their weights."""
+    def sums(self, x: Array, loss: Loss | None = None) -> Iterator[tuple[Piece, float, Array]]:
+        """Piece by piece, half the whitened sum of squares, and (J r)'(J r) (z + 1, z + 1); with a loss, weighted."""
         kernels = self._rows.kernels
 
         def part(piece: Piece) -> tuple[float, Array]:
@@ -146,12 +150,10 @@ class RowGroups:
             s = kernels.normal(p, lanes)
             return (cost if loss is not None else float(s[-1, -1]) / 2), s
 
-        cost, gradient, information = 0.0, np.zeros(x.size), np.zeros((x.size, x.size))
-        for piece, (some, s) in zip(self.pieces, shared_out(part, self.pieces, self._threads), strict=True):
-            cost += some
-            gradient[piece.columns] += s[:-1, -1]
-            information[piece.square] += s[:-1, :-1]
-        return cost, gradient, information
+        for k in range(0, len(self.pieces), PIECES):
+            some = self.pieces[k : k + PIECES]
+            for piece, (cost, s) in zip(some, shared_out(part, some, self._threads), strict=True):
+                yield piece, cost, s
 
     def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass:
         """Let a cubature filter take in the block's residuals from `first` on."""

@@ -17,7 +17,7 @@ from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels, combinations
+from casacal.tables.labels import Labels, combinations, rows_by_code
 from casacal.unknowns import Parameter, Unknown
 from casacal.values import Value, read_only
 
@@ -141,8 +141,8 @@ def make_block(problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
     known = tuple(_columns(problem, i, samples).values())
     noise = np.empty((len(samples), model.components))
     block = Block(model, samples, row_slots, pattern, columns, constants, known, noise)
-    for k, constant in enumerate(constants):
-        for rows in np.array_split(np.flatnonzero(pattern == k), 1 + len(samples) // TOGETHER):
+    for constant, seen in zip(constants, rows_by_code(pattern, len(constants)), strict=True):
+        for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
             noise[rows] = model.columns.noise(np.zeros(nz), constant, block.rows(rows))
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
@@ -202,7 +202,7 @@ def _instances(
         return [(None, np.arange(len(samples)))]
     labels = samples.labels[unknown.per]
     have = Labels.coded((instrument.instance(key, label) for label in labels.names), labels.codes)
-    return [(label, np.flatnonzero(have.codes == k)) for k, label in enumerate(have.names)]
+    return list(have.rows().items())
 
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:

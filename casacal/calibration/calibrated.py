@@ -11,7 +11,8 @@ from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
-from casacal.calibration.result_json import calibration_document, parameter_rows, write_calibration
+from casacal.calibration.result_json import calibration_document, write_calibration
+from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.arm import CalibratedArm
@@ -63,7 +64,7 @@ class Calibrated(Calibration, AsArm):
         """
         import pandas as pd
 
-        table = pd.DataFrame(parameter_rows(self.fit, self.result)).set_index("name")
+        table = pd.DataFrame(parameter_rows(self.fit, self.result.x, self.result.std)).set_index("name")
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})
 

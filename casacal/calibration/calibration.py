@@ -10,13 +10,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Seen, seen
 from casacal.checks import Finding, check
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.figures import noise_interval, residual_figures
+from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, residual_figures
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -32,9 +33,6 @@ MINIMISERS = ("lm", "sckf-lm", "ipopt")
 
 HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
-
-HALF_WEIGHT = 0.5
-"""Weight under a robust loss below which a row is reported as ignored."""
 
 NOT_NEEDED = "none needed"
 
@@ -124,26 +122,41 @@ class Calibration(Value):
         }
 
     @cached_property
+    def seen(self) -> Seen:
+        """What figures of the arm are worked out from: the fit, apart from what single labels have for themselves."""
+        return seen(self.fit, self.result.x)[0]
+
+    @cached_property
+    def seen_x(self) -> Array:
+        """The estimate of its unknowns (s,)."""
+        return seen(self.fit, self.result.x)[1]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of its unknowns (s, s); infinite variances where neither data nor prior hold one."""
+        return self.result.spread[0]
+
+    @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
         """Joint values, tips and tip Jacobian at the estimate over fixed workspace poses that no sample visited."""
         joints = workspace_joints(self.fit.problem.robot)
-        return joints, self.fit.tips(self.result.x, joints), self.fit.tip_jacobian(self.result.x, joints)
+        return joints, self.seen.tips(self.seen_x, joints), self.seen.tip_jacobian(self.seen_x, joints)
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
         """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now."""
-        return expected_accuracy(self.fit, self.result.x)
+        return expected_accuracy(self.seen, self.seen_x)
 
     @cached_property
     def tip_std_without_prior(self) -> tuple[float, int]:
         """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
-        return classical_accuracy(self.fit, self.result.x)
+        return classical_accuracy(self.seen, self.seen_x)
 
     @cached_property
     def identifiability(self) -> Identifiability:
         """Rank, null and weak directions at the nominal."""
-        joints = workspace_joints(self.fit.problem.robot)
-        return identifiability(self.fit, self.fit.tip_jacobian(self.fit.x0, joints), self.fit.tips(self.fit.x0, joints))
+        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.fit, self.fit.x0)
+        return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
 
     @cached_property
     def advice(self) -> tuple[str, ...]:
@@ -152,9 +165,9 @@ class Calibration(Value):
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        offers, scale = cures(self.fit), prior_scale(self.fit)
+        offers, scale = cures(self.fit), prior_scale(self.seen)
         return tuple(
-            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.fit, offers, direction, scale)
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.seen, offers, direction, scale)
             for direction in directions
         )
 
@@ -176,4 +189,4 @@ class Calibration(Value):
     @cached_property
     def noise(self) -> tuple[float, float, float]:
         """Found over stated noise, with its 95 % interval."""
-        return noise_interval(self.fit, self.result.x, self.result.covariance, self.result.weights >= HALF_WEIGHT)
+        return noise_interval(self.result)

@@ -17,6 +17,12 @@ FILTER_POINTS = 60
 FLOOR = 1e-9
 """Added so that the lowest value itself can stand on a logarithmic axis; below rounding."""
 
+NAMED = 24
+"""Faces named under a picture; of more, some are."""
+
+LINED = 200
+"""Faces with a line between them."""
+
 LONGEST = 24
 """Characters of a label in a picture."""
 
@@ -25,24 +31,29 @@ BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 
 def plot_residuals(calibration: Calibration, axes: Any) -> None:
     """Distances of the tips from their planes (mm), before and after, row by row, plane by plane."""
-    offset = 0
-    ticks = []
+    offset, ticks, ends = 0, [], []
     parts = [("", calibration.fit, AFTER)]
     if calibration.heldout is not None:
         parts.append((" (held out)", calibration.heldout, HELD))
     for suffix, bound, colour in parts:
         faces = bound.block.samples.faces(bound.problem.instrument.groups)
-        per_row = bound.rows // len(faces)
-        before, after = bound.plain_residual(calibration.before.x), bound.plain_residual(calibration.result.x)
-        for k, label in enumerate(faces.names):
-            rows = np.flatnonzero(np.repeat(faces.codes == k, per_row))
-            places = offset + np.arange(len(rows))
-            axes.plot(places, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
-            axes.plot(places, after[rows], "o", ms=3, color=colour, zorder=2)
-            ticks.append((offset + len(rows) / 2, f"{_short(label)}{suffix}"))
-            offset += len(rows) + 4
-            axes.axvline(offset - 2.5, color="0.9", lw=0.8, zorder=0)
+        pair = calibration.before, calibration.result
+        before, after = (bound.plain_residual(each.x).reshape(len(faces), -1) for each in pair)
+        order, places = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
+        for label, rows in faces.rows().items():
+            count = len(rows) * before.shape[1]
+            order.append(rows)
+            places.append(offset + np.arange(count))
+            ticks.append((offset + count / 2, f"{_short(label)}{suffix}"))
+            offset += count + 4
+            ends.append(offset - 2.5)
+        here, rows = np.concatenate(places), np.concatenate(order)
+        axes.plot(here, before[rows].ravel(), "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
+        axes.plot(here, after[rows].ravel(), "o", ms=3, color=colour, zorder=2)
+    if len(ends) <= LINED:
+        axes.vlines(ends, 0, 1, colors="0.9", linewidth=0.8, zorder=0, transform=axes.get_xaxis_transform())
     axes.axhline(0, color="0.5", lw=0.8, zorder=0)
+    ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, NAMED).astype(int))]
     axes.set_xticks([place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8)
     said = calibration.fit.problem.instrument.words
     axes.set_ylabel(f"{said.residual}, {said.unit}")
@@ -82,7 +93,7 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
 def plot_tip_std(calibration: Calibration, axes: Any) -> None:
     """Standard deviation of the tip (mm, all axes, apart from where the base stands) over radius and height."""
     _, tips, slopes = calibration.workspace
-    spread = np.linalg.norm(tip_stds(calibration.result.covariance, without_rigid(slopes, tips)), axis=1)
+    spread = np.linalg.norm(tip_stds(calibration.covariance, without_rigid(slopes, tips)), axis=1)
     radius = np.hypot(tips[:, 0], tips[:, 1])
     order = np.argsort(spread)  # the worst on top
     shown = axes.scatter(radius[order], tips[order, 2], c=spread[order], s=18, cmap="viridis")

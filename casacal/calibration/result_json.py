@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import csv
 import io
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.calibration.calibration import Calibration, Reference
+from casacal.binding.marginal import seen
+from casacal.calibration.calibration import Calibration
 from casacal.calibration.provenance import head_of, seen_from
+from casacal.calibration.result_parts import (
+    closing,
+    geometry,
+    parameter_rows,
+    reference_part,
+    spreads,
+    what_is_seen,
+)
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.errors import CasacalError
@@ -26,19 +33,13 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
-from casacal.uncertainty.identifiability import correlated_pairs, verdict
+from casacal.uncertainty.identifiability import correlated_pairs
 from casacal.version import __version__
 
 FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
 """What a calibration writes, most read first."""
 PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
 """The same in the order of their placing: where result.json stands, all stand."""
-NOTES = {
-    "data": "determined by the samples",
-    "prior": "partly determined by the samples, partly by the prior",
-    "no": "not determined: the prior's value and spread stand",
-    "held": "held at nominal",
-}
 
 
 def calibration_document(
@@ -48,6 +49,7 @@ def calibration_document(
     result, fit = calibration.result, calibration.fit
     prior_tip, tip = calibration.tip_std
     without = calibration.tip_std_without_prior
+    pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
     return {
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict_of(calibration)),
@@ -58,8 +60,8 @@ def calibration_document(
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
         },
         "cost": result.cost,
-        "parameters": parameter_rows(fit, result),
-        **_geometry(fit, result),
+        "parameters": parameter_rows(fit, result.x, result.std),
+        **geometry(fit, result),
         "metrics": calibration.metrics,
         "tip": {
             "expected_rms_mm": tip,
@@ -68,15 +70,13 @@ def calibration_document(
             "unseen": without[1],
         },
         "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
-        "identifiability": _identifiability(calibration),
-        "correlations": [
-            {"names": [one, two], "value": value} for one, two, value in correlated_pairs(result.covariance, fit.names)
-        ],
-        "covariance": result.covariance,
+        "identifiability": what_is_seen(calibration),
+        "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
+        **spreads(calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),
         "down_weighted_lines": calibration.down_weighted,
-        "reference": _reference(calibration.reference),
-        **_tail(result, calibration.seconds),
+        "reference": reference_part(calibration.reference),
+        **closing(result, calibration.seconds),
     }
 
 
@@ -85,7 +85,9 @@ def truth_document(
 ) -> dict[str, Any]:
     """The truth behind simulated samples, in the shape of result.json."""
     samples = bound.block.samples
-    rows = [{**row, "std": 0.0, "note": "true value of the simulated arm"} for row in parameter_rows(bound, truth)]
+    known = parameter_rows(bound, truth.x, np.zeros(bound.unknowns))
+    rows = [{**row, "note": "true value of the simulated arm"} for row in known]
+    names = seen(bound, truth.x)[0].names
     return {
         **head_of(source, truth, seed, bound.backend, folder),
         "data": {
@@ -96,81 +98,12 @@ def truth_document(
         },
         "cost": truth.cost,
         "parameters": rows,
-        **_geometry(bound, truth),
+        **geometry(bound, truth),
         "metrics": None,
         "identifiability": None,
-        "covariance": truth.covariance,
+        **spreads(np.zeros((len(names), len(names))), names, bound),
         "reference": None,
-        **_tail(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
-    }
-
-
-def parameter_rows(bound: BoundProblem, result: Result) -> list[dict[str, Any]]:
-    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
-    rows = []
-    for name, unit, nominal, j in bound.parameters():
-        if j is None:
-            row = {"estimate": nominal, "std": 0.0, "identifiable": "no", "note": NOTES["held"]}
-        else:
-            std = float(np.sqrt(result.covariance[j, j]))
-            word = verdict(std, float(bound.prior_std[j]))
-            row = {"estimate": nominal + float(result.x[j]), "std": std, "identifiable": word, "note": NOTES[word]}
-        rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
-    return rows
-
-
-def _identifiability(calibration: Calibration) -> dict[str, Any]:
-    found, cures = calibration.identifiability, iter(calibration.advice)
-    return {
-        "unknowns": found.unknowns,
-        "rank": found.rank,
-        "condition": found.condition,
-        "singular_values": found.singular_values,
-        "null": [
-            {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": next(cures)}
-            for d in found.null
-        ],
-        "weak": [
-            {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": next(cures)}
-            for d in found.weak
-        ],
-    }
-
-
-def _reference(reference: Reference | None) -> dict[str, Any] | None:
-    if reference is None:
-        return None
-    return {
-        "solver": reference.solver,
-        "cost": reference.cost,
-        "relative_gap": reference.relative_gap,
-        "kkt": reference.result.kkt,
-        "iterations": reference.result.steps,
-    }
-
-
-def _geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
-    """Planes, directions and frames at the estimate, and x itself."""
-    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
-    for slot in bound.slots:
-        kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
-        if kind in found:
-            name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
-            found[kind][name] = shown
-    unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
-    return {**found, "unknowns": unknowns}
-
-
-def _tail(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
-    return {
-        "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
-        "seconds": dict(seconds),
-        "versions": {
-            "casacal": __version__,
-            "casadi": metadata.version("casadi"),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
+        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
     }
 
 
@@ -199,7 +132,10 @@ def write_calibration(
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(place / "parameters.csv", _table(parameter_rows(calibration.fit, calibration.result)))
+        write_text(
+            place / "parameters.csv",
+            _table(parameter_rows(calibration.fit, calibration.result.x, calibration.result.std)),
+        )
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]
@@ -237,7 +173,6 @@ def _truth_of(simulation: Simulation, source: ProblemFile, bound: BoundProblem, 
         method="truth",
         problem=bound,
         x=simulation.truth(bound),
-        belief=np.zeros((bound.unknowns, bound.unknowns)),
         status=Status.TRUTH,
         trace={},
         steps=0,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.result_json import parameter_rows
+from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.version import __version__
@@ -38,7 +38,7 @@ def parameter_table(calibration: Calibration) -> str:
 
     Angles are shown in degrees, lengths in mm.
     """
-    rows = parameter_rows(calibration.fit, calibration.result)
+    rows = parameter_rows(calibration.fit, calibration.result.x, calibration.result.std)
     wide = max(12, *(len(row["name"]) + 2 for row in rows)) if rows else 12
     lines = [f"{'parameter':<{wide}}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
     held = []
@@ -121,9 +121,9 @@ def _blind_spots(calibration: Calibration) -> str:
     lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
     if len(named) > SHOWN_DIRECTIONS:
         lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight; result.json has them all")
-    arm = np.flatnonzero(~calibration.fit.datum)  # planes are always correlated with each other and with the base
-    names = [calibration.fit.names[j] for j in arm]
-    pairs = correlated_pairs(calibration.result.covariance[np.ix_(arm, arm)], names)
+    arm = np.flatnonzero(~calibration.seen.datum)  # planes are always correlated with each other and with the base
+    names = [calibration.seen.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
     if pairs:
         shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
         more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""

@@ -60,10 +60,10 @@ def tip_extremes(calibration: Calibration) -> tuple[float, float]:
 
     Both apart from where the base stands; lengths of the three axes together.
     """
-    fit = calibration.fit
+    arm = calibration.seen
     joints, tips, slopes = calibration.workspace
-    moved = without_rigid((tips - fit.tips(fit.x0, joints)).ravel(), tips).reshape(-1, 3)
-    stds = tip_stds(calibration.result.covariance, without_rigid(slopes, tips))
+    moved = without_rigid((tips - arm.tips(arm.x0, joints)).ravel(), tips).reshape(-1, 3)
+    stds = tip_stds(calibration.covariance, without_rigid(slopes, tips))
     return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
 
 

@@ -23,6 +23,9 @@ from casacal.uncertainty.prior_scatter import prior_scatter
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""
 
+OF_A_FACE = 12
+"""Rows of a face, where faces are many, that tell of systematic faults."""
+
 SPREAD = 20_000
 """Rows that tell of the set-up and of what the prior explains; more add memory, not insight."""
 
@@ -47,7 +50,7 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
     bad, stray = _strays(problem, samples, prior_scatter(some).rms)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
-    few = _spread(good, MOST_ROWS)
+    few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
     fault = name_fault(problem, few, base) if base > SUSPICIOUS else None
     if fault is not None:  # it also explains single rows that lie off
@@ -66,6 +69,18 @@ def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
 def _spread(samples: Samples, count: int) -> Samples:
     """So many rows, evenly over all; all where there are fewer."""
     return samples.take(np.unique(np.linspace(0, len(samples) - 1, count).astype(int)))
+
+
+def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
+    """About `MOST_ROWS` rows, evenly over their faces, or of some faces where these are many."""
+    if len(samples) <= MOST_ROWS:
+        return samples
+    faces = samples.faces(problem.instrument.groups)
+    rows = [some for some in faces.rows().values() if some.size]
+    chosen = np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS // OF_A_FACE).astype(int)).tolist()
+    most = MOST_ROWS // len(chosen)
+    kept = [some[np.unique(np.linspace(0, some.size - 1, most).astype(int))] for some in (rows[k] for k in chosen)]
+    return samples.take(np.sort(np.concatenate(kept)))
 
 
 def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
@@ -115,7 +130,7 @@ def _single_rows(bound: BoundProblem) -> list[Finding]:
     if outliers:
         return outliers
     plain = lm(bound, start=result.x)
-    ratio, low, high = noise_interval(bound, plain.x, plain.covariance, np.ones(bound.rows, dtype=bool))
+    ratio, low, high = noise_interval(plain)
     if low <= 1.1 and high >= 0.9:
         return []
     return [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from itertools import combinations
 
 import numpy as np
@@ -31,25 +31,25 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
     counts = dict(zip(labels.names, np.bincount(labels.codes, minlength=len(labels.names)).tolist(), strict=True))
     declared = {label for known in problem.instrument.known_columns.values() for label in known}
     alike = _alike(counts) if len(counts) <= MOST_LABELS else {}
-    findings = []
-    for k, name in enumerate(labels.names):
+    findings, totals = [], _rows_of_unknowns(problem, counts, column)
+    for name, rows in labels.rows().items():
         if name in declared:
             continue
-        lines = tuple(samples.lines[i] for i in np.flatnonzero(labels.codes == k).tolist())
+        lines = tuple(samples.lines[i] for i in rows.tolist())
         if name in alike:
             other = alike[name]
             cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
             fix = f"Write '{other}' there if it is the same face; as it stands it is a face of its own"
             findings.append(Finding("warning", "labels alike", cause, fix, lines))
-        elif said := _rare(problem, name, counts, column):
+        elif said := _rare(problem, name, counts, column, totals.get(name, counts[name])):
             findings.append(Finding("warning", "rare label", *said, lines))
     return findings
 
 
-def _rare(problem: Problem, name: str, counts: dict[str, int], column: str) -> tuple[str, str] | None:
+def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, total: int) -> tuple[str, str] | None:
     """Cause and fix for a label of too few rows; None where it has enough."""
     own = _own_unknowns(problem, name, column)
-    few = own > 0 and _rows_of_its_unknowns(problem, name, counts, column) < own + MARGIN
+    few = own > 0 and total < own + MARGIN
     rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * sum(counts.values())
     if not few and not rare:
         return None
@@ -94,9 +94,13 @@ def _own_unknowns(problem: Problem, name: str, column: str) -> int:
     )
 
 
-def _rows_of_its_unknowns(problem: Problem, name: str, counts: dict[str, int], column: str) -> int:
-    """Rows that tell of a label's unknowns: its own, and those of labels that share them, such as a step's."""
-    instrument = problem.instrument
-    keys = [key for key, unknown in instrument.unknowns.items() if unknown.per == column]
-    shared = [sum(n for other, n in counts.items() if instrument.instance(key, other) == name) for key in keys]
-    return min(shared, default=counts[name])
+def _rows_of_unknowns(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:
+    """Rows that tell of each label's unknowns: its own, and those of labels that share them, such as a step's."""
+    instrument, fewest = problem.instrument, dict[str, int]()
+    for key in (key for key, unknown in instrument.unknowns.items() if unknown.per == column):
+        totals = Counter[str]()
+        for name, count in counts.items():
+            totals[instrument.instance(key, name)] += count
+        for name in counts:
+            fewest[name] = min(fewest.get(name, totals[name]), totals[name])
+    return fewest

@@ -12,6 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding, counted
+from casacal.least_squares.elimination import taken_out
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -42,8 +43,7 @@ def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDAr
     """
     tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
     bad, planes = np.zeros(len(samples), dtype=bool), {}
-    for k, label in enumerate(faces.names):
-        rows = np.flatnonzero(faces.codes == k)
+    for label, rows in faces.rows().items():
         if len(rows) < 8:
             continue
         plane, size = _median_plane(tips[rows])
@@ -116,6 +116,8 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
 
 def _spreads(bound: BoundProblem, result: Result) -> Array:
     """Variance (rows,) of each predicted residual under the result's covariance, some rows at a time."""
+    if bound.groups is not None:
+        return _spreads_by_group(bound, result)
     covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
     samples = bound.block.samples
     found = []
@@ -123,6 +125,18 @@ def _spreads(bound: BoundProblem, result: Result) -> Array:
         jacobian = bound.on(samples.take(rows)).jacobian(result.x)
         found.append(((jacobian @ covariance) * jacobian).sum(axis=1))
     return np.concatenate(found)
+
+
+def _spreads_by_group(bound: BoundProblem, result: Result) -> Array:
+    """The same where groups are many: what is said of the shared unknowns, and of a group's own with these known."""
+    covariance, found = result.spread[0], np.zeros(bound.rows)
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    for part in bound.group_rows(result.x, result.loss):
+        out = taken_out(part.held(bound.prior_information[part.members]))
+        beyond = part.shared - part.own @ out.along
+        variance = ((beyond @ held) * beyond).sum(axis=1) + ((part.own @ out.inverse) * part.own).sum(axis=1)
+        found[part.rows] = variance
+    return found / np.maximum(result.weights, 1e-300)
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

@@ -110,7 +110,7 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
 
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
-    inside = None if box is None or denied else accuracy_in_box(calibration.fit, calibration.result.x, box)
+    inside = None if box is None or denied else accuracy_in_box(calibration.seen, calibration.seen_x, box)
     expected = []
     if inside is not None:
         expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]

@@ -59,7 +59,7 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
     try:
         rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
-        names = [row["name"] for row in result.document["unknowns"]]
+        names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
     except (KeyError, TypeError):
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     places = {name: j for j, name in enumerate(names)}

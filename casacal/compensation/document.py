@@ -76,7 +76,10 @@ def check_document(file: str, document: Any) -> None:
     for key, fits in OPTIONAL.items():
         if document.get(key) is not None and not fits(document[key]):
             raise CasacalError(f"{file}: its '{key}' is {_short(document[key])}", FIX)
-    _check_covariance(file, document.get("covariance"), len(unknowns))
+    some = document.get("covariance_of", list(values))
+    if not isinstance(some, list) or not all(map(is_text, some)) or not set(some) <= set(values):
+        raise CasacalError(f"{file}: its 'covariance_of' is {_short(some)}", FIX)
+    _check_covariance(file, document.get("covariance"), len(some))
 
 
 def _rows(file: str, what: str, rows: Any) -> list[dict[str, Any]]:

@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.estimators.ipopt_objective import Objective, RawForm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
-
-
-class RawRows(Protocol):
-    """Rows that see the same raw coordinates."""
-
-    columns: NDArray[np.intp]
-    """Which of v they see (z,)."""
-
-    def __call__(self, v: Array) -> tuple[float, Array, Array]:
-        """Cost of the rows at v (n,), its gradient (z,) and Hessian (z, z)."""
-
-
-class RawForm(Protocol):
-    """The symbolic form of a problem: its objective over raw coordinates v, and what makes them valid."""
-
-    blocks: Sequence[RawRows]
-    start: Array
-    """v of the nominal."""
-    constraints: ca.Function
-    """v -> g, zero where v is valid."""
-    local: ca.Function
-    """v -> x, the local coordinates of the other estimators."""
-    prior: Callable[..., Any]
-    """(v, information, x0) -> cost of the prior, gradient, Hessian."""
-    bend: Callable[..., Any]
-    """(v, multipliers) -> Hessian of the constraints times their multipliers."""
 
 
 def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-9, verbose: bool = False) -> Result:
@@ -91,65 +64,20 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
     )
 
 
-class Objective:
-    """The objective in scaled raw coordinates y, v = start + scales * y, with exact gradient and Hessian.
-
-    Each coordinate is in units of its own conditional standard deviation at the start: gradients then vanish to
-    rounding. All three are found together, once for each y that IPOPT asks about.
-    """
-
-    def __init__(self, graph: RawForm, problem: LeastSquares) -> None:
-        n = graph.start.size
-        self._graph, self._problem = graph, problem
-        self.start, self.scales, self.evaluations = graph.start, np.ones(n), 0
-        self._at, self._found = np.full(n, np.nan), (math.nan, np.zeros(n), np.zeros((n, n)))
-        diagonal = np.abs(np.diagonal(self(np.zeros(n))[2]))
-        self.scales = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        self._at, self.evaluations = np.full(n, np.nan), 0
-
-    def raw(self, y: Array) -> Array:
-        """Raw coordinates v (n,)."""
-        return np.asarray(self.start + self.scales * y)
-
-    def __call__(self, y: Array) -> tuple[float, Array, Array]:
-        """Value, gradient (n,) and Hessian (n, n) by y."""
-        if not np.array_equal(y, self._at):
-            cost, gradient, hessian = self._evaluate(self.raw(y))
-            self._at = y.copy()
-            self._found = cost, self.scales * gradient, self.scales[:, None] * hessian * self.scales
-        return self._found
-
-    def _evaluate(self, v: Array) -> tuple[float, Array, Array]:
-        self.evaluations += 1
-        value, gradient, hessian = np.empty(1), np.empty(v.size), np.empty((v.size, v.size))
-        self._graph.prior((v, self._problem.prior_information, self._problem.x0), (value, gradient, hessian))
-        cost = float(value[0])
-        for block in self._graph.blocks:
-            some, slope, bend = block(v)
-            cost += some
-            np.add.at(gradient, block.columns, slope)
-            np.add.at(hessian, np.ix_(block.columns, block.columns), bend)
-        return cost, gradient, hessian
-
-
 def _program(
     graph: RawForm, objective: Objective, max_steps: int, tolerance: float, verbose: bool
 ) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
     """The nonlinear program in scaled raw coordinates, the solver's options, and what must outlive the solver."""
     n = graph.start.size
-    upper, scales = ca.Sparsity.upper(n), objective.scales
-    below = np.tril_indices(n)
 
     def hessian(y: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
-        bent = np.empty((n, n))
-        graph.bend((objective.raw(y), lam_g), (bent,))
-        return [(lam_f[0] * objective(y)[2] + scales[:, None] * bent * scales).T[below]]
+        return [objective.lagrangian(y, float(lam_f[0]), lam_g)]
 
     point, nothing, one = ca.Sparsity.dense(n), ca.Sparsity.dense(0), ca.Sparsity.dense(1)
     dual = ca.Sparsity.dense(graph.constraints.numel_out(0))
     value = Call("value", [point], [one], lambda y: [objective(y)[0]])
     slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
-    curvature = Call("curvature", [point, nothing, one, dual], [upper], hessian)
+    curvature = Call("curvature", [point, nothing, one, dual], [_pattern(objective)], hessian)
     x = ca.MX.sym("x", n)
     options: dict[str, Any] = {
         "print_time": False,
@@ -171,8 +99,15 @@ def _program(
             "sb": "yes",
         },
     }
-    program = {"x": x, "f": value(x), "g": graph.constraints(objective.start + scales * x)}
+    program = {"x": x, "f": value(x), "g": graph.constraints(objective.start + objective.scales * x)}
     return program, options, [value, slope, curvature]
+
+
+def _pattern(objective: Objective) -> ca.Sparsity:
+    """Where the Hessian's upper triangle is not zero."""
+    n = objective.start.size
+    starts = np.searchsorted(objective.columns, np.arange(n + 1))
+    return ca.Sparsity(n, n, starts.tolist(), objective.rows.tolist())
 
 
 def _named(call: Call, inputs: list[str], outputs: list[str]) -> ca.Function:

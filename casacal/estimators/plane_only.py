@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.estimators.lm import lm
-from casacal.least_squares.objective import LeastSquares, Restricted
+from casacal.least_squares.information import with_diagonal
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
 
 
@@ -19,6 +21,6 @@ def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float 
     """
     part = Restricted(problem, problem.datum, problem.x0)
     fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
-    covariance = np.diag(problem.prior_std**2)
-    covariance[np.ix_(part.free, part.free)] = fitted.covariance
-    return replace(fitted, method="plane-only", problem=problem, x=part.expand(fitted.x), belief=covariance)
+    x, fitted_alone = part.expand(fitted.x), problem.datum.astype(np.float64)
+    information = with_diagonal(problem.normal(x).information, fitted_alone, np.zeros(x.size))
+    return replace(fitted, method="plane-only", problem=problem, x=x, information=information, belief=None)

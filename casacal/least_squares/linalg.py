@@ -94,9 +94,12 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
 
 
-def column_scales(data_information: Array, prior_std: Array) -> Array:
-    """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More)."""
-    norms = np.sqrt(np.maximum(np.diagonal(data_information), 0.0))
+def column_scales(diagonal: Array, prior_std: Array) -> Array:
+    """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More).
+
+    The diagonal is that of the data's information J'J.
+    """
+    norms = np.sqrt(np.maximum(diagonal, 0.0))
     by_data = 1.0 / np.where(norms > 0, norms, 1.0)
     return np.where(np.isfinite(prior_std), prior_std, by_data)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import damped_solution, revealed_solution
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.elimination import GroupRows, revealed_step
+from casacal.least_squares.information import Information, damped_by, with_diagonal
+from casacal.least_squares.linalg import revealed_solution
 from casacal.least_squares.losses import Loss
 
 
@@ -31,7 +34,7 @@ class Normal:
 
     cost: float
     gradient: Array
-    information: Array
+    information: Information
 
 
 def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss | None = None) -> Normal:
@@ -153,28 +156,42 @@ class LeastSquares(ABC):
         """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
         return self.jacobian(x)
 
+    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
+        """The whitened Jacobian at x (n,) group by group, where information is an arrow; rows weighted by a loss."""
+        raise NotImplementedError
+
+    def information(self, x: Array) -> Array:
+        """J'J (n, n) of the data at x (n,)."""
+        found = self.normal(x).information
+        return found.dense() if isinstance(found, Arrow) else found
+
     def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
         """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
 
         None when that matrix is not safely positive definite. `normal` is the data's part of H and g at x.
         """
         scale = self.start_std
-        information = scale[:, None] * normal.information * scale
-        information.flat[:: scale.size + 1] += scale**2 * self.prior_information
+        information = with_diagonal(normal.information, scale, scale**2 * self.prior_information)
         gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
-        step = damped_solution(information, gradient, damping)
+        step = damped_by(information, gradient, damping)
         if step is None:
             return None
-        return Step(x + scale * step, float(step @ information @ step), float(step @ (damping * step - gradient)) / 2)
+        return Step(x + scale * step, float(step @ (information @ step)), float(step @ (damping * step - gradient)) / 2)
 
     def revealing_step(self, x: Array, normal: Normal, damping: float, loss: Loss | None = None) -> Step | None:
         """The same step from singular values, where normal equations are not safe; None where not all is finite."""
-        scale, rows = self.start_std, self.compact_jacobian(x)
-        if loss is not None:
-            rows = self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
-        stacked = np.vstack([rows, np.diag(np.sqrt(self.prior_information))]) * scale
-        gradient = scale * (normal.gradient + self.prior_information * (x - self.x0))
-        found = revealed_solution(stacked, gradient, damping)
+        scale, prior = self.start_std, self.prior_information
+        gradient = scale * (normal.gradient + prior * (x - self.x0))
+        if isinstance(normal.information, Arrow):
+            parts = (part.scaled(scale) for part in self.group_rows(x, loss))
+            information = normal.information.scaled(scale).plus(scale**2 * prior)
+            found = revealed_step(parts, information, scale**2 * prior, gradient, damping)
+        else:
+            rows = self.compact_jacobian(x)
+            if loss is not None:
+                rows = self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
+            stacked = np.vstack([rows, np.diag(np.sqrt(prior))]) * scale
+            found = revealed_solution(stacked, gradient, damping)
         return None if found is None else Step(x + scale * found[0], found[1], found[2])
 
     def costs(self, states: Array) -> Array:
@@ -200,51 +217,3 @@ class LeastSquares(ABC):
         """The objective f at x (n,)."""
         r = self.residual(x)
         return float(r @ r) / 2 + self.prior_cost(x)
-
-
-class Restricted(LeastSquares):
-    """A problem in some of its unknowns, the others held at a given x."""
-
-    def __init__(self, whole: LeastSquares, free: NDArray[np.bool_], held_at: Array) -> None:
-        self.whole, self.free, self.held_at = whole, np.flatnonzero(free), held_at.copy()
-        self.names = tuple(whole.names[j] for j in self.free)
-        self.units = tuple(whole.units[j] for j in self.free)
-        self.x0, self.prior_std = whole.x0[self.free], whole.prior_std[self.free]
-        self.start_std, self.datum = whole.start_std[self.free], whole.datum[self.free]
-
-    def expand(self, x: Array) -> Array:
-        """All unknowns (..., n) of the whole problem at the free ones (..., m)."""
-        full = np.broadcast_to(self.held_at, (*x.shape[:-1], self.held_at.size)).copy()
-        full[..., self.free] = x
-        return full
-
-    @property
-    def rows(self) -> int:
-        """Rows of the whole problem."""
-        return self.whole.rows
-
-    def residual(self, x: Array) -> Array:
-        """Whitened residuals (rows,)."""
-        return self.whole.residual(self.expand(x))
-
-    def jacobian(self, x: Array) -> Array:
-        """Columns of the free unknowns (rows, m)."""
-        return self.whole.jacobian(self.expand(x))[:, self.free]
-
-    def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, m) with the J'J of the free columns."""
-        return self.whole.compact_jacobian(self.expand(x))[:, self.free]
-
-    def row(self, k: int, states: Array) -> Array:
-        """Whitened residual k at many states."""
-        return self.whole.row(k, self.expand(states))
-
-    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
-        """Whitened residual k and its gradient in the free unknowns."""
-        r, gradient = self.whole.row_jacobian(k, self.expand(x))
-        return r, gradient[self.free]
-
-    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Normal equations of the free unknowns."""
-        whole = self.whole.normal(self.expand(x), loss)
-        return Normal(whole.cost, whole.gradient[self.free], whole.information[np.ix_(self.free, self.free)])

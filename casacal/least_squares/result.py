@@ -12,6 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.information import Information, diagonal_of, posterior_spread
 from casacal.least_squares.linalg import column_scales, posterior_covariance
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
@@ -68,7 +70,7 @@ class Result(Value):
     residual_rows: int
     jacobian_rows: int
     loss: Loss | None = None
-    information: Array | None = None
+    information: Information | None = None
     belief: Array | None = None
 
     def __post_init__(self) -> None:
@@ -84,10 +86,23 @@ class Result(Value):
         """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
         if self.belief is not None:
             return self.belief
-        information = (
-            self.problem.normal(self.x, self.loss).information if self.information is None else self.information
-        )
-        return posterior_covariance(information, self.problem.prior_std)
+        found = self._told
+        return posterior_covariance(found.dense() if isinstance(found, Arrow) else found, self.problem.prior_std)
+
+    @cached_property
+    def spread(self) -> tuple[Array, Array]:
+        """Covariance (s, s) of the unknowns that are not of one label alone, and variances (n,) of all.
+
+        Where labels are few, all (n, n) are among the first.
+        """
+        if self.belief is None and isinstance(self._told, Arrow):
+            return posterior_spread(self._told, self.problem.prior_std)
+        return self.covariance, np.diagonal(self.covariance)
+
+    @cached_property
+    def _told(self) -> Information:
+        """J'J of the data at x."""
+        return self.problem.normal(self.x, self.loss).information if self.information is None else self.information
 
     @cached_property
     def cost(self) -> float:
@@ -131,14 +146,15 @@ class Result(Value):
     @property
     def std(self) -> Array:
         """Posterior standard deviations (n,)."""
-        return np.sqrt(np.diagonal(self.covariance))
+        return np.sqrt(self.spread[1])
 
     @cached_property
     def kkt(self) -> float:
         """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
         normal = self.problem.normal(self.x, self.loss)
         gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
-        return float(np.abs(column_scales(normal.information, self.problem.prior_std) * gradient).max(initial=0.0))
+        scales = column_scales(diagonal_of(normal.information), self.problem.prior_std)
+        return float(np.abs(scales * gradient).max(initial=0.0))
 
 
 def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str) -> Result:

@@ -157,9 +157,10 @@ class Samples(Value):
 
 def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
     """Lines of some rows: a tuple of few, an array of many."""
+    if len(index) < MANY:
+        return tuple(int(lines[k]) for k in index.tolist())
     known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
-    chosen = known[index]
-    return tuple(chosen.tolist()) if len(index) < MANY else cast(Sequence[int], chosen)
+    return cast(Sequence[int], known[index])
 
 
 def _frozen(values: Array) -> Array:

@@ -14,7 +14,7 @@ from casacal.errors import SimulationError, came
 from casacal.estimators import lm
 from casacal.instruments import Instrument
 from casacal.instruments.instrument import Probe
-from casacal.least_squares.objective import Restricted
+from casacal.least_squares.restricted import Restricted
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

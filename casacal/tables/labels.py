@@ -43,6 +43,10 @@ class Labels(Sequence[str]):
         """Those of some rows."""
         return Labels(self.names, self.codes[rows])
 
+    def rows(self) -> dict[str, NDArray[np.intp]]:
+        """Rows of each label, in order."""
+        return dict(zip(self.names, rows_by_code(self.codes, len(self.names)), strict=True))
+
     def __len__(self) -> int:
         return int(self.codes.size)
 
@@ -81,6 +85,12 @@ def combinations(columns: Sequence[Labels], rows: int) -> tuple[list[tuple[str, 
         numbers = numbers * len(column.names) + column.codes
     first, codes = _in_order(numbers)
     return [tuple(column[int(row)] for column in columns) for row in first], codes
+
+
+def rows_by_code(codes: NDArray[Any], count: int) -> list[NDArray[np.intp]]:
+    """Rows, in order, that have each of the codes 0 ... count - 1 (N,)."""
+    starts = np.cumsum(np.bincount(codes, minlength=count))[:-1]
+    return np.split(np.argsort(codes, kind="stable"), starts) if count else []
 
 
 def _in_order(values: NDArray[Any]) -> tuple[NDArray[np.intp], Codes]:

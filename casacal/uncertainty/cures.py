@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.marginal import Seen, seen
 from casacal.binding.slots import ENOUGH, nominal_sight
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
@@ -59,7 +60,7 @@ def cures(bound: BoundProblem) -> list[Cure]:
     return found
 
 
-def cure_for(bound: BoundProblem, offers: list[Cure], direction: NullDirection | WeakDirection, scale: Array) -> str:
+def cure_for(bound: Seen, offers: list[Cure], direction: NullDirection | WeakDirection, scale: Array) -> str:
     """The first offer that sees a direction, in words; says so when none does.
 
     Args:
@@ -84,12 +85,13 @@ def cure_for(bound: BoundProblem, offers: list[Cure], direction: NullDirection |
 
 def _seen(bound: BoundProblem, names: dict[str, float]) -> float:
     """Whitened singular value along a direction of the arm, with all planes free."""
-    jacobian = bound.compact_jacobian(bound.x0)
-    along = np.zeros(bound.unknowns)
-    for j, name in enumerate(bound.names):
+    arm, x0 = seen(bound, bound.x0)
+    jacobian = arm.compact_jacobian(x0)
+    along = np.zeros(arm.unknowns)
+    for j, name in enumerate(arm.names):
         along[j] = names.get(name, 0.0)
     shown = jacobian @ along
-    planes = jacobian[:, bound.datum]
+    planes = jacobian[:, arm.datum]
     left = shown - planes @ np.linalg.lstsq(planes, shown, rcond=None)[0]
     return float(np.linalg.norm(left))
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.joint_space import random_joints
@@ -23,7 +23,7 @@ TRIES = 40_000
 FEWEST = 20
 
 
-def planned_accuracy(bound: BoundProblem) -> tuple[float, float]:
+def planned_accuracy(bound: Seen) -> tuple[float, float]:
     """Tip error (mm RMS over the workspace) to expect: from the prior alone, and with these rows.
 
     Apart from where the base stands. At the nominal, so that it can be asked of planned or simulated touches before
@@ -32,16 +32,16 @@ def planned_accuracy(bound: BoundProblem) -> tuple[float, float]:
     return expected_accuracy(bound, bound.x0)
 
 
-def expected_accuracy(bound: BoundProblem, x: Array) -> tuple[float, float]:
+def expected_accuracy(bound: Seen, x: Array) -> tuple[float, float]:
     """The same at x (n,)."""
     joints = workspace_joints(bound.problem.robot)
     tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints)
-    information = bound.normal(x).information
+    information = bound.information(x)
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
     return before, bayesian_bound(information, bound.prior_std, slopes, tips)
 
 
-def classical_accuracy(bound: BoundProblem, x: Array) -> tuple[float, int]:
+def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
     """Tip error (mm RMS) that the rows alone allow at x (n,), without a prior, and how many unseen directions move it.
 
     Infinite when there is such a direction.
@@ -52,7 +52,7 @@ def classical_accuracy(bound: BoundProblem, x: Array) -> tuple[float, int]:
     )
 
 
-def accuracy_in_box(bound: BoundProblem, x: Array, box: Box) -> tuple[float, float]:
+def accuracy_in_box(bound: Seen, x: Array, box: Box) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
     Both apart from where the base stands.
@@ -74,5 +74,5 @@ def accuracy_in_box(bound: BoundProblem, x: Array, box: Box) -> tuple[float, flo
     field = up_to_base(
         bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
     )
-    stds = np.linalg.norm(tip_stds(posterior_covariance(bound.normal(x).information, bound.prior_std), field), axis=1)
+    stds = np.linalg.norm(tip_stds(posterior_covariance(bound.information(x), bound.prior_std), field), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.information import effective_unknowns
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.result import Result
+
+HALF_WEIGHT = 0.5
+"""Weight under a robust loss below which a row counts as ignored."""
 
 
 def residual_figures(residuals: Array) -> dict[str, float]:
@@ -25,33 +29,32 @@ def residual_figures(residuals: Array) -> dict[str, float]:
     }
 
 
-def noise_interval(
-    problem: LeastSquares, x: Array, covariance: Array, kept: NDArray[np.bool_]
-) -> tuple[float, float, float]:
-    """Found over stated noise: the estimate and its 95 % interval, from the whitened residuals at x.
+def noise_interval(result: Result) -> tuple[float, float, float]:
+    """Found over stated noise: the estimate and its 95 % interval, from the whitened residuals of a result.
 
-    The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined.
-
-    Args:
-        problem: whose noise is judged.
-        x: estimate (n,).
-        covariance: of x (n, n).
-        kept: rows (rows,) that count; a robust fit leaves out those that it down-weighted.
-
+    The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined. Rows of
+    which a robust loss left less than half do not count.
     """
     from scipy.special import gammaincinv
 
-    if kept.all():
-        information = problem.normal(x).information
-    else:
-        jacobian = problem.jacobian(x)[kept]
-        information = jacobian.T @ jacobian
-    held = np.where(np.isfinite(covariance), covariance, 0.0)
-    free = max(int(kept.sum()) - float((information * held).sum()), 1.0)
-    total = float((problem.residual(x)[kept] ** 2).sum())
+    problem, r = result.problem, result.problem.residual(result.x)
+    kept = result.weights >= HALF_WEIGHT
+    information = problem.normal(result.x, None if kept.all() else _counting(result.loss)).information
+    free = max(int(kept.sum()) - effective_unknowns(information, problem.prior_std), 1.0)
+    total = float((r[kept] ** 2).sum())
     # quantiles of chi-square with `free` degrees of freedom, without the half second that importing scipy.stats takes
     low, high = (total / (2 * float(gammaincinv(free / 2, p))) for p in (0.975, 0.025))
     return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
+
+
+def _counting(loss: Loss | None) -> Loss:
+    """A loss that counts rows of which another leaves half or more, and no others."""
+    assert loss is not None
+
+    def weight(r: Array) -> Array:
+        return np.asarray((loss.weight(r) >= HALF_WEIGHT).astype(np.float64))
+
+    return Loss("counting", lambda r: weight(r) * r**2 / 2, weight)
 
 
 def nees(error: Array, covariance: Array) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.least_squares.elimination import taken_out, triangle
 
 MOST_ROWS = 20_000
 """Rows that the scatter is worked out from; more add memory, not insight."""
@@ -36,6 +38,8 @@ def prior_scatter(bound: BoundProblem) -> PriorScatter:
     of it are matched (Satterthwaite).
     """
     samples = bound.block.samples
+    if bound.groups is not None:
+        return _of_many_faces(bound)
     if len(samples) > MOST_ROWS:
         bound = bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
     noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
@@ -43,7 +47,25 @@ def prior_scatter(bound: BoundProblem) -> PriorScatter:
     arm = ~bound.datum & np.isfinite(bound.prior_std)
     moved, planes = slopes[:, arm] * bound.prior_std[arm], slopes[:, bound.datum]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    powers = left.T @ left / len(noise)
+    return _matched(left.T @ left / len(noise), noise)
+
+
+def _of_many_faces(bound: BoundProblem) -> PriorScatter:
+    """The same, faces taken out one by one."""
+    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
+    parts = []
+    for part in bound.group_rows(bound.x0):
+        plain = replace(part, own=part.own * noise[part.rows, None], shared=part.shared * noise[part.rows, None])
+        parts.append(taken_out(plain).rows)
+    assert bound.groups is not None
+    shared = bound.groups.shared
+    arm = np.isfinite(bound.prior_std[shared]) & ~bound.datum[shared]
+    moved = triangle(parts, shared.size)[:, arm] * bound.prior_std[shared][arm]
+    return _matched(moved.T @ moved / len(noise), noise)
+
+
+def _matched(powers: Array, noise: Array) -> PriorScatter:
+    """From the mean square residual as a quadratic form of independent prior errors, and the noise of each row."""
     mean = float(np.trace(powers) + (noise**2).mean())
     variance = float((powers**2).sum() + (noise**4).mean() / len(noise))
     return PriorScatter(math.sqrt(mean), mean**2 / variance)

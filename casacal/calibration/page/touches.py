@@ -41,7 +41,7 @@ class Part:
         """Of one of the two arms (N, m), mm."""
         return self.before if when == "before" else self.after
 
-    @property
+    @cached_property
     def lines(self) -> NDArray[np.int64]:
         """Line of each row in its file (N,)."""
         return np.asarray(self.bound.block.samples.lines, dtype=np.int64)
@@ -53,10 +53,11 @@ class Part:
 
     def rows_of(self, label: str) -> Rows:
         """Rows of one face."""
-        labels = self.labels
-        if labels is None:
-            return np.arange(len(self.after))
-        return np.flatnonzero(labels.codes == labels.names.index(label)) if label in labels.names else np.zeros(0, int)
+        return np.arange(len(self.after)) if self._rows is None else self._rows.get(label, np.zeros(0, dtype=np.intp))
+
+    @cached_property
+    def _rows(self) -> dict[str, Rows] | None:
+        return None if self.labels is None else self.labels.rows()
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | N
         [f"Samples alone, without priors{unseen}", mm(tip["without_prior_rms_mm"]), "–"],
     ]
     if box is not None:
-        rms, most = accuracy_in_box(calibration.fit, calibration.result.x, box)
+        rms, most = accuracy_in_box(calibration.seen, calibration.seen_x, box)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
     columns = [("Expected tip error", WORDS), ("RMS", NUMBER), ("Worst posture", NUMBER)]

@@ -54,9 +54,9 @@ def _row(row: Mapping[str, Any], prior: float) -> list[object]:
 
 def _correlations(calibration: Calibration) -> Markup:
     """Pairs of the arm's own unknowns: planes are always correlated with each other and with the base."""
-    arm = np.flatnonzero(~calibration.fit.datum)
-    names = [calibration.fit.names[j] for j in arm]
-    pairs = correlated_pairs(calibration.result.covariance[np.ix_(arm, arm)], names)
+    arm = np.flatnonzero(~calibration.seen.datum)
+    names = [calibration.seen.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
     heading = tag("h3", "Correlations")
     if not pairs:
         return together(heading, paragraph("No two parameters of the arm are correlated above 0.95.", style="calm"))

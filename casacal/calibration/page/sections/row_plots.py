@@ -18,6 +18,8 @@ REACH = 8.0
 """Robust standard deviations beyond which a residual stands at the edge, so that it does not flatten all others."""
 NAMED = 6
 """Series with their names under the axis."""
+MOST_SERIES = 200
+"""Series that are drawn; of more, some are, evenly spread."""
 LINED = 30
 """Series with lines between them."""
 
@@ -26,6 +28,8 @@ def row_plots(touches: Touches) -> Markup:
     """Before and after, each on a scale of its own."""
     total = sum(part.after.size for part in touches.parts)
     some = f" Some of {total:,} points are drawn: evenly spread ones and the largest." if total > DRAWN else ""
+    if len(touches.series) > MOST_SERIES:
+        some = f" Of {len(touches.series):,} series {MOST_SERIES} are drawn."
     held = " Blue and grey dots are fitted rows, orange squares held-out ones." if len(touches.parts) > 1 else ""
     kind = "face" if touches.has_faces and len(touches.series) > 1 else "series"
     caption = (
@@ -67,7 +71,7 @@ def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
     count, values = len(touches.series), part.residuals(when)
     most = max(DRAWN // (count * len(touches.parts)), 2)
     across, up = [np.zeros(0)], [np.zeros(0)]
-    for k in range(count):
+    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist() if count > 1 else range(count):
         rows, component = touches.of_series(part, k)
         if len(rows):
             own = values[rows, component]

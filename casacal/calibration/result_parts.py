@@ -1,0 +1,102 @@
+"""The parts of result.json: parameters, what the samples see, the reference, geometry, spreads, versions."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.calibration.calibration import Calibration, Reference
+from casacal.least_squares.result import Result
+from casacal.uncertainty.identifiability import verdict
+from casacal.version import __version__
+
+NOTES = {
+    "data": "determined by the samples",
+    "prior": "partly determined by the samples, partly by the prior",
+    "no": "not determined: the prior's value and spread stand",
+    "held": "held at nominal",
+}
+
+
+def parameter_rows(bound: BoundProblem, x: Array, stds: Array) -> list[dict[str, Any]]:
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
+    rows = []
+    for name, unit, nominal, j in bound.parameters():
+        if j is None:
+            row = {"estimate": nominal, "std": 0.0, "identifiable": "no", "note": NOTES["held"]}
+        else:
+            std = float(stds[j])
+            word = verdict(std, float(bound.prior_std[j]))
+            row = {"estimate": nominal + float(x[j]), "std": std, "identifiable": word, "note": NOTES[word]}
+        rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
+    return rows
+
+
+def what_is_seen(calibration: Calibration) -> dict[str, Any]:
+    """Rank, null and weak directions, each with its cure."""
+    found, cures = calibration.identifiability, iter(calibration.advice)
+    return {
+        "unknowns": found.unknowns,
+        "rank": found.rank,
+        "condition": found.condition,
+        "singular_values": found.singular_values,
+        "null": [
+            {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": next(cures)}
+            for d in found.null
+        ],
+        "weak": [
+            {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": next(cures)}
+            for d in found.weak
+        ],
+    }
+
+
+def reference_part(reference: Reference | None) -> dict[str, Any] | None:
+    """What the independent solver found; None where none was asked."""
+    if reference is None:
+        return None
+    return {
+        "solver": reference.solver,
+        "cost": reference.cost,
+        "relative_gap": reference.relative_gap,
+        "kkt": reference.result.kkt,
+        "iterations": reference.result.steps,
+    }
+
+
+def geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
+    """Planes, directions and frames at the estimate, and x itself."""
+    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
+    for slot in bound.slots:
+        kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
+        if kind in found:
+            name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
+            found[kind][name] = shown
+    unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
+    return {**found, "unknowns": unknowns}
+
+
+def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Effort, time and versions."""
+    return {
+        "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
+        "seconds": dict(seconds),
+        "versions": {
+            "casacal": __version__,
+            "casadi": metadata.version("casadi"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def spreads(covariance: Array, names: Sequence[str], bound: BoundProblem) -> dict[str, Any]:
+    """The covariance, with the names of its rows where unknowns of single labels have none in it."""
+    some = {} if len(names) == bound.unknowns else {"covariance_of": list(names)}
+    return {**some, "covariance": covariance}
