@@ -29,6 +29,9 @@ UNSEEN = 1e-12
 SHORT = 0.1
 """Posterior standard deviations below which the undamped step is worth a look."""
 
+CLOSE = 5.0
+"""Posterior standard deviations of a step after which the next is often short, as steps shrink by their square."""
+
 NEAR = 1e-3
 """Posterior standard deviations from the minimum that are as good as none, where rounding hides the rest."""
 
@@ -137,13 +140,15 @@ def given_up(move: Move, here: Point, shortest: Shortest) -> Status | None:
 def next_move(problem: LeastSquares, here: Point, level: Damping, last: Move | None, loss: Loss | None) -> Move | None:
     """The undamped step where that is short and none was just rejected, else the damped one; None without either."""
     eager = level.growth == Damping.growth
-    if eager and last is not None and last.undamped and (move := _undamped(problem, here, loss)) is not None:
+    near = last is not None and (last.undamped or last.length <= CLOSE)
+    if eager and near and (move := _undamped(problem, here, loss)) is not None:
         return move
     damped = _step(problem, here, level.mu, loss)
     if damped is None:
         return None
     # no undamped step is shorter than a damped one
-    if eager and damped.squared_length <= SHORT**2 and (move := _undamped(problem, here, loss)) is not None:
+    short = not near and damped.squared_length <= SHORT**2
+    if eager and short and (move := _undamped(problem, here, loss)) is not None:
         return move
     return Move(damped, False, _hidden(damped, here))
 

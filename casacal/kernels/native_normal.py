@@ -91,9 +91,10 @@ class NativeNormal:
         accumulate.argtypes, accumulate.restype = [long, pointer, long, *[pointer] * 3], None
         step.argtypes, step.restype = [long, *[pointer] * 6, ctypes.c_double, *[pointer] * 2], long
         x, sums, normal = self._x.ctypes.data, self._sums.ctypes.data, self._normal.ctypes.data
-        self._pieces = [
-            (1, packed.address(k), n, x, sums + k * self._sums.strides[0], work[k].ctypes.data)
-            for k in range(len(pieces))
+        shares = [(k, 1) for k in range(len(pieces))] if threads > 1 else [(0, len(pieces))]
+        self._shares = [
+            (count, packed.address(k), n, x, sums + k * self._sums.strides[0], work[k].ctypes.data)
+            for k, count in shares
         ]
         self._accumulate, self._step = accumulate, step
         self._before = (n, normal, normal + 8 * n * n, x, *(row.ctypes.data for row in about))
@@ -104,7 +105,7 @@ class NativeNormal:
         n = x.size
         with self._lock:
             self._x[:] = x
-            shared_out(lambda piece: self._accumulate(*piece), self._pieces, self._threads)
+            shared_out(lambda share: self._accumulate(*share), self._shares, self._threads)
             total = self._sums[0].copy() if self._count == 1 else self._sums.sum(axis=0)
         return float(total[-1]), total[n * n : -1], total[: n * n].reshape(n, n)
 
