@@ -12,10 +12,10 @@ from conftest import ROOT
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
 from casacal.checks.faults import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
-from casacal.checks.outliers import _spreads
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.labels import Labels
+from casacal.uncertainty.leverage import leverages
 
 REPLACE = dataclasses.replace
 
@@ -118,8 +118,8 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     samples = plant(hsr, corner_simulation.samples)
     expected = check(hsr.problem, samples)
     monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
-    for limit, size in (("TOGETHER", 25), ("JUDGES", 30)):
-        monkeypatch.setattr(f"casacal.checks.outliers.{limit}", size)
+    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
+    monkeypatch.setattr("casacal.checks.outliers.JUDGES", 30)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
         (each.severity, each.about, each.lines) for each in expected
@@ -127,12 +127,12 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
 
 
 def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monkeypatch):
-    monkeypatch.setattr("casacal.checks.outliers.TOGETHER", 25)
+    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
     bound = bind(hsr.problem, corner_simulation.samples)
     result = lm(bound)
     jacobian = bound.jacobian(result.x)
     expected = np.diagonal(jacobian @ result.covariance @ jacobian.T)
-    np.testing.assert_allclose(_spreads(bound, result), expected, rtol=1e-9)
+    np.testing.assert_allclose(leverages(bound, result), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))

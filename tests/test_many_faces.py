@@ -24,13 +24,13 @@ from casacal import (
 )
 from casacal.binding import sums
 from casacal.binding.marginal import seen
-from casacal.checks.outliers import _spreads
 from casacal.least_squares import arrow
 from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.information import effective_unknowns
+from casacal.least_squares.information import determined
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.leverage import leverages
 from casacal.uncertainty.prior_scatter import prior_scatter
 
 COUNT = 120
@@ -113,7 +113,7 @@ def test_the_minimum_its_spread_and_its_counts_are_those_of_the_matrix(pair, fou
     hat = np.trace(jacobian @ covariance @ jacobian.T)
     for result, bound in zip(found, pair, strict=True):
         told = bound.normal(result.x).information
-        assert effective_unknowns(told, bound.prior_std) == pytest.approx(hat, rel=1e-6)
+        assert determined(told, bound.prior_std) == pytest.approx(hat, rel=1e-6)
 
 
 def test_figures_of_the_arm_are_those_of_the_matrix(pair, found):
@@ -124,7 +124,7 @@ def test_figures_of_the_arm_are_those_of_the_matrix(pair, found):
     pieces = [prior_scatter(bound) for bound in pair]
     assert pieces[0].rms == pytest.approx(pieces[1].rms, rel=1e-9)
     assert pieces[0].freedom == pytest.approx(pieces[1].freedom, rel=1e-9)
-    spreads = [_spreads(bound, result) for bound, result in zip(pair, found, strict=True)]
+    spreads = [leverages(bound, result) for bound, result in zip(pair, found, strict=True)]
     np.testing.assert_allclose(spreads[0], spreads[1], rtol=1e-6)
 
 
@@ -133,7 +133,7 @@ def test_a_robust_loss_weighs_the_same_rows(pair):
     assert one.cost == pytest.approx(other.cost, rel=1e-9)
     np.testing.assert_allclose(one.std, other.std, rtol=1e-5)
     np.testing.assert_allclose(noise_interval(one), noise_interval(other), rtol=1e-6)
-    spreads = [_spreads(bound, result) for bound, result in zip(pair, (one, other), strict=True)]
+    spreads = [leverages(bound, result) for bound, result in zip(pair, (one, other), strict=True)]
     np.testing.assert_allclose(spreads[0], spreads[1], rtol=1e-4)
 
 
@@ -156,8 +156,8 @@ def test_what_nothing_holds_is_unbounded_in_both(hsr, samples):
     result = dataclasses.replace(plane_only(apart), information=one)
     np.testing.assert_array_equal(np.isinf(result.std), np.isinf(np.diagonal(dense)))
     assert np.isinf(result.std).any()
-    assert effective_unknowns(one, apart.prior_std) == effective_unknowns(other, whole.prior_std)
-    assert effective_unknowns(one, apart.prior_std) == round(effective_unknowns(one, apart.prior_std))
+    assert determined(one, apart.prior_std) == determined(other, whole.prior_std)
+    assert determined(one, apart.prior_std) == round(determined(one, apart.prior_std))
 
 
 def test_labels_that_share_a_plane_stay_together(hsr, samples):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.limits import COMPACT
+from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import RowGroups, places
 from casacal.binding.slots import Block, Slot, make_block, make_slots
@@ -27,7 +28,7 @@ from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquar
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import alike, read_only, short
+from casacal.values import FrozenMapping, alike, read_only, short
 
 
 def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
@@ -62,8 +63,10 @@ class BoundProblem(LeastSquares):
         samples: Sequence[Samples],
         backend: str | None = None,
         threads: int | None = None,
+        noise_scale: Sequence[Mapping[str, float]] = (),
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
+        self.noise_scale = tuple(FrozenMapping(scale) for scale in noise_scale)
         pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
         self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
         self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
@@ -71,19 +74,21 @@ class BoundProblem(LeastSquares):
         self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
         self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
         self.datum = read_only(np.array([slot.datum for slot, _ in pairs], dtype=bool))
-        self.blocks = tuple(make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments)))
+        blocks = [make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments))]
+        self.blocks = scaled_noise(blocks, [instrument.groups for instrument in problem.instruments], self.noise_scale)
         self._asked, self._threads = backend, thread_count(threads)
         self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
-        return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads)
+        return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads, self.noise_scale)
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, BoundProblem):
             return self is other
-        return alike((self.problem, self.slots, self.samples), (other.problem, other.slots, other.samples))
+        mine, theirs = ((b.problem, b.slots, b.samples, b.noise_scale) for b in (self, other))
+        return alike(mine, theirs)
 
     def __hash__(self) -> int:
         return hash((self.problem, self.names, self.rows))
@@ -104,7 +109,11 @@ class BoundProblem(LeastSquares):
 
     def on(self, *samples: Samples) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
-        return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads)
+        return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads, self.noise_scale)
+
+    def with_noise(self, *scale: Mapping[str, float]) -> BoundProblem:
+        """The same rows, their stated noise times a factor for each face of each instrument; "" stands for others."""
+        return BoundProblem(self.problem, self.slots, self.samples, self._asked, self._threads, scale)
 
     @property
     def backend(self) -> str:
@@ -189,21 +198,13 @@ class BoundProblem(LeastSquares):
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, n): (m,)."""
-        block, sample, component = self._locate(k)
-        pattern = block.pattern[sample]
-        z = states[:, block.columns[pattern]]
-        (e,) = block.model.batch.residual(z, block.constants[pattern], block.data[sample])
-        return np.asarray(e[:, component] / block.noise[sample, component])
+        groups, row = self._locate(k)
+        return groups.row(row, states)
 
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
-        block, sample, component = self._locate(k)
-        pattern, noise = block.pattern[sample], block.noise[sample, component]
-        columns = block.columns[pattern]
-        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
-        gradient = np.zeros(self.unknowns)
-        gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
-        return float(e[0, component] / noise), gradient
+        groups, row = self._locate(k)
+        return groups.row_jacobian(row, x)
 
     def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
@@ -243,7 +244,6 @@ class BoundProblem(LeastSquares):
         outputs: list[Array] = getattr(block.model.batch, name)(x[block.columns[0]], block.constants[0], data)
         return outputs
 
-    def _locate(self, k: int) -> tuple[Block, int, int]:
+    def _locate(self, k: int) -> tuple[RowGroups, int]:
         i = int(np.searchsorted(self._starts, k, side="right")) - 1
-        sample, component = divmod(k - int(self._starts[i]), self.blocks[i].noise.shape[1])
-        return self.blocks[i], sample, component
+        return self._groups[i], k - int(self._starts[i])

@@ -155,6 +155,25 @@ class RowGroups:
             for piece, (cost, s) in zip(some, shared_out(part, some, self._threads), strict=True):
                 yield piece, cost, s
 
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states (m, n): (m,)."""
+        block, (sample, component) = self.block, divmod(k, self.block.noise.shape[1])
+        pattern = block.pattern[sample]
+        (e,) = block.model.batch.residual(
+            states[:, block.columns[pattern]], block.constants[pattern], block.data[sample]
+        )
+        return np.asarray(e[:, component] / block.noise[sample, component])
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient (n,) at x (n,)."""
+        block, (sample, component) = self.block, divmod(k, self.block.noise.shape[1])
+        pattern, noise = block.pattern[sample], block.noise[sample, component]
+        columns = block.columns[pattern]
+        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
+        gradient = np.zeros(self._unknowns)
+        gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
+        return float(e[0, component] / noise), gradient
+
     def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass:
         """Let a cubature filter take in the block's residuals from `first` on."""
         block, run = self.block, self.block.model.filter(self._asked)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
 from casacal.samples.samples import Samples
 from casacal.tables.frames import is_frame
+from casacal.uncertainty.noise import found_noise, noise_over_stated
 
 Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
@@ -58,6 +59,7 @@ def calibrate(
     holdout: float = 0.0,
     seed: int = 0,
     reference: bool = True,
+    noise: Literal["found", "stated"] = "found",
     loss: Loss | None = None,
     backend: str | None = None,
     threads: int | None = None,
@@ -74,6 +76,8 @@ def calibrate(
         holdout: fraction of each plane's rows (0 to below 1) that is not fitted but judged.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
+        noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
+            interval; "stated" trusts what was stated.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
@@ -89,6 +93,8 @@ def calibrate(
     source = problem_from(problem)
     rows = samples_from(samples, source)
     run, name = _chosen(method, loss)
+    if noise not in ("found", "stated"):
+        raise CasacalError(f"{came(noise)} came as the noise", "Give 'found' or 'stated'")
     began = time.perf_counter()
     fitted, held = split(rows, holdout, seed)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
@@ -100,15 +106,20 @@ def calibrate(
                 f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
                 "Take more samples, hold fewer out, or hold parameters with --fix",
             )
+        scale = found_noise(fit, loss).scale if noise == "found" else {}
+        if scale:
+            fit = fit.with_noise(scale)
+            heldout = None if heldout is None else heldout.with_noise(scale)
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
         result = _estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
+        told = noise_over_stated(result, scale)
         before = plane_only(fit)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source)
+    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, told, seconds, source)
 
 
 def problem_from(given: Any) -> ProblemFile:

@@ -17,7 +17,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, residual_figures
+from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -25,6 +25,7 @@ from casacal.uncertainty.identifiability import (
     identifiability,
     prior_scale,
 )
+from casacal.uncertainty.noise import Noise
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.values import FrozenMapping, Value
 
@@ -87,6 +88,8 @@ class Calibration(Value):
     result: Result
     before: Result
     reference: Reference | None
+    noise: Noise
+    """As it was stated and found; the fit uses it times its factors."""
     seconds: Mapping[str, float]
     source: ProblemFile
     """The problem as it was given: its file, where it has one."""
@@ -185,8 +188,3 @@ class Calibration(Value):
     def data_errors(self) -> tuple[Finding, ...]:
         """Errors that the data check finds in all samples; it fits several times, so ask only where there is cause."""
         return tuple(found for found in check(self.fit.problem, self.samples) if found.severity == "error")
-
-    @cached_property
-    def noise(self) -> tuple[float, float, float]:
-        """Found over stated noise, with its 95 % interval."""
-        return noise_interval(self.result)

@@ -18,6 +18,7 @@ from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
     geometry,
+    noise_part,
     parameter_rows,
     reference_part,
     spreads,
@@ -69,7 +70,7 @@ def calibration_document(
             "without_prior_rms_mm": without[0],
             "unseen": without[1],
         },
-        "noise": dict(zip(("ratio", "low", "high"), calibration.noise, strict=True)),
+        "noise": noise_part(calibration),
         "identifiability": what_is_seen(calibration),
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **spreads(calibration.covariance, calibration.seen.names, fit),

@@ -38,6 +38,22 @@ def parameter_rows(bound: BoundProblem, x: Array, stds: Array) -> list[dict[str,
     return rows
 
 
+def noise_part(calibration: Calibration) -> dict[str, Any]:
+    """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face."""
+    found, block = calibration.noise, calibration.fit.block
+    stated = calibration.fit.with_noise({}).block.noise
+    faces = block.samples.faces(calibration.fit.problem.instrument.groups).rows()
+    pairs = {
+        name: (float(np.median(stated[rows])), float(np.median(block.noise[rows]))) for name, rows in faces.items()
+    }
+    return {
+        "ratio": found.ratio,
+        "low": found.low,
+        "high": found.high,
+        "by_face": {name: {"stated_mm": one, "used_mm": two} for name, (one, two) in pairs.items()},
+    }
+
+
 def what_is_seen(calibration: Calibration) -> dict[str, Any]:
     """Rank, null and weak directions, each with its cure."""
     found, cures = calibration.identifiability, iter(calibration.advice)

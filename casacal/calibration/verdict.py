@@ -46,10 +46,11 @@ def verdict_of(calibration: Calibration) -> Verdict:
         return Verdict("use with care", words, (_sentence(said),))
     before, now = calibration.tip_std
     found = [*doubts(calibration), *_further_doubts(calibration)]
-    least = "at least " if calibration.noise[1] > NOISE_BAND[1] else ""
+    trusting = calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale
+    least, noise = "at least " if trusting else "", "noise as found" if calibration.noise.scale else "the stated noise"
     expected = (
         f"expect a tip error of {least}{now:.3f} mm RMS over the workspace, apart from where the base stands (before: "
-        f"{f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if the stated noise and priors are right"
+        f"{f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if {noise} and priors are right"
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
@@ -79,7 +80,7 @@ def suspicious(calibration: Calibration) -> bool:
     """Whether something about the fit calls for a look at the samples themselves."""
     # a robust fit has already set aside the rows that pull parameters far
     far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
-    return far or not calibration.passed or calibration.noise[1] > LACK_OF_FIT
+    return far or not calibration.passed or calibration.noise.low > LACK_OF_FIT
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:
@@ -105,7 +106,7 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
 
 def _unexplained(calibration: Calibration) -> list[str]:
     """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
-    ratio, low, _ = calibration.noise
+    ratio, low = calibration.noise.ratio, calibration.noise.low
     if low <= LACK_OF_FIT:
         return []
     moved = float(moves(calibration).max(initial=0.0))

@@ -91,17 +91,22 @@ def _repeated_rows(calibration: Calibration) -> Doubt | None:
 
 
 def _noise(calibration: Calibration) -> Doubt | None:
-    ratio, low, high = calibration.noise
+    noise = calibration.noise
+    ratio, low, high = noise.ratio, noise.low, noise.high
     if low <= NOISE_BAND[1] and high >= NOISE_BAND[0]:
         return None
     said = f"The residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:
         advice = "the stated noise is too large, and the standard deviations with it. Lower noise_std."
         return Doubt("the stated noise is too large", f"{said}: {advice}")
+    if noise.scale:
+        found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
+        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; casacal check may tell."
+    else:
+        advice = "The standard deviations are too small by about as much. Raise noise_std, or find what is missing."
     return Doubt(
         "the residuals exceed the stated noise",
-        f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. The "
-        "standard deviations are too small by about as much. Raise noise_std, or find what is missing.",
+        f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. {advice}",
     )
 
 

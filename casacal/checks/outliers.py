@@ -12,18 +12,16 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding, counted
-from casacal.least_squares.elimination import taken_out
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.uncertainty.leverage import leverages
 from casacal.unknowns.fits import fitted_plane
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""
 JUDGES = 5_000
 """Tips, drawn at random, whose median judges them."""
-TOGETHER = 16_384
-"""Rows whose Jacobian is held at a time."""
 GROSS = 8.0
 """Times the robust scatter beyond which a nominal tip is not on its plane at all."""
 CHANCE = 1e-4
@@ -92,7 +90,7 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
     from scipy.special import stdtrit  # Student's quantile, without the half second that importing scipy.stats takes
 
     r = bound.residual(result.x)
-    leverage = np.clip(_spreads(bound, result) * result.weights, 0.0, 0.999)
+    leverage = np.minimum(leverages(bound, result), 0.999)
     free = max(float(bound.rows - leverage.sum()), 1.0)
     scale = max(1.4826 * float(np.median(np.abs(r))) * math.sqrt(bound.rows / free), 1e-12)
     size = np.abs(r) / (scale * np.sqrt(1 - leverage))
@@ -112,31 +110,6 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
             tuple(sorted(lines)),
         )
     ]
-
-
-def _spreads(bound: BoundProblem, result: Result) -> Array:
-    """Variance (rows,) of each predicted residual under the result's covariance, some rows at a time."""
-    if bound.groups is not None:
-        return _spreads_by_group(bound, result)
-    covariance = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
-    samples = bound.block.samples
-    found = []
-    for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
-        jacobian = bound.on(samples.take(rows)).jacobian(result.x)
-        found.append(((jacobian @ covariance) * jacobian).sum(axis=1))
-    return np.concatenate(found)
-
-
-def _spreads_by_group(bound: BoundProblem, result: Result) -> Array:
-    """The same where groups are many: what is said of the shared unknowns, and of a group's own with these known."""
-    covariance, found = result.spread[0], np.zeros(bound.rows)
-    held = np.where(np.isfinite(covariance), covariance, 0.0)
-    for part in bound.group_rows(result.x, result.loss):
-        out = taken_out(part.held(bound.prior_information[part.members]))
-        beyond = part.shared - part.own @ out.along
-        variance = ((beyond @ held) * beyond).sum(axis=1) + ((part.own @ out.inverse) * part.own).sum(axis=1)
-        found[part.rows] = variance
-    return found / np.maximum(result.weights, 1e-300)
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

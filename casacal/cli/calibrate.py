@@ -54,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also give the tip error expected inside this box, mm, base frame"
     )
+    parser.add_argument(
+        "--noise", choices=("found", "stated"), help="found (default): at least as stated, and what the rows show"
+    )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
     parser.add_argument(
         "--backend", choices=("auto", "c", "blocks"), help="what evaluates the rows; default: CASACAL_BACKEND, or auto"
@@ -93,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
             holdout=options.holdout,
             seed=options.seed,
             reference=not options.no_reference,
+            noise=options.noise or "found",
             loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
             backend=options.backend,
             progress=progress,

@@ -49,11 +49,11 @@ def among(information: Information, free: Index) -> Information:
     return information.among(free)
 
 
-def effective_unknowns(information: Information, prior_std: Array) -> float:
-    """How many unknowns the data determined: the trace of J (J'J + Lambda)^-1 J'.
+def determined(information: Information, prior_std: Array) -> float:
+    """How many unknowns the data determined: the trace of J (J'J + Lambda)^-1 J', to a few where priors are flat.
 
-    It is the rank of J'J + Lambda less what the prior holds, sum_j (posterior variance / prior variance), which is
-    right whether priors are flat or not: no flat unknown enters the sum.
+    It is the rank of J'J + Lambda less what the prior holds, sum_j (posterior variance / prior variance): no flat
+    unknown enters the sum.
     """
     if not prior_std.size:
         return 0.0

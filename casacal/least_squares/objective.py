@@ -165,6 +165,12 @@ class LeastSquares(ABC):
         found = self.normal(x).information
         return found.dense() if isinstance(found, Arrow) else found
 
+    def weighted_rows(self, x: Array, loss: Loss | None = None) -> Array:
+        """Rows (k, n) with the J'WJ at x (n,), W the weights of a loss: what singular values need."""
+        if loss is None:
+            return self.compact_jacobian(x)
+        return self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
+
     def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
         """Solve (H + damping I) s = -g for the whole objective at x, in coordinates (x - x0) / start_std.
 
@@ -187,10 +193,7 @@ class LeastSquares(ABC):
             information = normal.information.scaled(scale).plus(scale**2 * prior)
             found = revealed_step(parts, information, scale**2 * prior, gradient, damping)
         else:
-            rows = self.compact_jacobian(x)
-            if loss is not None:
-                rows = self.jacobian(x) * np.sqrt(loss.weight(self.residual(x)))[:, None]
-            stacked = np.vstack([rows, np.diag(np.sqrt(prior))]) * scale
+            stacked = np.vstack([self.weighted_rows(x, loss), np.diag(np.sqrt(prior))]) * scale
             found = revealed_solution(stacked, gradient, damping)
         return None if found is None else Step(x + scale * found[0], found[1], found[2])
 

@@ -54,7 +54,8 @@ def cures(bound: BoundProblem) -> list[Cure]:
             extra = simulate(problem, cell, samples=EXTRA_ROWS, seed=0).samples
             # a problem that only asks what if is not worth compiling
             backend = None if problem is bound.problem else "blocks"
-            found.append(Cure(words, bind(problem, joined(here, extra), backend=backend)))
+            more = bind(problem, joined(here, extra), backend=backend)
+            found.append(Cure(words, more.with_noise(*bound.noise_scale)))
         except CasacalError:
             continue
     return found

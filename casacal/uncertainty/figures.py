@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.least_squares.information import effective_unknowns
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
+from casacal.uncertainty.leverage import effective_unknowns
 
 HALF_WEIGHT = 0.5
 """Weight under a robust loss below which a row counts as ignored."""
@@ -39,8 +39,8 @@ def noise_interval(result: Result) -> tuple[float, float, float]:
 
     problem, r = result.problem, result.problem.residual(result.x)
     kept = result.weights >= HALF_WEIGHT
-    information = problem.normal(result.x, None if kept.all() else _counting(result.loss)).information
-    free = max(int(kept.sum()) - effective_unknowns(information, problem.prior_std), 1.0)
+    counting = None if kept.all() else _counting(result.loss)
+    free = max(int(kept.sum()) - effective_unknowns(problem, result.x, counting), 1.0)
     total = float((r[kept] ** 2).sum())
     # quantiles of chi-square with `free` degrees of freedom, without the half second that importing scipy.stats takes
     low, high = (total / (2 * float(gammaincinv(free / 2, p))) for p in (0.975, 0.025))

@@ -28,7 +28,7 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
-        _noise(document["noise"]),
+        _noise(touches, document["noise"]),
         histograms(touches),
         row_plots(touches),
         face_maps(touches),
@@ -46,6 +46,16 @@ def _table(document: Mapping[str, Any]) -> Markup:
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
 
 
-def _noise(noise: Mapping[str, float]) -> Markup:
+def _noise(touches: Touches, noise: Mapping[str, Any]) -> Markup:
     ratio, low, high = (fixed(noise[key], 2) for key in ("ratio", "low", "high"))
-    return paragraph(f"Found over stated noise: {ratio} (95 % {low} to {high}); 1 where the noise was stated well.")
+    said = f"Found over stated noise: {ratio} (95 % {low} to {high}); 1 where the noise was stated well."
+    if not touches.calibration.noise.scale:
+        return paragraph(f"{said} Every figure uses the noise as stated.")
+    faces = noise["by_face"].values()
+    stated, used = ([face[key] for face in faces] for key in ("stated_mm", "used_mm"))
+    return paragraph(f"{said} Every figure uses the noise as found: {_span(used)} mm, stated {_span(stated)} mm.")
+
+
+def _span(values: list[float]) -> str:
+    low, high = fixed(min(values), 4), fixed(max(values), 4)
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,140 @@
+"""Noise as the rows show it: what was stated is the least, and what residuals hold on top of it is found.
+
+A residual holds more than the instrument's repeatability: what the joints do not repeat, what the face is not, what the
+model does not say. Fits, weights and intervals that take the stated noise for all of it trust the rows too much and
+bend the arm to follow them. So noise is taken as stated times the factor at which found over used becomes one; the
+prior stays as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, factors
+from casacal.estimators import lm
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.result import Result
+from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval
+from casacal.uncertainty.leverage import leverages
+from casacal.values import FrozenMapping, Value
+
+SETTLED = 0.003
+"""Relative change of the factor that ends the search."""
+
+MOST_ROUNDS = 30
+"""Fits to find it; each round leaves the part of its error that unknowns have of the rows."""
+
+UNEQUAL = 1e-3
+"""Chance of faces alike at which they are taken to differ in noise."""
+
+FEWEST = 8.0
+"""Degrees of freedom of a face that can tell its own noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise(Value):
+    """Found over stated noise with its 95 % interval, and the factor, one or more, with which each face is used.
+
+    In `scale` "" stands for all faces that are not named.
+    """
+
+    ratio: float
+    low: float
+    high: float
+    scale: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scale", FrozenMapping(self.scale))
+
+    @property
+    def used(self) -> tuple[float, float]:
+        """Smallest and largest factor in use."""
+        return min(self.scale.values(), default=1.0), max(self.scale.values(), default=1.0)
+
+
+def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
+    """The noise at which found over used is one, or what was stated where less was found.
+
+    Fits of Levenberg-Marquardt, each with the noise that the one before it found. Faces get factors of their own where
+    they differ more than chance explains (Bartlett's test).
+
+    Args:
+        bound: with the noise as stated; one instrument.
+        loss: a robust loss, whose ignored rows do not count.
+
+    """
+    result, scale = lm(bound, loss=loss), 1.0
+    for _ in range(MOST_ROUNDS):
+        if not result.converged or not math.isfinite(result.cost):
+            break
+        before, scale = scale, max(scale * noise_interval(result)[0], 1.0)
+        if abs(math.log(scale / before)) < SETTLED:
+            break
+        result = lm(bound.with_noise({OTHERS: scale}), start=result.x, loss=loss)
+    common: dict[str, float] = {OTHERS: scale} if scale > 1.0 else {}
+    own = _by_face(result, scale)
+    return noise_over_stated(result, common) if own is None else _settled_by_face(bound, result, own, loss)
+
+
+def _settled_by_face(bound: BoundProblem, result: Result, scale: Mapping[str, float], loss: Loss | None) -> Noise:
+    """The same with a factor for each face."""
+    for _ in range(MOST_ROUNDS):
+        result = lm(bound.with_noise(scale), start=result.x, loss=loss)
+        found = _by_face(result, 1.0, scale)
+        if found is None:
+            break
+        change = max(abs(math.log(found[name] / scale[name])) for name in found)
+        scale = found
+        if change < SETTLED:
+            break
+    return noise_over_stated(result, scale)
+
+
+def noise_over_stated(result: Result, scale: Mapping[str, float]) -> Noise:
+    """What the residuals of a fit, whose rows' noise is what was stated times some factors, show over what was stated."""
+    bound = result.problem
+    assert isinstance(bound, BoundProblem)
+    used, column = bound.block.noise, bound.problem.instrument.groups
+    stated = used / factors(bound.block.samples, column, scale)[:, None]
+    mean = math.sqrt(float((used**2).sum() / (stated**2).sum()))
+    ratio, low, high = (mean * each for each in noise_interval(result))
+    return Noise(ratio, low, high, scale)
+
+
+def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = None) -> dict[str, float] | None:
+    """A factor for each face where they differ in noise, or where they did before; None where they do not."""
+    bound = result.problem
+    assert isinstance(bound, BoundProblem)
+    faces = bound.block.samples.faces(bound.problem.instrument.groups)
+    if len(faces.names) < 2:
+        return None
+    kept = result.weights >= HALF_WEIGHT
+    squares, free = bound.residual(result.x) ** 2 * kept, kept - leverages(bound, result) * kept
+    per_row = bound.rows // len(faces)
+    codes = np.repeat(faces.codes, per_row)
+    total, freedom = (np.bincount(codes, each, len(faces.names)).astype(np.float64) for each in (squares, free))
+    if (freedom < FEWEST).any():
+        return None
+    if scale is None:
+        if _bartlett(total, freedom) > UNEQUAL:
+            return None
+        scale = dict.fromkeys(faces.names, common)
+    found = np.sqrt(total / freedom)
+    return {name: max(scale[name] * float(each), 1.0) for name, each in zip(faces.names, found, strict=True)}
+
+
+def _bartlett(total: Array, freedom: Array) -> float:
+    """Chance that variances, sums of squares (k,) over degrees of freedom (k,), differ so much (Bartlett 1937)."""
+    from scipy.special import gammaincc
+
+    variance, pooled = np.maximum(total / freedom, 1e-300), max(float(total.sum() / freedom.sum()), 1e-300)
+    spread = float(freedom.sum() * math.log(pooled) - (freedom * np.log(variance)).sum())
+    faces = len(total)
+    correction = 1 + (float((1 / freedom).sum()) - 1 / float(freedom.sum())) / (3 * (faces - 1))
+    return float(gammaincc((faces - 1) / 2, max(spread / correction, 0.0) / 2))
