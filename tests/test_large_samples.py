@@ -21,7 +21,7 @@ ROWS = 3000
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
     monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
-    for name, size in (("SECTION", 20_000),):  # several of each
+    for name, size in (("SECTION", 20_000), ("SMALLEST_SECTION", 20_000)):  # several of each
         monkeypatch.setattr(f"casacal.tables.large_csv.{name}", size)
 
 

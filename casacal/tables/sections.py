@@ -43,8 +43,12 @@ class Gathered:
         self._known: dict[str, dict[str, int]] = {name: {} for name in form.texts}
         self._lines: list[range | tuple[int, ...]] = []
 
-    def add(self, rows: Rows) -> None:
-        """The rows of the next section; raises ValueError where its numbers have another decimal mark."""
+    def add(self, section: Sequence[Rows]) -> None:
+        """All rows of the next section; raises ValueError where its numbers have another decimal mark."""
+        for rows in section:
+            self._add(rows)
+
+    def _add(self, rows: Rows) -> None:
         here = slice(self._count, self._count + len(rows.lines))
         self._marks = self._marks or rows.mark
         if rows.mark not in ("", self._marks):
