@@ -144,7 +144,7 @@ def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monk
     lines = text().splitlines()
     order = [3, 0, 1, 2]  # a label comes first, so that nothing but # tells a comment from a row
     lines = [",".join(line.split(",")[k] for k in order) for line in lines]
-    lines.insert(1500, "# left,1,2,3")
+    lines.insert(1500, "# left: 1,2,3")
     file = tmp_path / "s.csv"
     file.write_text("\n".join(lines) + "\n")
     sections = []

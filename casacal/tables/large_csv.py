@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from casacal.errors import SamplesError
 from casacal.tables.columns import Columns
+from casacal.tables.comments import is_number, rows_begin_with_text
 from casacal.tables.grammar import LINE_END, check_header, delimiter_of, logical_lines, numbered_rows, refuse_controls
 from casacal.tables.labels import Labels
 from casacal.tables.plain_cells import accountable, accounted
@@ -62,6 +63,8 @@ def read_large_csv(
             if wanted:
                 form = Form(delimiter, header, wanted, tuple(name for name in labels if name in header))
                 digest, gathered = _read(file, path, before, line, form)
+                if gathered.doubtful and rows_begin_with_text(path, line, delimiter):
+                    return None
                 return gathered.columns(path, digest, line)
     return None
 
@@ -148,14 +151,17 @@ def _cell_by_cell(data: bytes, name: str, first: int, form: Form) -> Rows:
     text = data.decode("utf-8")
     if len(LINE_END.findall(text)) != data.count(b"\n"):
         raise ValueError("lines that end otherwise")
-    table = table_of_lines(text, name, form.names, first, form.delimiter)
+    table, comments = table_of_lines(text, name, form.names, first, form.delimiter)
+    places = [form.names.index(name) for name in form.numbers]
+    doubtful = 0 not in places and any(all(is_number(cells[k]) for k in places) for _, cells in comments)
     marks = ""
     if form.delimiter != ",":
         comma, point = decimal_marks(table)
         marks, table = "," if comma else "." if point else "", replace(table, decimal_comma=comma is not None)
     numbers = {name: np.array(table.numbers(name), dtype=np.float64) for name in form.numbers}
     labels = {name: Labels.of(table.column(name)) for name in form.texts}
-    return Rows(numbers, {name: (each.names, each.codes) for name, each in labels.items()}, table.lines, marks)
+    coded = {name: (each.names, each.codes) for name, each in labels.items()}
+    return Rows(numbers, coded, table.lines, marks, doubtful)
 
 
 def _parsed(plain: Plain, lines: range, form: Form) -> Rows | None:

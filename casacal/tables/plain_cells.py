@@ -37,7 +37,7 @@ def accountable(data: bytes, lines: int, form: Form) -> Plain | None:
 
 def accounted(rows: Rows, plain: Plain, form: Form) -> Rows | None:
     """The rows that were read of lines, labels without their quotes; None unless both hold the same signs."""
-    labels: dict[str, tuple[Sequence[str], NDArray[Any]]] = {}
+    labels = {}
     written: list[tuple[str, int]] = []
     for name, (found, codes) in rows.labels.items():
         said = _said(found, form, first=name == form.names[0])
