@@ -63,6 +63,10 @@ def forbidden(*given):
         text(";", ",").replace("left", '"le,ft"').replace("N/A", "2.5.2026 äöü"),
         text().replace("left", "01").replace("N/A", "1"),
         text().replace("left", "True"),
+        text().replace("left", '"#1"').replace("upper wall", "see #2"),
+        text(";", ",").replace("left", "a, b").replace("upper wall", "1,5"),
+        "\n".join(",".join(line.split(",")[k] for k in (3, 0, 1, 2)) for line in text().splitlines()),
+        "\n".join(f"{line},{'date' if i == 0 else '02/03'}" for i, line in enumerate(text().splitlines())),
         "\n".join(f"{'time' if i == 0 else f'12:{i}'},{line}" for i, line in enumerate(text().splitlines())),
     ],
     ids=[
@@ -79,6 +83,10 @@ def forbidden(*given):
         "marks in remarks",
         "zeros before labels",
         "words",
+        "hashes",
+        "marks in labels",
+        "labels first",
+        "dates",
         "times",
     ],
 )
@@ -162,6 +170,27 @@ def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monk
     np.testing.assert_array_equal(found.joints, expected.joints)
     assert found.labels["plane"] == expected.labels["plane"]
     assert tuple(found.lines) == tuple(expected.lines)
+
+
+def test_a_byte_order_mark_within_a_file_is_part_of_its_label(tmp_path):
+    """pandas takes it off where it begins what pandas reads, which is a section."""
+    order = [3, 0, 1, 2]
+    lines = [",".join(line.split(",")[k] for k in order) for line in text().replace("left", "\ufeffleft").splitlines()]
+    file = tmp_path / "s.csv"
+    for each in (lines, [f"{line},{'note' if k == 0 else 'x'}" for k, line in enumerate(lines)]):
+        file.write_text("\n".join(each) + "\n")
+        expected = Samples.from_table(read_table(file), LAYOUT)
+        assert "\ufeffleft" in expected.labels["plane"].names
+        assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
+
+
+def test_as_many_labels_as_rows_are_labels(tmp_path):
+    made = text().splitlines()
+    lines = [line.replace("left", f"left {k}") for k, line in enumerate(made)]
+    file = tmp_path / "s.csv"
+    file.write_text("\n".join(lines) + "\n")
+    expected = Samples.from_table(read_table(file), LAYOUT)
+    assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
 
 
 def test_two_decimal_marks_are_refused_however_far_apart(tmp_path):
@@ -270,6 +299,15 @@ def test_labels_read_like_a_tuple():
     distinct, codes = combinations([labels, other], 4)
     assert [distinct[code] for code in codes] == [("b", "x"), ("a", "y"), ("b", "x"), ("c", "x")]
     assert combinations([], 3)[0] == [()]
+
+
+@pytest.mark.parametrize("spread", [1, 1000])
+def test_labels_are_numbered_as_they_appear(spread):
+    """Few numbers are counted, numbers far apart are sorted: both give the same."""
+    codes = np.random.default_rng(3).integers(40, size=500)
+    labels = Labels([f"n{k}" for k in range(40 * spread)], codes * spread)
+    assert labels == tuple(f"n{code * spread}" for code in codes)
+    assert labels.names == tuple(dict.fromkeys(labels))
 
 
 def test_thousands_of_rows_propose_the_plane_that_few_do(hsr):

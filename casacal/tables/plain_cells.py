@@ -21,6 +21,8 @@ from casacal.tables.sections import Rows
 
 PIECE = 1 << 16
 """Signs that are looked at together: as many as stay near the processor, and need no new memory of the system."""
+FEW = 1000
+"""Different labels that are soon gone through one by one, however many rows there are."""
 USUAL = b"0123456789-."
 """Signs of numbers that are expected in every file."""
 _WHOLLY_QUOTED = re.compile(r'"[^"]*"')
@@ -40,7 +42,8 @@ def accounted(rows: Rows, plain: Plain, form: Form) -> Rows | None:
     labels = {}
     written: list[tuple[str, int]] = []
     for name, (found, codes) in rows.labels.items():
-        said = _said(found, form, first=name == form.names[0])
+        few = len(found) <= FEW + plain.lines // 4
+        said = _said(found, form, first=name == form.names[0]) if few else None
         if said is None:
             return None
         labels[name] = said, codes
@@ -55,9 +58,12 @@ def accounted(rows: Rows, plain: Plain, form: Form) -> Rows | None:
 
 def _mark(plain: Plain, written: list[tuple[str, int]]) -> str:
     """The decimal mark, or "" where no number has it; labels may hold numbers, too."""
-    beside = sum(times * label.count(plain.mark) for label, times in written) if plain.mark else 0
-    among = any(NUMBER.fullmatch(label.strip('"').strip().replace(",", ".")) for label, _ in written)
-    return plain.mark if plain.mark and (among or count(plain.data, plain.mark.encode()) > beside) else ""
+    if not plain.mark:
+        return ""
+    marked = [(label, times) for label, times in written if plain.mark in label]
+    among = any(NUMBER.fullmatch(label.strip('"').strip().replace(",", ".")) for label, _ in marked)
+    beside = sum(times * label.count(plain.mark) for label, times in marked)
+    return plain.mark if among or count(plain.data, plain.mark.encode()) > beside else ""
 
 
 def _said(written: Sequence[Any], form: Form, *, first: bool) -> list[str] | None:
