@@ -39,6 +39,7 @@ def test_plain(form, written, data, mark):
         (LABELLED, "a,1,x,y\n"),
         (LABELLED, "a,1,x\n\nb,2,y\n"),
         (LABELLED, 'a,1,"x,y"\n'),
+        (LABELLED, 'a,"1,x"\n'),
         (LABELLED, 'a,1,"x\n'),
         (LABELLED, 'a,1,5" wall 6"\n'),
         (LABELLED, 'a,1, "x"\n'),
