@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -38,9 +39,9 @@ LARGE_FILE = 1 << 21
 SECTION = 1 << 22
 """Bytes that one thread reads, more or less: enough to be worth a call of pandas, which takes as long as 300 KB."""
 SMALLEST_SECTION = 1 << 18
-"""Bytes of the last ones, so that threads end together; no more than that is read cell by cell for one odd line."""
+"""Bytes that are read cell by cell for one odd line, at most."""
 MOST_THREADS = 4
-"""One thread makes the file's SHA-256, and has no time for more that parse."""
+"""One thread puts together what they have read, and has no time for more."""
 
 
 def read_large_csv(
@@ -91,13 +92,19 @@ def _header(file: BinaryIO, name: str) -> tuple[bytes, int, str, tuple[str, ...]
 def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> tuple[str, Gathered]:
     """SHA-256 of the file, and the rows of its sections; raises ValueError, SamplesError for what is not understood."""
     size, threads = path.stat().st_size, min(thread_count(), MOST_THREADS)
-    digest, gathered = hashlib.sha256(before), Gathered(size, form)
+    digest, gathered = _Digest(before), Gathered(size, form)
     pool, waiting = ThreadPoolExecutor(threads), deque[Any]()
+
+    def rows_of(data: bytes, lines: range) -> list[Rows]:
+        rows = _rows(data, str(path), lines, form)
+        digest.go_on()
+        return rows
+
     try:
         for data in _sections(file, size, threads):
             lines = count(data, b"\n") + (not data.endswith(b"\n"))
-            waiting.append(pool.submit(_rows, data, str(path), range(line + 1, line + 1 + lines), form))
-            digest.update(data)
+            digest.add(data)
+            waiting.append(pool.submit(rows_of, data, range(line + 1, line + 1 + lines)))
             line += lines
             while waiting and (waiting[0].done() or len(waiting) > 2 * threads):
                 gathered.add(waiting.popleft().result())
@@ -106,14 +113,42 @@ def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> t
     finally:
         pool.shutdown(cancel_futures=True)
     _give_back()
-    return digest.hexdigest(), gathered
+    return digest.all(), gathered
+
+
+class _Digest:
+    """SHA-256 of bytes in their order, by whichever thread has time: none is kept for it that would wait for another's.
+
+    As many threads as processors then do all work.
+    """
+
+    def __init__(self, first: bytes) -> None:
+        self._sha, self._waiting, self._busy = hashlib.sha256(first), deque[bytes](), Lock()
+
+    def add(self, data: bytes) -> None:
+        """What comes next, to be dealt with some time."""
+        self._waiting.append(data)
+
+    def go_on(self) -> None:
+        """Deal with all that waits, unless another thread does."""
+        if self._busy.acquire(blocking=False):
+            try:
+                while self._waiting:
+                    self._sha.update(self._waiting.popleft())
+            finally:
+                self._busy.release()
+
+    def all(self) -> str:
+        """The digest of all that was added, once no thread is at work."""
+        self.go_on()
+        return self._sha.hexdigest()
 
 
 def _sections(file: BinaryIO, size: int, threads: int) -> Iterator[bytes]:
     """The rest of a file in pieces of whole lines; raises ValueError for a line longer than a piece."""
     start = file.tell()
     while True:
-        some = min(SECTION, max((size - start) // (4 * threads), SMALLEST_SECTION))
+        some = min(SECTION, max((size - start) // (2 * threads), SECTION // 4))  # so that threads end together
         file.seek(start + some)
         if len(file.readline(SECTION)) == SECTION:
             raise ValueError("a long line")
