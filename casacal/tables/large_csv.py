@@ -10,14 +10,12 @@ from __future__ import annotations
 import contextlib
 import csv
 import ctypes
-import hashlib
 import io
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -26,6 +24,7 @@ from numpy.typing import NDArray
 from casacal.errors import SamplesError
 from casacal.tables.columns import Columns
 from casacal.tables.comments import is_number, rows_begin_with_text
+from casacal.tables.digests import SharedDigest
 from casacal.tables.grammar import LINE_END, check_header, delimiter_of, logical_lines, numbered_rows, refuse_controls
 from casacal.tables.labels import Labels
 from casacal.tables.plain_cells import accountable, accounted
@@ -92,7 +91,7 @@ def _header(file: BinaryIO, name: str) -> tuple[bytes, int, str, tuple[str, ...]
 def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> tuple[str, Gathered]:
     """SHA-256 of the file, and the rows of its sections; raises ValueError, SamplesError for what is not understood."""
     size, threads = path.stat().st_size, min(thread_count(), MOST_THREADS)
-    digest, gathered = _Digest(before), Gathered(size, form)
+    digest, gathered = SharedDigest(before), Gathered(size, form)
     pool, waiting = ThreadPoolExecutor(threads), deque[Any]()
 
     def rows_of(data: bytes, lines: range) -> list[Rows]:
@@ -114,34 +113,6 @@ def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> t
         pool.shutdown(cancel_futures=True)
     _give_back()
     return digest.all(), gathered
-
-
-class _Digest:
-    """SHA-256 of bytes in their order, by whichever thread has time: none is kept for it that would wait for another's.
-
-    As many threads as processors then do all work.
-    """
-
-    def __init__(self, first: bytes) -> None:
-        self._sha, self._waiting, self._busy = hashlib.sha256(first), deque[bytes](), Lock()
-
-    def add(self, data: bytes) -> None:
-        """What comes next, to be dealt with some time."""
-        self._waiting.append(data)
-
-    def go_on(self) -> None:
-        """Deal with all that waits, unless another thread does."""
-        if self._busy.acquire(blocking=False):
-            try:
-                while self._waiting:
-                    self._sha.update(self._waiting.popleft())
-            finally:
-                self._busy.release()
-
-    def all(self) -> str:
-        """The digest of all that was added, once no thread is at work."""
-        self.go_on()
-        return self._sha.hexdigest()
 
 
 def _sections(file: BinaryIO, size: int, threads: int) -> Iterator[bytes]:
