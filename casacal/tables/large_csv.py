@@ -1,8 +1,9 @@
 """CSV files of a million rows: section by section, by threads.
 
-The grammar is that of `text`, cell by cell, and so is every refusal. A section whose lines are proven plain is given to
-pandas, which reads them a hundred times as fast; any other section is read by `text`; and a file in which anything is
-wrong is read by `text` from its beginning, which can say what.
+The grammar is that of `text`, cell by cell, and so is every refusal. pandas reads a hundred times as fast, and is
+believed where lines are proven plain: by an account of what it found, or where that cannot be given, beforehand. Any
+other section is halved until little is left to be read by `text`; and a file in which anything is wrong is read by
+`text` from its beginning, which can say what.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def _read(file: BinaryIO, path: Path, before: bytes, line: int, form: Form) -> t
             digest.add(data)
             waiting.append(pool.submit(rows_of, data, range(line + 1, line + 1 + lines)))
             line += lines
-            while waiting and (waiting[0].done() or len(waiting) > 2 * threads):
+            while waiting and (waiting[0].done() or len(waiting) > threads + 1):
                 gathered.add(waiting.popleft().result())
         while waiting:
             gathered.add(waiting.popleft().result())
