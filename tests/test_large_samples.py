@@ -1,6 +1,8 @@
 """Samples by the million: large text files and arrays give what small ones do, or are refused as they are."""
 
+import hashlib
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -10,6 +12,7 @@ from casacal import bind
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
+from casacal.tables.digests import SharedDigest
 from casacal.tables.labels import Labels, combinations
 from casacal.tables.read import read_columns
 from casacal.tables.text import read_table, table_of_lines
@@ -191,6 +194,17 @@ def test_as_many_labels_as_rows_are_labels(tmp_path):
     file.write_text("\n".join(lines) + "\n")
     expected = Samples.from_table(read_table(file), LAYOUT)
     assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
+
+
+def test_a_digest_by_several_threads_is_that_of_all_bytes_in_order():
+    pieces = [bytes([k % 251]) * (5000 + k) for k in range(300)]
+    digest = SharedDigest(b"begin")
+    with ThreadPoolExecutor(4) as pool:
+        for piece in pieces[:-1]:
+            digest.add(piece)
+            pool.submit(digest.go_on)
+    digest.add(pieces[-1])  # for which no thread had time
+    assert digest.all() == hashlib.sha256(b"begin" + b"".join(pieces)).hexdigest()
 
 
 def test_two_decimal_marks_are_refused_however_far_apart(tmp_path):
