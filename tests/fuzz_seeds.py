@@ -12,7 +12,8 @@ from openpyxl import Workbook
 CSV_TOKENS = (
     b"\xff", b"\xc3", b"\xff\xfe", b"\xed\xa0\x80",
     *(token.encode() for token in (
-        "#", "# a remark", " # x", "\t# x", '"', '""', '"a,b"', '"a;b"', ",", ";", "\t", "\n", "\r", "\r\n", "\n\n",
+        "#", "# a remark", " # x", "\t# x", "#1", '"#1"',
+        '"', '""', '"a,b"', '"a;b"', ",", ";", "\t", "\n", "\r", "\r\n", "\n\n",
         "\x00", "\x01", "\x0b", "\f", "\x1f", "\x7f", "\x85", "\ufeff", "\u2028", "\u00a0", "\u3000", " ", "  ", "nan",
         "NaN", "inf", "-Infinity", "True", "FALSE", "None", "NA", "1_000", "1_0.5", "0x1F", "1e5", "1e999", "1e-999",
         "1e-310", "1e4294967297", "1E+05", "1e", "1e+", "1d3", ".", "+", "-", "+.5", "5.", "-0", "0012", "1 2", "--1",
@@ -48,7 +49,7 @@ def _csv(path: Path, rng: random.Random) -> Path:
     mark = "," if delimiter != "," and rng.random() < 0.5 else "."
     digits = rng.choice(("{:.1f}", "{:.4f}", "{!r}", "{:.18e}", "{:.0f}", "{:g}"))
     number = lambda low, high: digits.format(rng.uniform(low, high)).replace(".", mark)  # noqa: E731
-    planes = rng.choice((("left", "right"), ("1", "2"), ("a b", f'"x{delimiter}y"'), ('"1"', '"2"'), ("wänd", "Tür")))
+    planes = rng.choice((("left", "right"), ("1", "2"), ("a b", f'"x{delimiter}y"'), ('"#1"', '"2"'), ("wänd", "Tür")))
     columns = {
         "q1_deg": lambda: number(-180, 180),
         "q2_mm": lambda: number(0, 900),
@@ -62,8 +63,10 @@ def _csv(path: Path, rng: random.Random) -> Path:
         rng.shuffle(names)
     lines = [delimiter.join(names)]
     lines += [delimiter.join(columns[name]() for name in names) for _ in range(rng.choice((1, 12, 40)))]
+    taken_out = "# a remark" if names[0] in ("plane", "note") else f"#{lines[-1]}"
     for _ in range(rng.choice((0, 0, 0, 1, 3))):
-        lines.insert(rng.randrange(len(lines)), rng.choice(("", "# a remark", "  ", "#,,,")))
+        prose = delimiter.join(["# measured by Ann", " on Monday", " with care"])
+        lines.insert(rng.randrange(len(lines)), rng.choice(("", "# a remark", "  ", "#,,,", prose, taken_out)))
     if rng.random() < 0.1:
         lines = [" " + line.replace(delimiter, f" {delimiter} ") for line in lines]
     end = rng.choice(("\n", "\n", "\n", "\r\n", "\r"))

@@ -155,6 +155,8 @@ def test_bad_csv_is_refused_by_line(file, old, new, words):
         ("coupling = [[3, 2, -1.0]]", "coupling = [[3, 2]]", "coupling is"),
         ("a_m = 0.4318", 'a_m = "0.4318"', "joint 2: a_m is '0.4318'"),
         ("a_m = 0.4318", "a_m = nan", "joint 2: a_m is nan"),
+        ("a_m = 0.4318", "a_m = " + "4" * 5000, "a whole number has thousands of digits"),
+        ("a_m = 0.4318", "a_m = " + "4" * 400, "joint 2: a_m is 4"),
         ("a_m = 0.4318", "a_m = 431.8", "the largest length is 431800 mm"),
         ("[[joint]]", "[joint]", "Write .*joint|not TOML"),
         ("lower_deg = -110\n", "", "joint 4: there is no lower"),

@@ -1,6 +1,8 @@
 """Samples by the million: large text files and arrays give what small ones do, or are refused as they are."""
 
+import hashlib
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -10,6 +12,7 @@ from casacal import bind
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
+from casacal.tables.digests import SharedDigest
 from casacal.tables.labels import Labels, combinations
 from casacal.tables.read import read_columns
 from casacal.tables.text import read_table, table_of_lines
@@ -21,7 +24,7 @@ ROWS = 3000
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
     monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
-    for name, size in (("SECTION", 20_000),):  # several of each
+    for name, size in (("SECTION", 20_000), ("SMALLEST_SECTION", 20_000)):  # several of each
         monkeypatch.setattr(f"casacal.tables.large_csv.{name}", size)
 
 
@@ -63,6 +66,10 @@ def forbidden(*given):
         text(";", ",").replace("left", '"le,ft"').replace("N/A", "2.5.2026 äöü"),
         text().replace("left", "01").replace("N/A", "1"),
         text().replace("left", "True"),
+        text().replace("left", '"#1"').replace("upper wall", "see #2"),
+        text(";", ",").replace("left", "a, b").replace("upper wall", "1,5"),
+        "\n".join(",".join(line.split(",")[k] for k in (3, 0, 1, 2)) for line in text().splitlines()),
+        "\n".join(f"{line},{'date' if i == 0 else '02/03'}" for i, line in enumerate(text().splitlines())),
         "\n".join(f"{'time' if i == 0 else f'12:{i}'},{line}" for i, line in enumerate(text().splitlines())),
     ],
     ids=[
@@ -79,6 +86,10 @@ def forbidden(*given):
         "marks in remarks",
         "zeros before labels",
         "words",
+        "hashes",
+        "marks in labels",
+        "labels first",
+        "dates",
         "times",
     ],
 )
@@ -144,7 +155,7 @@ def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monk
     lines = text().splitlines()
     order = [3, 0, 1, 2]  # a label comes first, so that nothing but # tells a comment from a row
     lines = [",".join(line.split(",")[k] for k in order) for line in lines]
-    lines.insert(1500, "# left,1,2,3")
+    lines.insert(1500, "# left: 1,2,3")
     file = tmp_path / "s.csv"
     file.write_text("\n".join(lines) + "\n")
     sections = []
@@ -162,6 +173,38 @@ def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monk
     np.testing.assert_array_equal(found.joints, expected.joints)
     assert found.labels["plane"] == expected.labels["plane"]
     assert tuple(found.lines) == tuple(expected.lines)
+
+
+def test_a_byte_order_mark_within_a_file_is_part_of_its_label(tmp_path):
+    """pandas takes it off where it begins what pandas reads, which is a section."""
+    order = [3, 0, 1, 2]
+    lines = [",".join(line.split(",")[k] for k in order) for line in text().replace("left", "\ufeffleft").splitlines()]
+    file = tmp_path / "s.csv"
+    for each in (lines, [f"{line},{'note' if k == 0 else 'x'}" for k, line in enumerate(lines)]):
+        file.write_text("\n".join(each) + "\n")
+        expected = Samples.from_table(read_table(file), LAYOUT)
+        assert "\ufeffleft" in expected.labels["plane"].names
+        assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
+
+
+def test_as_many_labels_as_rows_are_labels(tmp_path):
+    made = text().splitlines()
+    lines = [line.replace("left", f"left {k}") for k, line in enumerate(made)]
+    file = tmp_path / "s.csv"
+    file.write_text("\n".join(lines) + "\n")
+    expected = Samples.from_table(read_table(file), LAYOUT)
+    assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
+
+
+def test_a_digest_by_several_threads_is_that_of_all_bytes_in_order():
+    pieces = [bytes([k % 251]) * (5000 + k) for k in range(300)]
+    digest = SharedDigest(b"begin")
+    with ThreadPoolExecutor(4) as pool:
+        for piece in pieces[:-1]:
+            digest.add(piece)
+            pool.submit(digest.go_on)
+    digest.add(pieces[-1])  # for which no thread had time
+    assert digest.all() == hashlib.sha256(b"begin" + b"".join(pieces)).hexdigest()
 
 
 def test_two_decimal_marks_are_refused_however_far_apart(tmp_path):
@@ -270,6 +313,15 @@ def test_labels_read_like_a_tuple():
     distinct, codes = combinations([labels, other], 4)
     assert [distinct[code] for code in codes] == [("b", "x"), ("a", "y"), ("b", "x"), ("c", "x")]
     assert combinations([], 3)[0] == [()]
+
+
+@pytest.mark.parametrize("spread", [1, 1000])
+def test_labels_are_numbered_as_they_appear(spread):
+    """Few numbers are counted, numbers far apart are sorted: both give the same."""
+    codes = np.random.default_rng(3).integers(40, size=500)
+    labels = Labels([f"n{k}" for k in range(40 * spread)], codes * spread)
+    assert labels == tuple(f"n{code * spread}" for code in codes)
+    assert labels.names == tuple(dict.fromkeys(labels))
 
 
 def test_thousands_of_rows_propose_the_plane_that_few_do(hsr):

@@ -49,8 +49,17 @@ def refuse_controls(text: str, file: str, first: int = 1) -> None:
 
 def logical_lines(text: str, first: int = 1) -> list[tuple[int, str]]:
     """Lines that are neither blank nor comments, each with its number; `first` is the number of the first line."""
-    lines = LINE_END.split(text)
-    return [(i, line) for i, line in enumerate(lines, first) if line.strip() and not line.lstrip().startswith("#")]
+    return lines_and_comments(text, first)[0]
+
+
+def lines_and_comments(text: str, first: int = 1) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
+    """The logical lines, and those that begin with #, each with its number; `first` is the number of the first line."""
+    lines: list[tuple[int, str]] = []
+    comments: list[tuple[int, str]] = []
+    for number, line in enumerate(LINE_END.split(text), first):
+        if begun := line.lstrip():
+            (comments if begun.startswith("#") else lines).append((number, line))
+    return lines, comments
 
 
 def delimiter_of(header: str) -> str:

@@ -95,6 +95,14 @@ def rows_by_code(codes: NDArray[Any], count: int) -> list[NDArray[np.intp]]:
 
 def _in_order(values: NDArray[Any]) -> tuple[NDArray[np.intp], Codes]:
     """First rows of the different values, in order, and for each row (N,) which of them it has."""
+    if values.size and values.min() >= 0 and values.max() < 4 * values.size:  # counting is sooner done than sorting
+        firsts = np.full(int(values.max()) + 1, values.size, dtype=np.intp)
+        np.minimum.at(firsts, values, np.arange(values.size))
+        found = np.flatnonzero(firsts < values.size)
+        order = np.argsort(firsts[found])
+        numbered = np.zeros(len(firsts), dtype=np.int32)
+        numbered[found[order]] = np.arange(len(found))
+        return firsts[found[order]], numbered[values]
     _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
     return first[order], np.argsort(order).astype(np.int32)[inverse.ravel()]

@@ -1,6 +1,7 @@
 """Proof that lines are plain: that a reader which knows delimiters and line ends alone reads what the grammar reads.
 
-Whatever is not proven is not wrong, only not plain: it is read cell by cell.
+Whatever is not proven is not wrong, only not plain: it is read cell by cell. What numbers are made of is taken out
+first, once: the seventh part that remains holds all that there is to prove, and is soon gone through.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.tables.grammar import NUMBER
-
-NEWLINE = ord("\n")
-DIGITS = b"0123456789+-.eE"
-"""Of which numbers are made, apart from a decimal comma."""
-SHOWN = bytes(range(32, 127)) + b"\t\r"
+NEWLINE, QUOTE = ord("\n"), ord('"')
+DIGITS = b"0123456789+-eE"
+"""Of which numbers are made, apart from decimal marks."""
+NUMERIC = {",": DIGITS + b" \t.", ";": DIGITS + b" \t.,", "\t": DIGITS + b" .,"}
+"""By delimiter, of what a cell may be made that is read as a number; or refused, as 1.2.3 is."""
+BYTE_ORDER_MARK = "\ufeff".encode()
+SHOWN = bytes(range(32, 127)) + b"\t"
 HIGH = bytes(range(128, 256))
 
-DIGIT, BLANK, HASH, OTHER, FOREIGN, POINT, COMMA = (1 << k for k in range(7))
-"""What a cell may hold, as bits: of numbers, blanks, #, other signs of ASCII, what lies beyond, and decimal marks."""
-NUMERIC = DIGIT | BLANK | POINT | COMMA
+OTHER, FOREIGN, POINT, COMMA = (1 << k for k in range(4))
+"""What the rest of a cell may hold, as bits: signs of ASCII, what lies beyond, and decimal marks."""
 
 
 @dataclass(frozen=True)
@@ -45,30 +46,36 @@ class Plain:
 
 def proven(data: bytes, form: Form) -> Plain | None:
     """Whole lines as plain ones, or None where that is not proven."""
-    delimiter = form.delimiter.encode()
+    if not cells_are_short(data) or (ended := ended_by_newlines(data)) is None:
+        return None
+    data = ended
+    rest = data.translate(None, _TAKEN_OUT[form.delimiter])
+    if rest.startswith(BYTE_ORDER_MARK) or rest.translate(None, SHOWN + HIGH + b"\n") or not _decodes(data):
+        return None
+    if b"#" in rest and _has_comment(data):
+        return None
+    if b'"' in rest:
+        if not _quotes_whole_cells(data, rest, form.delimiter):
+            return None
+        data, rest = data.replace(b'"', b""), rest.replace(b'"', b"")
+    ends = _ends(rest, form)
+    mark = None if ends is None else _mark_of_cells(rest, ends, form)
+    return None if ends is None or mark is None else Plain(data, len(ends) // len(form.names), mark)
+
+
+def ended_by_newlines(data: bytes) -> bytes | None:
+    """The same lines, each ended by a newline alone; None where a line ends otherwise."""
     if not data.endswith(b"\n"):
         data += b"\n"
-    unusual = data.translate(None, DIGITS + b",\n" + delimiter)
-    if unusual.translate(None, SHOWN + HIGH) or not _decodes(data):
-        return None
-    if b"\r" in unusual:
-        if data.count(b"\r\n") != unusual.count(b"\r"):
-            return None
-        data = data.replace(b"\r\n", b"\n")
-    lines = count(data, b"\n")
-    if not unusual and len(form.numbers) == len(form.names):
-        # a cell too many leaves a line with one too few, and no reader takes an empty cell for a number
-        whole = count(data, delimiter) == lines * (len(form.names) - 1)
-        marks = "" if form.delimiter == "," else "".join(mark for mark in ",." if mark.encode() in data)
-        return Plain(data, lines, marks) if whole and len(marks) < 2 else None
-    ends = _ends(data, lines, form)
-    if ends is not None and b'"' in unusual:
-        if not _quotes_whole_cells(data, ends):
-            return None
-        data = data.replace(b'"', b"")
-        ends = _ends(data, lines, form)
-    mark = None if ends is None else _mark_of_cells(data, ends, form)
-    return None if mark is None else Plain(data, lines, mark)
+    if b"\r" not in data:
+        return data
+    return data.replace(b"\r\n", b"\n") if data.count(b"\r\n") == count(data, b"\r") else None
+
+
+def cells_are_short(data: bytes) -> bool:
+    """Whether no line, and so no cell, is longer than a cell may be: twice a stretch in which each time one ends."""
+    step = max(csv.field_size_limit() // 2, 1)
+    return all(data.find(b"\n", at, at + step) >= 0 for at in range(0, len(data) - step + 1, step))
 
 
 def count(data: bytes, sign: bytes) -> int:
@@ -83,48 +90,51 @@ def _decodes(data: bytes) -> bool:
         return False
 
 
-def _ends(data: bytes, lines: int, form: Form) -> NDArray[np.intp] | None:
-    """Where the cells of lines end; None unless each line has as many as the header, none longer than may be."""
-    signs, width = np.frombuffer(data, dtype=np.uint8), len(form.names)
+def _has_comment(data: bytes) -> bool:
+    """Whether # begins a line, be it after blanks."""
+    signs = np.frombuffer(data, dtype=np.uint8)
+    starts = np.concatenate([[0], np.flatnonzero(signs[:-1] == NEWLINE) + 1])
+    odd = starts[_BEFORE_COMMENTS[signs[starts]]].tolist()
+    return any(data[at : data.index(b"\n", at)].decode("utf-8").lstrip().startswith("#") for at in odd)
+
+
+def _quotes_whole_cells(data: bytes, rest: bytes, delimiter: str) -> bool:
+    """Whether each quote opens or closes a cell, with no delimiter, line end or further quote between the two."""
+    signs = np.frombuffer(data, dtype=np.uint8)
+    quotes = np.flatnonzero(signs == QUOTE)
+    if len(quotes) % 2:
+        return False
+    beside = np.concatenate([signs[quotes[::2] - 1], signs[quotes[1::2] + 1]])  # before the first is the last newline
+    pairs = rest.translate(None, _NO_STRUCTURE[delimiter]).replace(b'""', b"")
+    return b'"' not in pairs and bool(((beside == NEWLINE) | (beside == ord(delimiter))).all())
+
+
+def _ends(rest: bytes, form: Form) -> NDArray[np.intp] | None:
+    """Where the cells of lines end; None unless each line has as many as the header."""
+    signs, width = np.frombuffer(rest, dtype=np.uint8), len(form.names)
     breaks = signs == NEWLINE
     ends = np.flatnonzero(breaks | (signs == ord(form.delimiter)))
-    if len(ends) != lines * width or not breaks[ends[width - 1 :: width]].all():
-        return None
-    return ends if np.diff(ends, prepend=-1).max() <= csv.field_size_limit() else None
+    lines, beyond = divmod(len(ends), width)
+    return ends if not beyond and np.count_nonzero(breaks) == lines and breaks[ends[width - 1 :: width]].all() else None
 
 
-def _quotes_whole_cells(data: bytes, ends: NDArray[np.intp]) -> bool:
-    """Whether each quote opens or closes a cell, with no delimiter, line end or further quote between the two."""
-    quotes = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == ord('"'))
-    opening, closing = quotes[::2], quotes[1::2]
-    if len(opening) != len(closing):
-        return False
-    cell = np.searchsorted(ends, opening)
-    first = np.where(cell > 0, ends[cell - 1] + 1, 0)
-    return bool((opening == first).all() and (closing == ends[cell] - 1).all())
-
-
-def _mark_of_cells(data: bytes, ends: NDArray[np.intp], form: Form) -> str | None:
-    """The decimal mark of all numbers; None where there are two, where numbers hold other signs, or # begins a line."""
-    kinds = np.frombuffer(data.translate(_KINDS[form.delimiter]), dtype=np.uint8)
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    held = np.bitwise_or.reduceat(kinds, starts).reshape(-1, len(form.names))
-    numbers = [form.names.index(name) for name in form.numbers]
-    found = int(np.bitwise_or.reduce(held[:, numbers], axis=None))
-    first = held[:, 0]  # where it is blank, a # after it begins the line, if tabs are between the cells
-    if b"#" in data and ((first & HASH) | ((first & (DIGIT | POINT | COMMA | OTHER)) == 0)).any():
-        return None
-    if found & ~NUMERIC:
-        return None
+def _mark_of_cells(rest: bytes, ends: NDArray[np.intp], form: Form) -> str | None:
+    """The decimal mark of all numbers, or of what may be one; None where there are two, or numbers hold other signs."""
+    width, numbers = len(form.names), [form.names.index(name) for name in form.numbers]
+    sizes = np.diff(ends, prepend=-1)  # each with its end
     if form.delimiter == ",":
-        return ""
+        return "" if all((sizes[column::width] == 1).all() for column in numbers) else None
+    kinds = np.frombuffer(rest.translate(_KINDS[form.delimiter]), dtype=np.uint8)
+    held = np.bitwise_or.reduceat(kinds, ends - sizes + 1).reshape(-1, width)
+    found = int(np.bitwise_or.reduce(held[:, numbers], axis=None))
+    if found & (OTHER | FOREIGN):
+        return None
     marks = {mark for mark, bit in ((",", COMMA), (".", POINT)) if found & bit}
     held[:, numbers] = 0  # others may hold numbers, too; or dates, which are none
-    odd = np.flatnonzero((held & (POINT | COMMA)).astype(bool) & ~(held & (OTHER | HASH)).astype(bool))
-    for written in {data[start:end] for start, end in zip(starts[odd].tolist(), ends[odd].tolist(), strict=True)}:
-        text = written.decode("utf-8").strip()
-        if NUMBER.fullmatch(text.replace(",", ".")):
-            marks.add("," if "," in text else ".")
+    odd = np.flatnonzero((held & (POINT | COMMA)).astype(bool) & ~(held & OTHER).astype(bool))
+    for left in {rest[end - size + 1 : end] for end, size in zip(ends[odd].tolist(), sizes[odd].tolist(), strict=True)}:
+        if left.count(b",") + left.count(b".") == 1:
+            marks.add("," if b"," in left else ".")
     return "".join(marks) if len(marks) < 2 else None
 
 
@@ -132,10 +142,14 @@ def _kinds(delimiter: str) -> bytes:
     """For each byte, what a cell that has it holds; nothing for what ends a cell."""
     kinds = np.full(256, OTHER, dtype=np.uint8)
     kinds[128:] = FOREIGN
-    kinds[list(DIGITS)] = DIGIT
-    kinds[list(b" \t")], kinds[ord("#")], kinds[ord(".")], kinds[ord(",")] = BLANK, HASH, POINT, COMMA
+    kinds[ord(".")], kinds[ord(",")] = POINT, COMMA
     kinds[[NEWLINE, ord(delimiter)]] = 0
     return kinds.tobytes()
 
 
-_KINDS = {delimiter: _kinds(delimiter) for delimiter in ",;\t"}
+_KINDS = {delimiter: _kinds(delimiter) for delimiter in ";\t"}
+_TAKEN_OUT = {end: signs if end == "," else signs.translate(None, b".,") for end, signs in NUMERIC.items()}
+"""All of them, but for decimal marks where there are two."""
+_NO_STRUCTURE = {end: bytes(sign for sign in range(256) if sign not in b'\n"' + end.encode()) for end in ",;\t"}
+_BEFORE_COMMENTS = np.isin(np.arange(256), list(b"# \t" + HIGH))
+"""What a line that is a comment may begin with."""

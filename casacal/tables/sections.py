@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -24,29 +24,37 @@ MANY = 100_000
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of one section: numbers, different labels and which a row has, their lines, their decimal mark, or ""."""
+    """Rows of one section: numbers, different labels and which a row has, their lines, their decimal mark, or "".
 
-    numbers: dict[str, Array]
-    labels: dict[str, tuple[Sequence[str], NDArray[Any]]]
+    doubtful: whether a comment among them is a row, should rows begin with text.
+    """
+
+    numbers: Mapping[str, Array]
+    labels: Mapping[str, tuple[Sequence[str], NDArray[Any]]]
     lines: range | tuple[int, ...]
     mark: str
+    doubtful: bool = False
 
 
 class Gathered:
     """The rows of all sections, each put where it belongs."""
 
     def __init__(self, size: int, form: Form) -> None:
-        self._form, self._count, self._marks = form, 0, ""
+        self._form, self._count, self._marks, self.doubtful = form, 0, "", False
         most = size // (len(form.names) + len(form.numbers)) + 1  # bytes of a row; memory not used is free
         self._numbers = {name: np.empty(most) for name in form.numbers}
         self._codes = {name: np.empty(most, dtype=np.int32) for name in form.texts}
         self._known: dict[str, dict[str, int]] = {name: {} for name in form.texts}
         self._lines: list[range | tuple[int, ...]] = []
 
-    def add(self, rows: Rows) -> None:
-        """The rows of the next section; raises ValueError where its numbers have another decimal mark."""
+    def add(self, section: Sequence[Rows]) -> None:
+        """All rows of the next section; raises ValueError where its numbers have another decimal mark."""
+        for rows in section:
+            self._add(rows)
+
+    def _add(self, rows: Rows) -> None:
         here = slice(self._count, self._count + len(rows.lines))
-        self._marks = self._marks or rows.mark
+        self._marks, self.doubtful = self._marks or rows.mark, self.doubtful or rows.doubtful
         if rows.mark not in ("", self._marks):
             raise ValueError("two decimal marks")
         for name, values in rows.numbers.items():

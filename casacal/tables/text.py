@@ -12,13 +12,14 @@ import numpy as np
 
 from casacal.errors import SamplesError
 from casacal.tables.columns import Columns
+from casacal.tables.comments import Comments, refuse_rows_set_aside, rows_set_aside
 from casacal.tables.grammar import (
     NUMBER,
     body,
     check_header,
     decode,
     delimiter_of,
-    logical_lines,
+    lines_and_comments,
     not_a_number,
     numbered_rows,
     refuse_controls,
@@ -85,6 +86,8 @@ class Table:
 def read_table(path: str | Path) -> Table:
     """Read a delimited text file with one header line; `#` starts a comment line, blank lines are skipped.
 
+    A comment that may be a row, because rows begin with text and it has a cell for each column, is refused.
+
     Understands UTF-8 with or without a byte-order mark and UTF-16 with one; commas, semicolons or tabs; decimal
     commas where the delimiter is not a comma.
 
@@ -98,32 +101,42 @@ def read_table(path: str | Path) -> Table:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise SamplesError(file, f"cannot be read ({why})", "Give a readable text file") from None
-    lines = logical_lines(decode(data, file))
+    lines, comments = lines_and_comments(decode(data, file))
     delimiter = delimiter_of(lines[0][1]) if lines else ","
-    return make_table(file, hashlib.sha256(data).hexdigest(), numbered_rows(lines, delimiter, file), delimiter)
+    rows = numbered_rows(lines, delimiter, file)
+    aside = rows_set_aside(comments, delimiter, len(rows[0][1]) if rows else 1)
+    return make_table(file, hashlib.sha256(data).hexdigest(), rows, delimiter, aside)
 
 
-def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimiter: str) -> Table:
-    """Table of numbered rows of cells, the header first, which were apart by a delimiter; raises SamplesError."""
+def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimiter: str, comments: Comments) -> Table:
+    """Table of numbered rows of cells, the header first, which were apart by a delimiter, and rows that are comments.
+
+    Raises SamplesError, also where such a comment may be a row that is meant.
+    """
     if not rows:
         raise SamplesError(file, "the file is empty", "Give a header line and one line per sample")
     header_line, header = rows[0][0], tuple(rows[0][1])
     check_header(header, file, header_line)
     if len(rows) == 1:
-        raise SamplesError(file, "there is a header but no line of data", "Give one line per sample", line=header_line)
+        fix = "Give one line per sample" + (", and quote labels that begin with #" if comments else "")
+        raise SamplesError(file, "there is a header but no line of data", fix, line=header_line)
     table = Table(file, sha256, header, header_line, *body(rows[1:], header, delimiter, file), decimal_comma=False)
     comma, _ = decimal_marks(table) if delimiter != "," else (None, None)
+    refuse_rows_set_aside(table.rows, comments, file, header, header_line)
     return replace(table, decimal_comma=comma is not None)
 
 
-def table_of_lines(text: str, file: str, header: tuple[str, ...], first: int, delimiter: str) -> Table:
-    """Some whole lines of a file, from line `first` on, as a table of their own; raises SamplesError.
+def table_of_lines(text: str, file: str, header: tuple[str, ...], first: int, delimiter: str) -> tuple[Table, Comments]:
+    """Some whole lines of a file, from line `first` on, as a table of their own, and rows that are comments.
 
-    What depends on all lines of a file is the caller's: that numbers have one decimal mark.
+    What depends on all lines of a file is the caller's: that numbers have one decimal mark, and comments are no rows.
+    Raises SamplesError.
     """
     refuse_controls(text, file, first)
-    rows = numbered_rows(logical_lines(text, first), delimiter, file)
-    return Table(file, "", header, 0, *body(rows, header, delimiter, file), decimal_comma=False)
+    lines, comments = lines_and_comments(text, first)
+    rows = numbered_rows(lines, delimiter, file)
+    table = Table(file, "", header, 0, *body(rows, header, delimiter, file), decimal_comma=False)
+    return table, rows_set_aside(comments, delimiter, len(header))
 
 
 Place: TypeAlias = tuple[int, str]

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 from casacal.errors import CasacalError, SamplesError
 from casacal.tables.archives import check_unpacked, pieces
+from casacal.tables.comments import Comments
 from casacal.tables.grammar import UNSHOWN
 from casacal.tables.text import Table, make_table
 
@@ -35,8 +36,8 @@ Rows = list[tuple[int, list[str]]]
 def read_workbook(path: str | Path) -> Table:
     """Read the first visible sheet of an Excel workbook as it is calculated: a header row, then one row per sample.
 
-    Blank rows, and rows whose first cell begins with #, are skipped; "line" is the sheet's row. Where there are more
-    sheets, the table's `file` says which one was read.
+    Blank rows, and rows whose first cell begins with #, are skipped as in text; "line" is the sheet's row. Where there
+    are more sheets, the table's `file` says which one was read.
 
     Raises SamplesError for anything else, such as hidden rows; CasacalError without the extra `excel`.
     """
@@ -55,7 +56,7 @@ def read_workbook(path: str | Path) -> Table:
             warnings.simplefilter("ignore")  # what the library thinks of styles and the like
             book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
             try:
-                file, rows = _first_sheet(book, file)
+                file, rows, comments = _first_sheet(book, file)
             finally:
                 book.close()
     except FileNotFoundError:
@@ -65,7 +66,7 @@ def read_workbook(path: str | Path) -> Table:
     except Exception as error:  # whatever a damaged archive makes of the library, it is the file that must change
         raise SamplesError(file, f"this is no readable workbook ({type(error).__name__})", "Save it again, or as CSV"
         ) from None  # fmt: skip
-    return make_table(file, hashlib.sha256(data).hexdigest(), rows, "\t")
+    return make_table(file, hashlib.sha256(data).hexdigest(), rows, "\t", comments)
 
 
 def _check_tags(path: Path, file: str) -> None:
@@ -81,8 +82,8 @@ def _check_tags(path: Path, file: str) -> None:
             raise SamplesError(file, what, "Save the samples as CSV")
 
 
-def _first_sheet(book: Any, file: str) -> tuple[str, Rows]:
-    """Cells of the first visible sheet as text, and the file with the sheet's name where there are more."""
+def _first_sheet(book: Any, file: str) -> tuple[str, Rows, Comments]:
+    """Cells of the first visible sheet as text and those of comments; the file with the sheet's name if it has more."""
     sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
     if not sheets:
         raise SamplesError(
@@ -95,7 +96,11 @@ def _first_sheet(book: Any, file: str) -> tuple[str, Rows]:
         hidden = _hidden_rows(stream, file)
     sheet.reset_dimensions()  # they may be wrong
     rows: Rows = []
+    comments: Comments = []
     for number, cells in _filled(sheet, file):
+        if cells[0].startswith("#") and cells[0] not in ERRORS:
+            comments.append((number, cells))
+            continue
         width = len(rows[0][1]) if rows else len(cells)
         if len(cells) > width:
             raise SamplesError(file, "a cell stands where the header has no name", "Name its column", line=number)
@@ -104,7 +109,7 @@ def _first_sheet(book: Any, file: str) -> tuple[str, Rows]:
                 file, "the row is hidden, so that it is not clear whether it counts", "Show or delete it", line=number
             )
         rows.append((number, cells + [""] * (width - len(cells))))
-    return file, rows
+    return file, rows, comments
 
 
 def _hidden_rows(stream: Any, file: str) -> set[int]:
@@ -125,7 +130,7 @@ def _hidden_rows(stream: Any, file: str) -> set[int]:
 
 
 def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
-    """Rows of a sheet that are neither blank nor comments, each with its number, up to its last cell with text."""
+    """Rows of a sheet that are not blank, each with its number, up to its last cell with text."""
     places = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         places += len(row)
@@ -138,7 +143,7 @@ def _filled(sheet: Any, file: str) -> Iterator[tuple[int, list[str]]]:
         cells = [_text(cell) for cell in row[:width]]
         while cells and not cells[-1]:
             cells.pop()
-        if cells and (not cells[0].startswith("#") or cells[0] in ERRORS):
+        if cells:
             yield number, cells
 
 

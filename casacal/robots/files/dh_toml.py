@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +30,8 @@ def read_toml(path: str | Path) -> Fields:
         raise ProblemError(f"{file}: cannot be read ({error.strerror})", "Give a readable TOML file") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ProblemError(f"{file}: this is not TOML ({error})", "Mend the file") from None
+    except ValueError:  # all that TOML leaves to Python is how long a whole number may be
+        raise ProblemError(f"{file}: a whole number has thousands of digits", "Write plain decimal numbers") from None
     check_names(document, TOP, file)
     inner, joints = document.get("conventions", {}), document.get("joint", [])
     if not isinstance(inner, dict):
@@ -98,4 +100,4 @@ def _check_list(key: str, value: Any, file: str) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
