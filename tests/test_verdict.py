@@ -59,7 +59,7 @@ def test_what_check_calls_an_error_must_not_be_used(hsr, corner_simulation, name
     [
         ({"repeatability": 0.016}, "the residuals exceed the stated noise"),
         ({"repeatability": 0.005}, "the stated noise is too large"),
-        ({"error_scale": 8.0}, "parameters moved far beyond their priors"),
+        ({"error_scale": 3.0}, "parameters moved far beyond their priors"),
         ({"joint_std": 1e-4}, "the residuals exceed the stated noise"),
     ],
 )
@@ -67,8 +67,21 @@ def test_doubts_are_named(hsr, changes, says):
     verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, **changes), reference=False))
     assert verdict.level == "use with care"
     assert says in verdict.words
-    assert ("at least" in verdict.words) == ("exceed" in verdict.words)
+    assert "noise as found" in verdict.words or "exceed" not in verdict.words
     assert verdict.reasons
+
+
+def test_an_arm_far_outside_its_priors_is_refused(hsr):
+    """Eight times what the priors allow: noise as found would then stand in for the arm's own errors."""
+    verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, error_scale=8.0), reference=False))
+    assert verdict.level == "do not use"
+    assert "prior standard deviations" in verdict.words
+
+
+def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
+    trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
+    assert "at least" in verdict_of(trusted).words
+    assert "if the stated noise and priors are right" in verdict_of(trusted).words
 
 
 def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):

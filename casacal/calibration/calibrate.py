@@ -25,7 +25,7 @@ from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
 from casacal.samples.samples import Samples
 from casacal.tables.frames import is_frame
-from casacal.uncertainty.noise import found_noise, noise_over_stated
+from casacal.uncertainty.noise import found_noise
 
 Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
@@ -115,11 +115,10 @@ def calibrate(
         result = _estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
-        told = noise_over_stated(result, scale)
         before = plane_only(fit)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, told, seconds, source)
+    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source)
 
 
 def problem_from(given: Any) -> ProblemFile:

@@ -25,7 +25,7 @@ from casacal.uncertainty.identifiability import (
     identifiability,
     prior_scale,
 )
-from casacal.uncertainty.noise import Noise
+from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.values import FrozenMapping, Value
 
@@ -88,8 +88,6 @@ class Calibration(Value):
     result: Result
     before: Result
     reference: Reference | None
-    noise: Noise
-    """As it was stated and found; the fit uses it times its factors."""
     seconds: Mapping[str, float]
     source: ProblemFile
     """The problem as it was given: its file, where it has one."""
@@ -112,6 +110,11 @@ class Calibration(Value):
         if not self.result.converged:
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Noise over what was stated, as this result's residuals show it, and the factors with which it was used."""
+        return noise_over_stated(self.result)
 
     @cached_property
     def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -112,8 +113,9 @@ def _check_covariance(file: str, rows: Any, count: int) -> None:
 
 def _symmetric(rows: list[list[float | None]], i: int, j: int) -> bool:
     """Whether two elements are equal to rounding; null stands for infinite ones."""
-    one, other, size = rows[i][j], rows[j][i], (rows[i][i] or 0.0) * (rows[j][j] or 0.0)
-    return one is None or other is None or (one - other) ** 2 <= 1e-16 * abs(size)
+    one, other = rows[i][j], rows[j][i]
+    stds = [math.sqrt(abs(rows[k][k] or 0.0)) for k in (i, j)]
+    return one is None or other is None or abs(one - other) <= 1e-8 * stds[0] * stds[1]
 
 
 def _short(value: Any) -> str:

@@ -26,6 +26,8 @@ def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None
     if isinstance(information, Arrow) or problem.rows > LARGE:
         return determined(information, problem.prior_std)
     rows = problem.weighted_rows(x, loss)
+    if not np.isfinite(rows).all():
+        return 0.0
     return float(((rows @ _inverse_root(rows, problem.prior_information)) ** 2).sum())
 
 

@@ -72,34 +72,31 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
     result, scale = lm(bound, loss=loss), 1.0
     for _ in range(MOST_ROUNDS):
         if not result.converged or not math.isfinite(result.cost):
-            break
+            return noise_over_stated(result)
         before, scale = scale, max(scale * noise_interval(result)[0], 1.0)
         if abs(math.log(scale / before)) < SETTLED:
             break
         result = lm(bound.with_noise({OTHERS: scale}), start=result.x, loss=loss)
-    common: dict[str, float] = {OTHERS: scale} if scale > 1.0 else {}
     own = _by_face(result, scale)
-    return noise_over_stated(result, common) if own is None else _settled_by_face(bound, result, own, loss)
+    return noise_over_stated(result if own is None else _settled_by_face(bound, result, own, loss))
 
 
-def _settled_by_face(bound: BoundProblem, result: Result, scale: Mapping[str, float], loss: Loss | None) -> Noise:
-    """The same with a factor for each face."""
+def _settled_by_face(bound: BoundProblem, result: Result, scale: Mapping[str, float], loss: Loss | None) -> Result:
+    """The fit with a factor for each face."""
     for _ in range(MOST_ROUNDS):
         result = lm(bound.with_noise(scale), start=result.x, loss=loss)
         found = _by_face(result, 1.0, scale)
-        if found is None:
+        if found is None or max(abs(math.log(found[name] / scale[name])) for name in found) < SETTLED:
             break
-        change = max(abs(math.log(found[name] / scale[name])) for name in found)
         scale = found
-        if change < SETTLED:
-            break
-    return noise_over_stated(result, scale)
+    return result
 
 
-def noise_over_stated(result: Result, scale: Mapping[str, float]) -> Noise:
-    """What the residuals of a fit, whose rows' noise is what was stated times some factors, show over what was stated."""
+def noise_over_stated(result: Result) -> Noise:
+    """What the residuals of a fit show over the noise as stated, whatever factors it was used with."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
+    scale = bound.noise_scale[0] if bound.noise_scale else {}
     used, column = bound.block.noise, bound.problem.instrument.groups
     stated = used / factors(bound.block.samples, column, scale)[:, None]
     mean = math.sqrt(float((used**2).sum() / (stated**2).sum()))
