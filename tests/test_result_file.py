@@ -304,16 +304,22 @@ def test_an_arm_of_the_wrong_kind_is_refused(made, tmp_path, edit):
 
 def test_a_result_that_says_two_things_is_refused(made, tmp_path):
     text = (made / "dh" / "out" / "result.json").read_text()
-    for edit in ("parameters", "unknowns", "covariance"):
+    for edit in ("parameters", "unknowns", "covariance", "huge"):
         document = json.loads(text)
         if edit == "parameters":
             document["parameters"][0]["estimate"] += 0.01
         elif edit == "unknowns":
             document["unknowns"][0]["value"] += 0.01
-        else:
+        elif edit == "covariance":
             document["covariance"][0][1] *= 1.01
+        else:
+            document["covariance"][0][1] = 1e200
         (tmp_path / "r.json").write_text(json.dumps(document))
         with pytest.raises(CasacalError, match=r"two things|symmetric"):
+            load(tmp_path / "r.json")
+    for edit in ({"covariance_of": ["a1"]}, {"covariance_of": [1]}, {"covariance_of": "a1"}, {"covariance_of": ["z9"]}):
+        (tmp_path / "r.json").write_text(json.dumps(json.loads(text) | edit))
+        with pytest.raises(CasacalError, match=r"covariance_of|symmetric"):
             load(tmp_path / "r.json")
     (tmp_path / "r.json").write_text(text.rstrip().rstrip("}") + ', "seed": 3}')
     with pytest.raises(CasacalError, match="not a result"):
