@@ -190,10 +190,10 @@ def test_ipopt_agrees_and_the_verdict_is_one_of_calibrated(hsr, more, tmp_path):
     np.testing.assert_allclose(kept.predict(joints, std=True).std, made.predict(joints, std=True).std, rtol=1e-9)
 
 
-def test_the_data_check_looks_at_whole_faces(hsr, more):
-    assert not [finding for finding in check(hsr.problem, more) if finding.severity == "error"]
-    ((name, values),) = more.columns.items()
-    turned = dataclasses.replace(more, columns={name: -np.asarray(values)})
+def test_the_data_check_finds_its_causes_among_many_faces(hsr, samples, monkeypatch):
+    monkeypatch.setattr(sums, "MANY", 10)
+    ((name, values),) = samples.columns.items()
+    turned = dataclasses.replace(samples, columns={name: -np.asarray(values)})
     assert "wrong dial sign" in {finding.about for finding in check(hsr.problem, turned)}
 
 
@@ -225,17 +225,17 @@ import numpy as np
 from test_many_faces import by_face
 from casacal import calibrate, load_problem, simulate
 hsr = load_problem("problems/hsr_jr680")
-samples = by_face(simulate(hsr.problem, hsr.cell, samples=4100, seed=3).samples, 4)
+samples = by_face(simulate(hsr.problem, hsr.cell, samples=2600, seed=3).samples, 4)
 made = calibrate(hsr.problem, samples, method="lm", reference=False)
-assert made.success and made.fit.unknowns > 3000
+assert made.success and made.fit.unknowns > 1900
 made.save(sys.argv[1])
 print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells how much a program held at most")
-def test_a_thousand_faces_take_no_large_matrix(tmp_path):
-    """One matrix of 3,000 unknowns takes 74 MB, and a calibration would hold several."""
+def test_hundreds_of_faces_take_no_large_matrix(tmp_path):
+    """One matrix of 1,950 unknowns takes 30 MB, and a calibration would hold about ten."""
     done = subprocess.run(
         [sys.executable, "-c", BIG, str(tmp_path / "out")], cwd=ROOT, capture_output=True, text=True, check=False
     )

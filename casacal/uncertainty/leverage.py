@@ -42,8 +42,8 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
     held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_information)
     samples, found = bound.block.samples, []
     for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
-        jacobian = bound.on(samples.take(rows)).jacobian(result.x)
-        found.append(((jacobian @ held) ** 2).sum(axis=1))
+        part = bound if rows.size == len(samples) else bound.on(samples.take(rows))
+        found.append(((part.jacobian(result.x) @ held) ** 2).sum(axis=1))
     return np.asarray(np.clip(np.concatenate(found) * result.weights, 0.0, 1.0))
 
 
