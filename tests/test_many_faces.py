@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -26,6 +27,7 @@ from casacal import (
 from casacal.binding import sums
 from casacal.binding.marginal import seen
 from casacal.checks.check import _few_of_each_face
+from casacal.estimators.ipopt_objective import Objective
 from casacal.least_squares import arrow
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.information import determined
@@ -188,6 +190,27 @@ def test_ipopt_agrees_and_the_verdict_is_one_of_calibrated(hsr, more, tmp_path):
     joints = np.full((3, 6), 0.4)
     np.testing.assert_array_equal(kept.predict(joints).positions, made.predict(joints).positions)
     np.testing.assert_allclose(kept.predict(joints, std=True).std, made.predict(joints, std=True).std, rtol=1e-9)
+
+
+def test_the_references_hessian_is_that_of_its_gradient(pair):
+    """Of the Lagrangian, entry by entry, against central differences of gradients; what is not held is zero."""
+    bound = pair[0]
+    objective, rng = Objective(bound.graph, bound), np.random.default_rng(5)
+    n, constraints = bound.graph.start.size, bound.graph.constraints
+    y, multipliers = 0.1 * rng.normal(size=n), rng.normal(size=constraints.numel_out(0))
+    v = ca.SX.sym("v", n)
+    pull = ca.Function("pull", [v], [ca.jtimes(constraints(v), v, ca.DM(multipliers), True)])
+
+    def gradient(at):
+        return 0.7 * objective(at)[1] + objective.scales * np.asarray(pull(objective.raw(at))).ravel()
+
+    found = np.zeros((n, n))
+    found[objective.rows, objective.columns] = objective.lagrangian(y, 0.7, multipliers)
+    found += np.triu(found, 1).T
+    for j in rng.choice(n, 25, replace=False):
+        step = 1e-5 * np.eye(n)[j]
+        slope = (gradient(y + step) - gradient(y - step)) / 2e-5
+        np.testing.assert_allclose(found[:, j], slope, atol=1e-5 * np.abs(slope).max())
 
 
 def test_the_data_check_finds_its_causes_among_many_faces(hsr, samples, monkeypatch):
