@@ -30,6 +30,7 @@ from casacal.checks.check import _few_of_each_face
 from casacal.estimators.ipopt_objective import Objective
 from casacal.least_squares import arrow
 from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.groups import Groups
 from casacal.least_squares.information import determined
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
@@ -104,6 +105,16 @@ def test_steps_are_those_of_the_matrix(pair, damping, kind):
     np.testing.assert_allclose((one.x - x) / whole.start_std, (other.x - x) / whole.start_std, atol=1e-8)
     assert one.squared_length == pytest.approx(other.squared_length, rel=1e-8)
     assert one.predicted == pytest.approx(other.predicted, rel=1e-8)
+
+
+@pytest.mark.parametrize("left", [0.0, 1e-14, 1e-13])
+def test_a_shared_unknown_that_groups_explain_is_not_solved_from_rounding(left):
+    """One group whose own unknown does what the shared one does, but for a part that no difference can hold."""
+    groups = Groups(np.array([0]), (np.array([[1]]),))
+    alike = Arrow(groups, np.array([[1.0 + left]]), (np.array([[[1.0]]]),), (np.array([[[1.0]]]),))
+    assert alike.solution(np.ones(2)) is None
+    told = alike.plus(np.array([0.5, 0.0])).solution(np.array([1.0, 2.0]))
+    np.testing.assert_allclose(told, np.linalg.solve([[1.5 + left, 1.0], [1.0, 1.0]], [1.0, 2.0]))
 
 
 def test_the_minimum_its_spread_and_its_counts_are_those_of_the_matrix(pair, found):
