@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,6 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen, seen
 from casacal.checks import Finding, check
+from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
@@ -26,7 +28,7 @@ from casacal.uncertainty.identifiability import (
     prior_scale,
 )
 from casacal.uncertainty.noise import Noise, noise_over_stated
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")
@@ -150,8 +152,24 @@ class Calibration(Value):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now."""
-        return expected_accuracy(self.seen, self.seen_x)
+        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now.
+
+        An estimate that is not the minimum errs by what the posterior allows there, and by its own way to the minimum.
+        """
+        before, now = expected_accuracy(self.seen, self.seen_x)
+        return before, math.hypot(now, self.tip_from_minimum)
+
+    @cached_property
+    def tip_from_minimum(self) -> float:
+        """How far the tip stands from where the minimum puts it, mm RMS over the workspace, apart from the base."""
+        if self.method in MINIMISERS:
+            return 0.0
+        joints, tips, _ = self.workspace
+        least = lm(self.fit, start=self.result.x, loss=self.result.loss)
+        if not least.converged:
+            least = lm(self.fit, loss=self.result.loss)
+        arm, x = seen(self.fit, least.x)
+        return tip_rms(without_rigid((tips - arm.tips(x, joints)).ravel(), tips))
 
     @cached_property
     def tip_std_without_prior(self) -> tuple[float, int]:
