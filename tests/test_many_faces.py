@@ -255,23 +255,20 @@ def test_few_rows_of_many_faces_are_whole_faces(hsr):
 BIG = """
 import sys
 sys.path.insert(0, "tests")
-import numpy as np
 from test_many_faces import by_face
 from casacal import calibrate, load_problem, simulate
 hsr = load_problem("problems/hsr_jr680")
 samples = by_face(simulate(hsr.problem, hsr.cell, samples=2600, seed=3).samples, 4)
 made = calibrate(hsr.problem, samples, method="lm", reference=False)
 assert made.success and made.fit.unknowns > 1900
-made.save(sys.argv[1])
+assert "tip error" in made.summary()
 print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells how much a program held at most")
-def test_hundreds_of_faces_take_no_large_matrix(tmp_path):
+def test_hundreds_of_faces_take_no_large_matrix():
     """One matrix of 1,950 unknowns takes 30 MB, and a calibration would hold about ten."""
-    done = subprocess.run(
-        [sys.executable, "-c", BIG, str(tmp_path / "out")], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", BIG], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) < 300_000

@@ -224,13 +224,13 @@ def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tm
     monkeypatch.setenv("COLUMNS", str(width))
     file = tmp_path / "s.csv"
     write_samples(file, hsr.problem.layout(), MANY[name](hsr, corner_simulation.samples), [])
-    options = ["--box", "1000:1700,-400:400,400:1000", "--out", str(tmp_path / "out")]
-    main(["calibrate", str(hsr.path), str(file), *options])
+    kept = ["--out", str(tmp_path / "out")] if width == 80 else []  # the page takes longer than the answer
+    main(["calibrate", str(hsr.path), str(file), "--box", "1000:1700,-400:400,400:1000", *kept])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= MOST_LINES
     assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
     assert [line for line in lines if line.startswith("Next: ")]
-    assert [line for line in lines if line.startswith("Written:")]
+    assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
 
 
 @pytest.mark.parametrize("reasons", [1, 2, 5])
@@ -296,7 +296,7 @@ def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner
     assert brief(clean, verdict_of(clean)).splitlines()[0].endswith("ipopt agrees")
 
 
-@pytest.mark.parametrize("method", ["plane-only", "annealing", "swarm", "evolution", "ekf"])
+@pytest.mark.parametrize("method", ["plane-only", "swarm", "ekf"])
 def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, method):
     """The posterior says 0.55 mm at any estimate; the true error of these is one to several millimetres."""
     told, true = [], []
