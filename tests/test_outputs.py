@@ -206,13 +206,19 @@ def test_modes_are_the_users_and_links_are_followed(tmp_path):
     assert (tmp_path / "elsewhere" / "real").read_text() == "a"
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A problem, a result of it that names its files by where they stand from there, and joints."""
+    place = tmp_path_factory.mktemp("made")
+    shutil.copytree(HSR, place / "p")
+    assert main(["calibrate", str(place / "p"), "--method", "lm", "--no-reference", "--out", str(place / "o")]) == 0
+    (place / "q.csv").write_text((HSR / "samples.csv").read_text())
+    return place
+
+
 @pytest.fixture
-def result(tmp_path):
-    shutil.copytree(HSR, tmp_path / "p")
-    assert (
-        main(["calibrate", str(tmp_path / "p"), "--method", "lm", "--no-reference", "--out", str(tmp_path / "o")]) == 0
-    )
-    (tmp_path / "q.csv").write_text((HSR / "samples.csv").read_text())
+def result(made, tmp_path):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     return tmp_path / "o" / "result.json"
 
 
