@@ -25,11 +25,6 @@ class Groups:
         return self.shared.size + sum(each.size for each in self.own)
 
     @cached_property
-    def count(self) -> int:
-        """How many groups there are."""
-        return sum(len(each) for each in self.own)
-
-    @cached_property
     def place(self) -> tuple[Index, Index, Index]:
         """Of each unknown (n,): its size class (-1: shared), its group in it, its position there or in the corner."""
         kind, group, position = (np.full(self.unknowns, -1, dtype=np.intp) for _ in range(3))

@@ -52,11 +52,6 @@ class Noise(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "scale", FrozenMapping(self.scale))
 
-    @property
-    def used(self) -> tuple[float, float]:
-        """Smallest and largest factor in use."""
-        return min(self.scale.values(), default=1.0), max(self.scale.values(), default=1.0)
-
 
 def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
     """The noise at which found over used is one, or what was stated where less was found.

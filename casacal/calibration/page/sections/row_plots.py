@@ -71,7 +71,7 @@ def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
     count, values = len(touches.series), part.residuals(when)
     most = max(DRAWN // (count * len(touches.parts)), 2)
     across, up = [np.zeros(0)], [np.zeros(0)]
-    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist() if count > 1 else range(count):
+    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist():
         rows, component = touches.of_series(part, k)
         if len(rows):
             own = values[rows, component]
