@@ -1,6 +1,9 @@
 """Shared fixtures: the problems of this project, a simulated corner, and the real data where they are present."""
 
 import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -8,6 +11,20 @@ import pytest
 from casacal import BoundProblem, ProblemFile, Simulation, bind, load_problem, simulate
 
 ROOT = Path(__file__).parent.parent
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give matplotlib a folder of its own, which workers and commands inherit.
+
+    The user's may hold settings, or a list of fonts that an interrupted installation left half empty: matplotlib then
+    complains on standard error, and tests that say what stands there fail for no fault of this project.
+    """
+    if hasattr(config, "workerinput"):
+        return
+    folder = tempfile.TemporaryDirectory(prefix="casacal-matplotlib-", ignore_cleanup_errors=True)
+    config.add_cleanup(folder.cleanup)
+    os.environ["MPLCONFIGDIR"] = folder.name
+    subprocess.run([sys.executable, "-c", "import matplotlib.font_manager"], check=True)
 
 
 @pytest.fixture(scope="session")
