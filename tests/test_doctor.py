@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
-from casacal.checks.faults import tells_a_wrong_sign
+from casacal.checks.dial_sign import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
 from casacal.cli.main import main
 from casacal.samples.write import write_samples

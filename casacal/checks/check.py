@@ -6,12 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.checks.faults import ALIKE, SUSPICIOUS, flips, misfit, name_fault, sign_before_fit
+from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
+from casacal.checks.dial_sign import sign_before_fit
 from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
-from casacal.checks.outliers import exchanged_labels, gross_rows, studentised_outliers
+from casacal.checks.outliers import exchanged_labels, gross_rows, single_rows
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
+from casacal.checks.suspects import flips
+from casacal.checks.tool import tool_moved
+from casacal.checks.undone import misfit
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
@@ -39,7 +43,7 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     """What is wrong, weak or worth knowing about samples of a problem with one instrument; worst first.
 
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
-    each found by undoing it, then outliers and noise. Deterministic.
+    each found by undoing it, then outliers and noise. What one cause explains is not reported again. Deterministic.
     """
     findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
     try:
@@ -47,19 +51,46 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     except CasacalError as error:
         return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
-    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
-    bad, stray = _strays(problem, samples, prior_scatter(some).rms)
+    bad, stray = strays(problem, samples, prior_scatter(some).rms)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
-    fault = name_fault(problem, few, base) if base > SUSPICIOUS else None
-    if fault is not None:  # it also explains single rows that lie off
-        findings += [fault] if all(fault.about != finding.about for finding in findings) else []
-    elif base > SUSPICIOUS:
-        findings += [*stray, _unexplained(base, findings + stray)]
-    else:
-        findings += [*stray, *_untold(problem, few, base), *_single_rows(bind(problem, good))]
-    return _in_order(findings)
+    cause = explained(problem, few, base) if base > SUSPICIOUS else None
+    if cause is not None:  # it also explains single rows that lie off
+        return _in_order(_with_cause(findings, cause, some))
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
+    if base > SUSPICIOUS:
+        return _in_order([*findings, _unexplained(base, findings)])
+    return _in_order([*findings, *tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))])
+
+
+def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
+
+    Args:
+        problem: with one instrument.
+        samples: its rows.
+        scatter: distance (mm) that prior errors of the arm explain.
+
+    """
+    none = np.zeros(len(samples), dtype=bool)
+    if problem.instrument.probe is None:
+        return none, []
+    bad, planes = gross_rows(problem, samples, scatter)
+    if not bad.any() or bad.mean() > MOST_STRAYS:
+        return none, []
+    return bad, exchanged_labels(problem, samples, bad, planes, scatter)
+
+
+def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem) -> list[Finding]:
+    """A cause, what the sign says where that is the cause, and what is wrong with the rows apart from it."""
+    undone = cause.undone
+    told = {finding.about for finding in outside(undone.problem, undone.samples)}
+    kept = [finding for finding in findings if finding.severity == "error" or "joint" not in finding.about]
+    kept += [finding for finding in findings if finding not in kept and finding.about in told]
+    signs = [finding for finding in sign_before_fit(bound) if finding.about in cause.finding.about]
+    weak = setup_findings(bind(undone.problem, undone.samples))
+    return [cause.finding, *kept, *signs, *(finding for finding in weak if finding.about != "few rows")]
 
 
 def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
@@ -83,17 +114,6 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
     return samples.take(np.sort(np.concatenate(kept)))
 
 
-def _strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off."""
-    none = np.zeros(len(samples), dtype=bool)
-    if problem.instrument.probe is None:
-        return none, []
-    bad, planes = gross_rows(problem, samples, scatter)
-    if not bad.any() or bad.mean() > MOST_STRAYS:
-        return none, []
-    return bad, exchanged_labels(problem, samples, bad, planes, scatter)
-
-
 def _unexplained(base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
     cause = f"the residuals of a robust fit are {times(base)} times what the stated noise explains"
@@ -104,7 +124,7 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
     return Finding(
         "error",
         "misfit",
-        f"{cause}, and no single sign, unit, swap or flip accounts for it",
+        f"{cause}, and no sign, unit, swap, flip, coupling, drift or other place of the tool accounts for it",
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause",
     )
@@ -112,7 +132,11 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
 
 def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
     """Remarks on flips that these samples would not notice."""
-    unseen = [fault.about for fault in flips(problem) if misfit(problem, fault.undo(samples)) <= ALIKE * base]
+    unseen = []
+    for fault in flips(problem):
+        undone = fault.undo(problem, samples)
+        if misfit(undone.problem, undone.samples) <= ALIKE * base:
+            unseen.append(fault.about)
     return [
         Finding(
             "remark",
@@ -124,9 +148,10 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
     ]
 
 
-def _single_rows(bound: BoundProblem) -> list[Finding]:
+def _rows(bound: BoundProblem) -> list[Finding]:
+    """Outliers, else a noise that is not as stated."""
     result = lm(bound, loss=huber())
-    outliers = studentised_outliers(bound, result)
+    outliers = single_rows(bound, result)
     if outliers:
         return outliers
     plain = lm(bound, start=result.x)

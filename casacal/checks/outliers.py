@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding, counted
+from casacal.checks.revolutions import lost_turns
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -81,7 +83,20 @@ def exchanged_labels(
     return findings
 
 
-def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
+@dataclass(frozen=True)
+class Outliers:
+    """Rows of a robust fit that chance does not explain: places (m,) in the samples, the worst first, and sizes."""
+
+    rows: tuple[int, ...]
+    worst: float
+    """Size of the largest, in standard deviations."""
+    limit: float
+    """Size that chance explains."""
+    scale: float
+    """Robust noise over what was used, of all rows."""
+
+
+def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     """Rows whose deleted residual is larger than chance allows, at a robust fit.
 
     Externally studentised: r_k over its own standard deviation with the row's leverage taken out, the noise from the
@@ -96,20 +111,35 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> list[Finding]:
     size = np.abs(r) / (scale * np.sqrt(1 - leverage))
     limit = float(stdtrit(free, 1 - CHANCE / (2 * bound.rows)))
     bad = np.flatnonzero(size > limit)
-    if not bad.size:
+    per_row = bound.rows // len(bound.block.samples)
+    rows = tuple(dict.fromkeys(int(k) // per_row for k in bad[np.argsort(-size[bad])]))
+    return Outliers(rows, float(size.max()), limit, scale)
+
+
+def single_rows(bound: BoundProblem, result: Result) -> list[Finding]:
+    """Errors on rows that chance does not explain at a robust fit: lost turns of the pointer, and what is left."""
+    found, samples = studentised_outliers(bound, result), bound.block.samples
+    if not found.rows:
         return []
-    samples = bound.block.samples
-    per_row = bound.rows // len(samples)
-    lines = tuple(dict.fromkeys(samples.lines[k // per_row] for k in bad[np.argsort(-size[bad])]))
-    return [
+    turns = lost_turns(bound, result, found.rows, found.scale)
+    findings = [
         Finding(
             "error",
-            "outliers",
-            f"{counted(len(lines))} up to {size.max():.0f} standard deviations off; beyond {limit:.1f} is not chance",
-            "Measure them again or remove them, or calibrate with --loss huber",
-            tuple(sorted(lines)),
+            "lost revolution",
+            f"read {by:+.3g} mm, {'this row fits' if len(rows) == 1 else 'these rows fit'}: "
+            f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm",
+            "Correct the reading, or measure there again",
+            tuple(sorted(samples.lines[k] for k in rows)),
         )
+        for (by, turned), rows in turns.items()
     ]
+    explained = {k for rows in turns.values() for k in rows}
+    lines = tuple(sorted(samples.lines[k] for k in found.rows if k not in explained))
+    if lines:
+        cause = f"{counted(len(lines))} up to {found.worst:.0f} standard deviations off; beyond {found.limit:.1f} is "
+        fix = "Measure them again or remove them; calibrate sets them aside where they are few"
+        findings.append(Finding("error", "outliers", f"{cause}not chance", fix, lines))
+    return findings
 
 
 def _median_plane(tips: Array) -> tuple[Array, float]:

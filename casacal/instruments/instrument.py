@@ -5,12 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError, came
+from casacal.errors import ProblemError
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
 from casacal.user_code import Portable
@@ -214,33 +214,3 @@ class Instrument(Portable, ABC):
         """The same with a face at a known height (mm) on another one; None where that means nothing."""
         del label, on, height
         return None
-
-
-def check_declaration(instrument: object) -> None:
-    """Raise ProblemError for what is no instrument, or says of itself what cannot be."""
-    if isinstance(instrument, type) and issubclass(instrument, Instrument):
-        raise ProblemError(f"{instrument.__name__} came as a class", f"Make one: {instrument.__name__}(...)")
-    if not isinstance(instrument, Instrument):
-        raise ProblemError(
-            f"{came(instrument)} came as an instrument", "Give instruments one by one, such as DialOnPlane"
-        )
-    name = type(instrument).__name__
-    for what in ("columns", "column_stds", "known_columns", "unknowns"):
-        if not isinstance(getattr(instrument, what), Mapping):
-            raise ProblemError(
-                f"{what} of {name} is {came(getattr(instrument, what)).lower()}", "Make it a dict by name"
-            )
-    for column, dimension in instrument.columns.items():
-        if dimension not in get_args(Dimension):
-            raise ProblemError(
-                f"Column '{column}' of {name} is a '{dimension}'", f"Known: {', '.join(get_args(Dimension))}"
-            )
-    for column in instrument.column_stds:
-        if column not in instrument.columns:
-            known = ", ".join(instrument.columns) or "none"
-            raise ProblemError(f"column_stds of {name} names '{column}', which is no column", f"Its columns: {known}")
-    for key, unknown in instrument.unknowns.items():
-        if not isinstance(unknown, Unknown):
-            raise ProblemError(
-                f"Unknown '{key}' of {name} is {came(unknown).lower()}", "Make it a Parameter or its like"
-            )

@@ -12,7 +12,7 @@ from typing import Any
 
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
 from casacal.instruments import Instrument
-from casacal.instruments.instrument import check_declaration
+from casacal.instruments.declaration import check_declaration, with_setting, with_unknown
 from casacal.problem.compile import RowModel
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
@@ -168,6 +168,21 @@ class Problem(Value):
             changed = changed._edit(name, lambda unknown, chosen: unknown.with_free([not hit for hit in chosen]))
         return changed
 
+    def free(self, *names: str) -> Problem:
+        """Copy with unknowns estimated that were held: a key ("tool") or a component ("tool_x").
+
+        They keep their priors. Raises UnknownNameError for a name that does not exist.
+        """
+        changed = self
+        for name in names:
+            known = dict(changed._all_unknowns())
+            key = next((key for key, unknown in known.items() if name in (key, *unknown.component_names(key))), None)
+            if key is None:
+                every = (each for key, unknown in known.items() for each in (key, *unknown.component_names(key)))
+                raise UnknownNameError("unknown", name, list(dict.fromkeys(every)))
+            changed = changed._with(key, known[key].freed(None if name == key else name.removeprefix(key)))
+        return changed
+
     def with_prior(self, stds: Mapping[str, float]) -> Problem:
         """Copy with other prior standard deviations, mm or rad, by key or component; `math.inf` is flat.
 
@@ -189,6 +204,16 @@ class Problem(Value):
             changed = changed._edit(name, edit)
         return changed
 
+    def with_settings(self, values: Mapping[str, float]) -> Problem:
+        """Copy with other numbers of its only instrument, such as {"sign": -1} or {"noise_std": 0.02}.
+
+        Raises UnknownNameError for what is none of its numbers, ProblemError for a value that it refuses.
+        """
+        instrument = self.instrument
+        for name, value in values.items():
+            instrument = with_setting(instrument, name, value)
+        return Problem(self.robot, instrument)
+
     def free_names(self) -> list[str]:
         """Keys and components that `fix` and `with_prior` understand."""
         result: list[str] = []
@@ -203,35 +228,23 @@ class Problem(Value):
                 yield self.prefix(i) + key, unknown
 
     def _edit(self, name: str, edit: Any) -> Problem:
-        for key, unknown in self.robot.parameters.items():
+        for key, unknown in self._all_unknowns():
             chosen = _chosen(name, key, unknown)
             if any(chosen):
-                parameters = {**self.robot.parameters, key: edit(unknown, chosen)}
-                return Problem(dataclasses.replace(self.robot, parameters=parameters), *self.instruments)
-        for i, instrument in enumerate(self.instruments):
-            for key, unknown in instrument.unknowns.items():
-                chosen = _chosen(name, self.prefix(i) + key, unknown)
-                if any(chosen):
-                    instruments = list(self.instruments)
-                    instruments[i] = _replace_unknown(instrument, key, edit(unknown, chosen))
-                    return Problem(self.robot, *instruments)
+                return self._with(key, edit(unknown, chosen))
         raise UnknownNameError("free unknown", name, self.free_names())
+
+    def _with(self, name: str, unknown: Unknown) -> Problem:
+        """Copy with another unknown in the place of the one of that name, prefix included."""
+        robot, instruments = self.robot, list(self.instruments)
+        if name in robot.parameters:
+            robot = dataclasses.replace(robot, parameters={**robot.parameters, name: unknown})
+        for i, instrument in enumerate(instruments):
+            key = name.removeprefix(self.prefix(i))
+            if name.startswith(self.prefix(i)) and key in instrument.unknowns:
+                instruments[i] = with_unknown(instrument, key, unknown)
+        return Problem(robot, *instruments)
 
 
 def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
     return [name in (key, component) for component in unknown.names(key)]
-
-
-def _replace_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:
-    """The instrument with another unknown: a field of a dataclass, or an entry of a plain `unknowns`."""
-    if dataclasses.is_dataclass(instrument) and key in {field.name for field in dataclasses.fields(instrument)}:
-        return dataclasses.replace(instrument, **{key: unknown})
-    if isinstance(getattr(type(instrument), "unknowns", None), property):
-        raise ProblemError(
-            f"'{key}' of {type(instrument).__name__} cannot be replaced",
-            "Make the instrument a dataclass with that field",
-        )
-    changed: Instrument = object.__new__(type(instrument))
-    for name, item in {**vars(instrument), "unknowns": {**instrument.unknowns, key: unknown}}.items():
-        object.__setattr__(changed, name, item)
-    return changed

@@ -57,6 +57,13 @@ def _counting(loss: Loss | None) -> Loss:
     return Loss("counting", lambda r: weight(r) * r**2 / 2, weight)
 
 
+def chance_beyond(square: float, freedom: float) -> float:
+    """Chance that chi-square of `freedom` degrees of freedom exceeds `square`."""
+    from scipy.special import gammaincc  # scipy.stats takes half a second to import
+
+    return float(gammaincc(freedom / 2, square / 2))
+
+
 def nees(error: Array, covariance: Array) -> float:
     """Normalised estimation error squared: error' covariance^-1 error, chi-square with n degrees of freedom."""
     return float(error @ np.linalg.solve(covariance, error))

@@ -160,6 +160,13 @@ class Parameter(Unknown):
         mask[np.flatnonzero(mask)] = list(free)
         return replace(self, free=tuple(bool(value) for value in mask), held_as_proposed=True)
 
+    def freed(self, component: str | None = None) -> Parameter:
+        """Copy with all components free, or with one more of them."""
+        if component is None:
+            return replace(self, free=True)
+        free = [name == component or bool(was) for name, was in zip(self.component_names(""), self._free, strict=True)]
+        return replace(self, free=tuple(free))
+
     def with_prior(self, stds: Sequence[float]) -> Parameter:
         """Copy with other prior standard deviations of its free components."""
         prior = self._prior.copy()

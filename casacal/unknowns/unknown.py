@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -134,6 +135,18 @@ class Unknown(ABC):
     @abstractmethod
     def with_free(self, free: Sequence[bool]) -> Unknown:
         """Copy with only the flagged of its present free coordinates left free."""
+
+    def component_names(self, key: str) -> tuple[str, ...]:
+        """Names of all components, free or held, that can be freed one by one; none by default."""
+        del key
+        return ()
+
+    def freed(self, component: str | None = None) -> Unknown:
+        """Copy that is estimated as a whole, or one more component of it, by what its name adds to the key's."""
+        del component
+        if is_dataclass(self) and "free" in {each.name for each in fields(self)}:
+            return replace(self, free=True)
+        raise ProblemError(f"{type(self).__name__} cannot be freed", "Declare it free in the problem")
 
     @abstractmethod
     def with_prior(self, stds: Sequence[float]) -> Unknown:

@@ -1,0 +1,116 @@
+"""The cause of a misfit, found by undoing what people do wrong: one thing if that suffices, else two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from casacal.checks.finding import Finding, times
+from casacal.checks.suspects import Fault, columns_and_joints, parts_of_the_cell
+from casacal.checks.undone import Undone, misfit
+from casacal.errors import CasacalError
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+SUSPICIOUS = 2.0
+"""Misfit, in stated standard deviations, above which something systematic is looked for."""
+BETTER = 0.25
+"""An undone fault must shrink the misfit to this part to be believed."""
+ALIKE = 1.5
+"""Within this factor a fault and its absence cannot be told apart."""
+PROMISING = 4
+"""Single faults that are tried together with others."""
+RIVALS = 3
+"""Faults that would explain it as well and are named."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What explains a misfit, as a finding, and problem and samples without it."""
+
+    finding: Finding
+    undone: Undone
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Faults that were undone one after the other, and what came of it."""
+
+    faults: tuple[Fault, ...]
+    undone: Undone
+    size: float
+    """The misfit that is left."""
+
+    @property
+    def freedom(self) -> int:
+        return sum(fault.freedom for fault in self.faults)
+
+
+def explained(problem: Problem, samples: Samples, base: float) -> Cause | None:
+    """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
+
+    Args:
+        problem: with one instrument.
+        samples: its rows, some hundred.
+        base: their misfit as they are.
+
+    """
+    tried = list(_tried(problem, samples))
+    best = _simplest(tried)
+    if best is None:
+        return None
+    if best.size > max(BETTER * base, SUSPICIOUS):
+        pairs = _pairs(tried, problem)
+        both = _simplest(pairs)
+        if both is not None and both.size < BETTER * min(best.size, base):
+            return _told(both, base, pairs)
+    return _told(best, base, tried) if best.size <= BETTER * base else None
+
+
+def _tried(problem: Problem, samples: Samples) -> Iterator[_Trial]:
+    for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, samples)):
+        yield from _one(fault, _Trial((), Undone(problem, samples), 0.0))
+
+
+def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
+    """What is left with a fault undone on top of others; nothing where it cannot be."""
+    try:
+        undone = fault.undo(before.undone.problem, before.undone.samples)
+    except CasacalError:  # such as a tool of an instrument that holds it
+        return
+    undone = replace(undone, found=before.undone.found + undone.found)
+    yield _Trial((*before.faults, fault), undone, misfit(undone.problem, undone.samples))
+
+
+def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
+    """The most promising single faults, each with what is commonly done wrong beside it."""
+    first = sorted(tried, key=lambda trial: trial.size)[:PROMISING]
+    found: list[_Trial] = []
+    for trial in first:
+        for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, trial.undone.samples)):
+            if fault.about != trial.faults[0].about and fault.common:
+                found += _one(fault, trial)
+    return found
+
+
+def _simplest(tried: list[_Trial]) -> _Trial | None:
+    """Of those that explain about as well as the best, the one of least freedom, then the first."""
+    if not tried:
+        return None
+    least = min(trial.size for trial in tried)
+    return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
+
+
+def _told(best: _Trial, base: float, tried: list[_Trial]) -> Cause:
+    names = " and ".join(fault.about for fault in best.faults)
+    others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
+    rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]
+    also = f"; {', '.join(rivals)} would explain it as well" if rivals else ""
+    causes = " and ".join(fault.cause for fault in best.faults)
+    undone = "with that undone" if len(best.faults) == 1 else "with both undone"
+    cause = (
+        f"{causes}{best.undone.found}: {undone}, the misfit falls from {times(base)} to {times(best.size)} times the "
+        f"stated noise{also}"
+    )
+    return Cause(Finding("error", names, cause, ". ".join(fault.fix for fault in best.faults)), best.undone)

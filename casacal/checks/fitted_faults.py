@@ -1,0 +1,140 @@
+"""Faults of a size that must be found: a tool elsewhere, a drift, a gear between joints, something that moved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casacal.binding.slots import ENOUGH
+from casacal.checks.undone import Undone, misfit, quick_fit
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.tables.labels import Labels
+from casacal.unknowns import Parameter
+
+ROUNDS = 4
+"""Gauss-Newton steps for a fault of one number; all are nearly linear in it."""
+
+PLACES = 12
+"""Places in the order of the rows at which something may have moved, before the best one is looked at closely."""
+
+FEWEST = 5
+"""Rows that a face needs on either side of such a place to have a plane there."""
+
+
+def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
+    """The tool point free of its prior, and where it then stands."""
+    probe = problem.instrument.probe
+    assert probe is not None
+    keys = [
+        key
+        for key, unknown in problem.instrument.unknowns.items()
+        if key in probe.moves and isinstance(unknown, Parameter) and set(unknown.units) <= {"mm"}
+    ]
+    freed = problem.free(*keys)
+    freed = freed.with_prior(dict.fromkeys(keys, math.inf))
+    fitted = quick_fit(freed, samples)
+    if fitted is None or not keys:
+        return Undone(problem, samples)
+    bound, result = fitted
+    moved = {
+        name: float(result.x[j])
+        for slot in bound.slots
+        if slot.key in keys
+        for name, j in zip(slot.unknown.names(slot.name), slot.columns, strict=True)
+    }
+    said = ", ".join(f"{name} by {by:+.2f} mm" for name, by in moved.items())
+    return Undone(freed, samples, f": {said}")
+
+
+def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
+    """Readings less a drift in proportion to their place in the order of rows."""
+    order = np.linspace(0.0, 1.0, len(samples))
+
+    def less(samples: Samples, size: float) -> Samples:
+        return replace(samples, columns={**samples.columns, column: samples.columns[column] - size * order})
+
+    size = _fitted(problem, samples, less)
+    return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
+
+
+def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) -> Undone:
+    """A sliding joint that moves as another one turns, as the screw of a SCARA's quill does."""
+
+    def with_lead(samples: Samples, size: float) -> Samples:
+        joints = samples.joints.copy()
+        joints[:, sliding] += size * joints[:, turning]
+        return replace(samples, joints=joints)
+
+    size = _fitted(problem, samples, with_lead)
+    return Undone(problem, with_lead(samples, size), f", by {2 * math.pi * size:+.4g} mm per turn")
+
+
+def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
+    """Faces that count as others from some row on, at the place where all then fits best."""
+    step = max(len(samples) // (PLACES + 1), 1)
+    tried: dict[int, float] = {}
+
+    def best_of(places: Sequence[int]) -> int:
+        for place in places:
+            if place not in tried and (later := _relabelled(problem, samples, place)) is not None:
+                tried[place] = misfit(problem, later)
+        return min(tried, key=tried.__getitem__, default=0)
+
+    rough = best_of(range(step, len(samples), step))
+    near = {rough + round(step * part / 3) for part in range(-3, 4)}
+    place = best_of(sorted(place for place in near if 0 < place < len(samples)))
+    later = _relabelled(problem, samples, place) if tried else None
+    if later is None:
+        return Undone(problem, samples)
+    return Undone(problem, later, f" near line {samples.lines[place]}")
+
+
+def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
+    """Rows from a place on under labels of their own; None where no face has enough rows on both sides."""
+    column = problem.instrument.groups
+    assert column is not None
+    faces = samples.faces(column)
+    after = np.arange(len(samples)) >= place
+    names, codes, split = list(faces.names), faces.codes.copy(), False
+    for k, name in enumerate(faces.names):
+        own = faces.codes == k
+        if min(int((own & after).sum()), int((own & ~after).sum())) >= FEWEST:
+            names.append(f"{name}, later")
+            codes[own & after] = len(names) - 1
+            split = True
+    return replace(samples, labels={**samples.labels, column: Labels(names, codes)}) if split else None
+
+
+def _fitted(problem: Problem, samples: Samples, change: Callable[[Samples, float], Samples]) -> float:
+    """The size of a change at which all fits best: Gauss-Newton in it, all unknowns fitted anew at each step.
+
+    The slope of the residuals by the size is freed of what the unknowns can follow, priors included.
+    """
+    size = 0.0
+    if len(samples) > ENOUGH:
+        return size
+    for _ in range(ROUNDS):
+        fitted = quick_fit(problem, change(samples, size))
+        if fitted is None:
+            return 0.0
+        bound, result = fitted
+        root = np.sqrt(result.weights)
+        here = bound.residual(result.x)
+        slope = (bound.on(change(samples, size + SMALL)).residual(result.x) - here) / SMALL
+        unknowns = np.vstack([root[:, None] * bound.jacobian(result.x), np.diag(1 / bound.prior_std)])
+        rest = np.zeros(bound.unknowns)
+        left = np.concatenate([root * slope, rest])
+        left = left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0]
+        power = float(left @ left)
+        if not power > 0:
+            return size
+        size -= float(left @ np.concatenate([root * here, result.x / bound.prior_std])) / power
+    return size
+
+
+SMALL = 1e-5
+"""Step of the finite difference, mm or mm per rad."""

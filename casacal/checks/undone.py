@@ -1,0 +1,64 @@
+"""Samples and problem with a suspected fault undone, and how well all fits then."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.errors import CasacalError
+from casacal.estimators import lm
+from casacal.least_squares.losses import huber
+from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+KEPT = 0.9
+"""Part of the rows, the best of them, that a misfit is made of."""
+OF_NORMAL = 0.62297
+"""Mean square of that part of a standard normal distribution."""
+STEPS = 25
+"""Steps of a quick robust fit."""
+
+
+@dataclass(frozen=True)
+class Undone:
+    """Problem and samples as they would be without a fault; `found` says its size where that was fitted."""
+
+    problem: Problem
+    samples: Samples
+    found: str = ""
+
+
+Undo: TypeAlias = Callable[[Problem, Samples], Undone]
+
+
+def quick_fit(problem: Problem, samples: Samples) -> tuple[BoundProblem, Result] | None:
+    """A robust fit in few steps; None where it cannot be bound or the figures overflow."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            bound = bind(problem, samples)
+            result = lm(bound, loss=huber(), max_steps=STEPS)
+    except CasacalError:
+        return None
+    return (bound, result) if math.isfinite(result.cost) else None
+
+
+def misfit(problem: Problem, samples: Samples) -> float:
+    """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
+
+    Root mean square of the whitened residuals, the largest tenth left out (single rows are no systematic fault, a face
+    of many is), plus the prior's cost per row: a fit that explains touches by bending the arm far beyond its prior is
+    no fit. Infinite if it fails.
+    """
+    fitted = quick_fit(problem, samples)
+    if fitted is None:
+        return math.inf
+    bound, result = fitted
+    squares = np.sort(bound.residual(result.x) ** 2)[: math.ceil(KEPT * bound.rows)]
+    size = math.sqrt(float(squares.mean()) / OF_NORMAL + 2 * bound.prior_cost(result.x) / bound.rows)
+    return size if math.isfinite(size) else math.inf
