@@ -16,6 +16,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.calibration import Reference
+from casacal.checks import Finding
+from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
@@ -60,6 +62,7 @@ def calibrate(
     seed: int = 0,
     reference: bool = True,
     noise: Literal["found", "stated"] = "found",
+    outliers: Literal["set aside", "keep"] = "set aside",
     loss: Loss | None = None,
     backend: str | None = None,
     threads: int | None = None,
@@ -78,6 +81,8 @@ def calibrate(
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
             interval; "stated" trusts what was stated.
+        outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
+            "keep" fits all. With a robust loss all are kept.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
@@ -95,21 +100,27 @@ def calibrate(
     run, name = _chosen(method, loss)
     if noise not in ("found", "stated"):
         raise CasacalError(f"{came(noise)} came as the noise", "Give 'found' or 'stated'")
+    if outliers not in ("set aside", "keep"):
+        raise CasacalError(f"{came(outliers)} came for the outliers", "Give 'set aside' or 'keep'")
     began = time.perf_counter()
     fitted, held = split(rows, holdout, seed)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
-        heldout = fit.on(rows.take(held)) if held.size else None
         if fit.rows < fit.unknowns:
             raise SamplesError(
                 rows.file,
                 f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
                 "Take more samples, hold fewer out, or hold parameters with --fix",
             )
+        aside: tuple[Finding, ...] = ()
+        if outliers == "set aside" and loss is None:
+            bad, aside = gross(fit)
+            if bad.any():
+                fit = bind(source.problem, rows.take(fitted[~bad]), backend=backend, threads=threads)
         scale = found_noise(fit, loss).scale if noise == "found" else {}
         if scale:
             fit = fit.with_noise(scale)
-            heldout = None if heldout is None else heldout.with_noise(scale)
+        heldout = fit.on(rows.take(held)) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
         result = _estimate(run, name, fit, seed, loss, progress)
@@ -118,7 +129,7 @@ def calibrate(
         before = plane_only(fit)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source)
+    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside)
 
 
 def problem_from(given: Any) -> ProblemFile:

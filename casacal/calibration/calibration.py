@@ -13,6 +13,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen, seen
 from casacal.checks import Finding, check
+from casacal.checks.dial_sign import sign_before_fit
+from casacal.checks.rows import outside, rounded
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
@@ -28,6 +30,7 @@ from casacal.uncertainty.identifiability import (
     prior_scale,
 )
 from casacal.uncertainty.noise import Noise, noise_over_stated
+from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
 
@@ -93,6 +96,8 @@ class Calibration(Value):
     seconds: Mapping[str, float]
     source: ProblemFile
     """The problem as it was given: its file, where it has one."""
+    aside: tuple[Finding, ...] = ()
+    """What is wrong with the rows that were set aside, with their lines."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -206,6 +211,18 @@ class Calibration(Value):
         return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
 
     @cached_property
+    def prior_moves(self) -> PriorMoves:
+        """How far arm and tool moved beyond what their priors allow, all together."""
+        return prior_moves(self.seen, self.seen_x, self.covariance)
+
+    @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
-        """Errors that the data check finds in all samples; it fits several times, so ask only where there is cause."""
-        return tuple(found for found in check(self.fit.problem, self.samples) if found.severity == "error")
+        """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
+        found = check(self.fit.problem, self.fit.block.samples)
+        return tuple(each for each in found if each.severity == "error")
+
+    @cached_property
+    def plain_errors(self) -> tuple[Finding, ...]:
+        """Errors of the rows that need no further fit: travel, limits, rounding, the dial's sign."""
+        found = [*outside(self.fit.problem, self.fit.block.samples), *rounded(self.fit), *sign_before_fit(self.fit)]
+        return tuple(each for each in found if each.severity == "error")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from casacal.calibration.calibration import MINIMISERS, NOT_NEEDED, Calibration
-from casacal.calibration.verdict import Verdict, suspicious
+from casacal.calibration.verdict import Verdict, wrong_with_samples
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection
 
 
@@ -51,7 +51,7 @@ def best_cure(calibration: Calibration) -> str:
 
 def _repair(calibration: Calibration, check: str) -> str:
     reference = calibration.reference
-    wrong = [found for found in calibration.data_errors if found.about != "misfit"] if suspicious(calibration) else []
+    wrong = wrong_with_samples(calibration)
     if wrong:
         return f"{wrong[0].fix[:1].lower()}{wrong[0].fix[1:]}; then {check}."
     if not calibration.result.converged:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.warnings import FAR, NOISE_BAND, Doubt, doubts, moves
+from casacal.checks import Finding
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
@@ -20,8 +21,8 @@ EXPLAINED = 0.5
 LACK_OF_FIT = 2.0
 """Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
 
-BENT = 10.0
-"""Prior standard deviations by which only a fit that does not reach the noise would bend an arm."""
+LEFT_TO_PRIORS = 0.5
+"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +63,25 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
     found = [
         (f"the samples look wrong ({error.about})", _sentence(str(error).removeprefix("error: ").removesuffix(".")))
-        for error in (calibration.data_errors if suspicious(calibration) else ())
-        if error.about != "misfit"
+        for error in wrong_with_samples(calibration)
     ]
     if not calibration.result.converged:
         found.append(("the method did not finish", calibration.result.message))
     found += [(words, _sentence(words)) for words in _missed_minimum(calibration)]
     if not found:
         found += [(words, _sentence(words)) for words in _unexplained(calibration)]
+    if not found:
+        found += [(words, _sentence(words)) for words in _priors_contradicted(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "the tip error has no bound with these samples"
         found.append((clause, "Neither the samples nor a prior hold every direction that moves the tip."))
     return found
+
+
+def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
+    """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
+    found = calibration.data_errors if suspicious(calibration) else calibration.plain_errors
+    return tuple(error for error in found if error.about != "misfit")
 
 
 def suspicious(calibration: Calibration) -> bool:
@@ -116,9 +124,22 @@ def _unexplained(calibration: Calibration) -> list[str]:
     said = f"the residuals are {ratio:.3g} times what the stated noise explains"
     if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
         return [f"{said}, and calibrating hardly lowered them"]
-    if moved > BENT:
+    if moved > FAR:
         return [f"{said}, although parameters moved by up to {moved:.0f} prior standard deviations"]
     return []
+
+
+def _priors_contradicted(calibration: Calibration) -> list[str]:
+    """Priors that the samples contradict, and that yet decide most of where the tip is."""
+    if not calibration.fit.unknowns:
+        return []
+    (before, now), far = calibration.tip_std, float(moves(calibration).max(initial=0.0))
+    if far <= FAR or now <= LEFT_TO_PRIORS * before:
+        return []
+    return [
+        f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
+        "arm, and they decide most of where the tip is"
+    ]
 
 
 def _further_doubts(calibration: Calibration) -> list[Doubt]:

@@ -22,6 +22,9 @@ NOISE_BAND = (0.9, 1.1)
 IMPROBABLE = 0.01
 """Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
 
+TOO_TIGHT = 1e-4
+"""Chance of moves as large as these, all together, below which the priors are too tight for this arm."""
+
 SETTLED = 0.1
 """Expected tip error over that before, below which the samples decide, however loose the priors."""
 
@@ -45,7 +48,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     """The same, each with its clause."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
-    found = (_far_parameters, _repeated_rows, _noise, _loose_priors, _unknown_places, _ignored_rows)
+    found = (_rows_set_aside, _far_parameters, _repeated_rows, _noise, _loose_priors, _unknown_places, _ignored_rows)
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 
 
@@ -70,15 +73,32 @@ def tip_extremes(calibration: Calibration) -> tuple[float, float]:
 def _far_parameters(calibration: Calibration) -> Doubt | None:
     moved, names = moves(calibration), calibration.fit.names
     far = [j for j in np.argsort(-moved) if moved[j] > FAR]
-    if not far:
+    together = calibration.prior_moves
+    if not far and together.chance > TOO_TIGHT:
         return None
-    named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
-    more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
+    said = f"All together, parameters moved {together.factor:.1f} times as far as their priors allow"
+    if far:
+        named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
+        more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
+        said = (
+            f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}; all together they moved "
+        )
+        said += f"{together.factor:.1f} times as far as their priors allow"
     return Doubt(
         "parameters moved far beyond their priors",
-        f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Either their priors are too "
-        "tight, or the samples pull them where they do not belong; casacal check may tell.",
+        f"{said}. Either the priors are too tight for this arm by about as much (--accuracy, --prior), or the samples "
+        "pull them where they do not belong; casacal check may tell.",
     )
+
+
+def _rows_set_aside(calibration: Calibration) -> Doubt | None:
+    found = calibration.aside
+    if not found:
+        return None
+    rows = sorted({line for each in found for line in each.lines})
+    said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
+    each = " ".join(str(finding).removeprefix("error: ") for finding in found)
+    return Doubt(said, f"{said}, and the others were fitted without {'it' if len(rows) == 1 else 'them'}: {each}")
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:

@@ -26,6 +26,8 @@ JUDGES = 5_000
 """Tips, drawn at random, whose median judges them."""
 GROSS = 8.0
 """Times the robust scatter beyond which a nominal tip is not on its plane at all."""
+FEWEST_OF_A_FACE = 12
+"""Rows of a face that can tell how rough it is."""
 CHANCE = 1e-4
 """Chance that a clean set has any row called an outlier (Bonferroni)."""
 
@@ -108,12 +110,22 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     leverage = np.minimum(leverages(bound, result), 0.999)
     free = max(float(bound.rows - leverage.sum()), 1.0)
     scale = max(1.4826 * float(np.median(np.abs(r))) * math.sqrt(bound.rows / free), 1e-12)
-    size = np.abs(r) / (scale * np.sqrt(1 - leverage))
+    size = np.abs(r) / (_scale_of_rows(bound, r, scale) * np.sqrt(1 - leverage))
     limit = float(stdtrit(free, 1 - CHANCE / (2 * bound.rows)))
     bad = np.flatnonzero(size > limit)
     per_row = bound.rows // len(bound.block.samples)
     rows = tuple(dict.fromkeys(int(k) // per_row for k in bad[np.argsort(-size[bad])]))
     return Outliers(rows, float(size.max()), limit, scale)
+
+
+def _scale_of_rows(bound: BoundProblem, r: Array, scale: float) -> Array:
+    """Robust noise (rows,): that of all rows, or of the row's own face where that is rougher."""
+    faces = bound.block.samples.faces(bound.problem.instrument.groups)
+    per_row, own = bound.rows // len(faces), np.full(len(faces.names), scale)
+    for k, rows in enumerate(faces.rows().values()):
+        if rows.size >= FEWEST_OF_A_FACE:
+            own[k] = max(1.4826 * float(np.median(np.abs(r.reshape(-1, per_row)[rows]))), scale)
+    return np.repeat(own[faces.codes], per_row)
 
 
 def single_rows(bound: BoundProblem, result: Result) -> list[Finding]:

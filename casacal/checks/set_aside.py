@@ -1,0 +1,73 @@
+"""Rows that do not belong, set aside so that the others can be fitted: few, each with its line and why."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.noise_scale import OTHERS
+from casacal.checks.check import strays
+from casacal.checks.finding import Finding
+from casacal.checks.outliers import GROSS, single_rows, studentised_outliers
+from casacal.estimators import lm
+from casacal.least_squares.losses import huber
+from casacal.samples.samples import Samples
+from casacal.uncertainty.prior_scatter import prior_scatter
+
+MOST = 0.1
+"""Part of the rows that may be set aside; where more are wrong, it is not single rows that are."""
+
+ROUNDS = 3
+"""Fits without the rows found before: large outliers hide small ones."""
+
+WORTH_A_LOOK = 0.05
+"""Chance of the largest residual, were all normal, below which a robust fit looks for outliers."""
+
+
+def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
+    """Rows (N,) of samples that chance does not explain, and what is wrong with them; none where they are many.
+
+    First those far off their face with the arm as drawn, then those that a robust fit cannot explain. A plain fit says
+    whether it is worth looking for these, so that clean samples cost one fit.
+
+    Args:
+        bound: a problem with one instrument and the samples that are to be fitted.
+
+    """
+    samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
+    bad, findings = _off_their_face(bound, samples)
+    for _ in range(ROUNDS):
+        if bad.sum() > MOST * len(samples):
+            return none, ()
+        kept = np.flatnonzero(~bad)
+        rest = bound if not bad.any() else bind(bound.problem, samples.take(kept))
+        if rest.rows <= rest.unknowns or (noise := _noise_worth_a_look(rest)) is None:
+            break
+        rest = rest.with_noise({OTHERS: max(noise, 1.0)})  # so that what is found does not depend on what was stated
+        result = lm(rest, loss=huber())
+        found = studentised_outliers(rest, result).rows if result.converged else ()
+        if not found:
+            break
+        findings += single_rows(rest, result)
+        bad[kept[list(found)]] = True
+    return (none, ()) if bad.sum() > MOST * len(samples) else (bad, tuple(findings))
+
+
+def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly."""
+    scatter = prior_scatter(bound).rms
+    worst = float(np.abs(bound.plain_residual(bound.x0)).max(initial=0.0))
+    if not worst > GROSS * scatter:
+        return np.zeros(len(samples), dtype=bool), []
+    return strays(bound.problem, samples, scatter)
+
+
+def _noise_worth_a_look(bound: BoundProblem) -> float | None:
+    """Robust noise over stated where the largest residual of a plain fit is too large for its like; else None."""
+    from scipy.special import ndtri
+
+    size = np.abs(bound.residual(lm(bound).x))
+    scale = 1.4826 * float(np.median(size))
+    unlikely = float(size.max(initial=0.0)) > -float(ndtri(WORTH_A_LOOK / (2 * bound.rows))) * scale
+    return scale if unlikely else None
