@@ -59,6 +59,7 @@ class AsArm(ABC):
         *,
         frame: Literal["flange", "tip"] = "flange",
         largest: float | None = None,
+        force: bool = False,
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
@@ -67,6 +68,7 @@ class AsArm(ABC):
                 `casacal compensate` reads.
             frame: what poses are of.
             largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+            force: take a result whose verdict is not to use it.
 
         Returns:
             One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
@@ -84,6 +86,7 @@ class AsArm(ABC):
             targets_from(targets, self.arm.source),
             frame=frame,
             largest=most,
+            force=force,
         )
 
     def program(
@@ -94,10 +97,11 @@ class AsArm(ABC):
         *,
         frame: Literal["flange", "tip"] = "flange",
         largest: float | None = None,
+        force: bool = False,
     ) -> str:
         """Compensated targets as text, "csv", "rapid", "krl" or "urscript"; written to `path` where one is given.
 
-        targets, frame, largest, errors: as for `compensate`. The proof is about joint values as they are written.
+        targets, frame, largest, force, errors: as for `compensate`. The proof is about joint values as written.
         """
         from casacal.compensation.compensate import LARGEST, compensate
         from casacal.compensation.programs import rounding_of, text_of
@@ -109,7 +113,7 @@ class AsArm(ABC):
         rounding = rounding_of(form, arm.source.problem.robot)
         meant = targets_from(targets, arm.source)
         text = text_of(
-            compensate(arm, meant, frame=frame, largest=most, rounding=rounding),
+            compensate(arm, meant, frame=frame, largest=most, rounding=rounding, force=force),
             form,
             arm,
         )
@@ -124,14 +128,15 @@ class AsArm(ABC):
         *,
         source: str | Path | None = None,
         prefix: str | None = None,
+        force: bool = False,
     ) -> str:
         """The arm as "dh", "urdf", "zeros", "ur" or "c": the text, written to `path` where one is given.
 
-        source, prefix, errors: as for `casacal.export.forms.export`.
+        source, prefix, force, errors: as for `casacal.export.forms.export`.
         """
         from casacal.export.forms import export
 
-        return export(self.arm, form, path, source=source, prefix=prefix)
+        return export(self.arm, form, path, source=source, prefix=prefix, force=force)
 
     def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.

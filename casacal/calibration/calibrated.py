@@ -64,7 +64,9 @@ class Calibrated(Calibration, AsArm):
         """
         import pandas as pd
 
-        table = pd.DataFrame(parameter_rows(self.fit, self.result.x, self.result.std)).set_index("name")
+        denied = verdict_of(self).level == "do not use"
+        rows = parameter_rows(self.fit, self.result.x, self.result.std, denied=denied)
+        table = pd.DataFrame(rows).set_index("name")
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from casacal.calibration.result_parts import (
     parameter_rows,
     reference_part,
     spreads,
+    tip_part,
     what_is_seen,
 )
 from casacal.calibration.verdict import verdict_of
@@ -48,12 +50,12 @@ def calibration_document(
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
     result, fit = calibration.result, calibration.fit
-    prior_tip, tip = calibration.tip_std
-    without = calibration.tip_std_without_prior
-    pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
+    verdict = verdict_of(calibration)
+    denied = verdict.level == "do not use"
+    pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
     return {
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
-        "verdict": asdict(verdict_of(calibration)),
+        "verdict": asdict(verdict),
         "data": {
             "file": seen_from(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
@@ -61,20 +63,17 @@ def calibration_document(
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
         },
         "cost": result.cost,
-        "parameters": parameter_rows(fit, result.x, result.std),
+        "parameters": parameter_rows(fit, result.x, result.std, denied=denied),
         **geometry(fit, result),
         "metrics": calibration.metrics,
-        "tip": {
-            "expected_rms_mm": tip,
-            "prior_rms_mm": prior_tip,
-            "without_prior_rms_mm": without[0],
-            "unseen": without[1],
-        },
+        "tip": None if denied else tip_part(calibration),
         "noise": noise_part(calibration),
         "identifiability": what_is_seen(calibration),
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
-        **spreads(calibration.covariance, calibration.seen.names, fit),
+        **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),
+        "prior_moves": asdict(calibration.prior_moves),
+        "set_aside": [asdict(finding) for finding in calibration.aside],
         "down_weighted_lines": calibration.down_weighted,
         "reference": reference_part(calibration.reference),
         **closing(result, calibration.seconds),
@@ -135,7 +134,7 @@ def write_calibration(
         write_json(place / "result.json", document)
         write_text(
             place / "parameters.csv",
-            _table(parameter_rows(calibration.fit, calibration.result.x, calibration.result.std)),
+            _table(document["parameters"]),
         )
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
@@ -149,7 +148,12 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "identifiable", "note"))
     for row in rows:
         change = row["estimate"] - row["nominal"]
-        numbers = (f"{row['nominal']:.12g}", f"{row['estimate']:.12g}", f"{change:.6g}", f"{row['std']:.6g}")
+        numbers = (
+            f"{row['nominal']:.12g}",
+            f"{row['estimate']:.12g}",
+            f"{change:.6g}",
+            "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
+        )
         writer.writerow((row["name"], row["unit"], *numbers, row["identifiable"], row["note"]))
     return text.getvalue()
 

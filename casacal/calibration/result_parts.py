@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -24,8 +25,11 @@ NOTES = {
 }
 
 
-def parameter_rows(bound: BoundProblem, x: Array, stds: Array) -> list[dict[str, Any]]:
-    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note."""
+def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool = False) -> list[dict[str, Any]]:
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note.
+
+    Where the verdict denies the result, a standard deviation would be worth nothing: NaN.
+    """
     rows = []
     for name, unit, nominal, j in bound.parameters():
         if j is None:
@@ -33,9 +37,20 @@ def parameter_rows(bound: BoundProblem, x: Array, stds: Array) -> list[dict[str,
         else:
             std = float(stds[j])
             word = verdict(std, float(bound.prior_std[j]))
-            row = {"estimate": nominal + float(x[j]), "std": std, "identifiable": word, "note": NOTES[word]}
+            row = {
+                "estimate": nominal + float(x[j]),
+                "std": math.nan if denied else std,
+                "identifiable": word,
+                "note": NOTES[word],
+            }
         rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
     return rows
+
+
+def tip_part(calibration: Calibration) -> dict[str, Any]:
+    """The tip error to expect: after, before, and from the samples alone, with the directions that they miss."""
+    (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
+    return {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
 
 
 def noise_part(calibration: Calibration) -> dict[str, Any]:
@@ -112,7 +127,7 @@ def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def spreads(covariance: Array, names: Sequence[str], bound: BoundProblem) -> dict[str, Any]:
+def spreads(covariance: Array | None, names: Sequence[str], bound: BoundProblem) -> dict[str, Any]:
     """The covariance, with the names of its rows where unknowns of single labels have none in it."""
     some = {} if len(names) == bound.unknowns else {"covariance_of": list(names)}
     return {**some, "covariance": covariance}

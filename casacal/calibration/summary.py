@@ -38,7 +38,8 @@ def parameter_table(calibration: Calibration) -> str:
 
     Angles are shown in degrees, lengths in mm.
     """
-    rows = parameter_rows(calibration.fit, calibration.result.x, calibration.result.std)
+    denied = verdict_of(calibration).level == "do not use"
+    rows = parameter_rows(calibration.fit, calibration.result.x, calibration.result.std, denied=denied)
     wide = max(12, *(len(row["name"]) + 2 for row in rows)) if rows else 12
     lines = [f"{'parameter':<{wide}}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
     held = []
@@ -49,7 +50,8 @@ def parameter_table(calibration: Calibration) -> str:
         unit, factor = ("deg", 180 / math.pi) if row["unit"] == "rad" else (row["unit"], 1.0)
         nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
         lines.append(
-            f"{row['name']:<{wide}}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}{std:>10.4f}"
+            f"{row['name']:<{wide}}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}"
+            f"{'-' if denied else f'{std:.4f}':>10}"
             f"  {KNOWN_FROM[row['identifiable']]}"
         )
     if held:
@@ -63,6 +65,8 @@ def _opening(calibration: Calibration, name: str) -> str:
     groups = len(calibration.samples.labels[column].names) if column in calibration.samples.labels else 0
     counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
     rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
+    if calibration.aside:
+        rows += f", {len({line for found in calibration.aside for line in found.lines})} set aside"
     return (
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"

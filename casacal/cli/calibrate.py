@@ -57,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", choices=("found", "stated"), help="found (default): at least as stated, and what the rows show"
     )
+    parser.add_argument(
+        "--keep-outliers", action="store_true", help="fit all rows, also those that chance does not explain"
+    )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
     parser.add_argument(
         "--backend", choices=("auto", "c", "blocks"), help="what evaluates the rows; default: CASACAL_BACKEND, or auto"
@@ -97,6 +100,7 @@ def run(options: argparse.Namespace) -> int:
             seed=options.seed,
             reference=not options.no_reference,
             noise=options.noise or "found",
+            outliers="keep" if options.keep_outliers else "set aside",
             loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
             backend=options.backend,
             progress=progress,

@@ -28,6 +28,15 @@ def add_result(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Whether a result counts whose verdict is not to use it."""
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="take a result whose verdict is not to use it, and write that into the file",
+    )
+
+
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None) -> None:
     """Raise CasacalError where a command would write over what it reads."""
     for out in outs:

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, FAILED, add_force, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="correction of a joint above which a target counts as a jump; default: 10",
     )
+    add_force(parser)
     add_json(parser)
 
 
@@ -67,7 +68,12 @@ def run(options: argparse.Namespace) -> int:
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)
     compensation = compensate(
-        result, targets, frame=options.frame, largest=math.radians(options.largest), rounding=rounding
+        result,
+        targets,
+        frame=options.frame,
+        largest=math.radians(options.largest),
+        rounding=rounding,
+        force=options.force,
     )
     write_text(options.out, text_of(compensation, options.format, result))
     missed = [i for i, outcome in enumerate(compensation.outcomes) if outcome is not Outcome.REACHED]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, add_force, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.compensation.arm import CalibratedArm
+    pass
 
 
 HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prefix", metavar="WORD", help="for c: what names of functions begin with; default: the problem's name"
     )
+    add_force(parser)
     add_json(parser)
 
 
@@ -41,14 +42,15 @@ def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
     from casacal.compensation.result_file import read_result
     from casacal.export import remark
-    from casacal.files import write_text
+    from casacal.export.forms import export
 
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     spare([options.out], options.result, options.source)
     result = read_result(options.result)
     spare([options.out], *made_from(result))
-    write_text(options.out, _exported(result, options))
+    prefix = options.prefix if options.to == "c" else None
+    export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
     if options.json:
         say_json({"form": options.to, "remarks": remark(result), "written": [options.out]})
         return DONE
@@ -56,22 +58,3 @@ def run(options: argparse.Namespace) -> int:
     for line in remark(result):
         say_paragraph(line)
     return DONE
-
-
-def _exported(result: CalibratedArm, options: argparse.Namespace) -> str:
-    """The text that is asked for."""
-    from casacal.export import c_text, dh_text, ur_kinematics_text, urdf_text, zeros_text
-    from casacal.robots.files.dh_file import is_toml
-
-    if options.to == "dh":
-        if options.source is not None and is_toml(options.source) != is_toml(options.out):
-            raise CasacalError(
-                f"'{options.out}' and '{options.source}' are of different formats",
-                "Let both names end in .csv, or both in .toml",
-            )
-        return dh_text(result, options.source, toml=is_toml(options.out))
-    if options.to == "urdf":
-        return urdf_text(result, options.source)
-    if options.to == "c":
-        return c_text(result, prefix=options.prefix)
-    return {"zeros": zeros_text, "ur": ur_kinematics_text}[options.to](result)

@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
+    from casacal.compensation.arm import denial
     from casacal.compensation.predict import predict, read_joints, write_prediction
     from casacal.compensation.result_file import read_result
 
@@ -48,4 +49,6 @@ def run(options: argparse.Namespace) -> int:
         say_json({"poses": count, "frame": options.frame, "nominal": options.nominal, "written": [options.out]})
     else:
         say_paragraph(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        if (words := denial(result)) is not None and not options.nominal:
+            say_paragraph(words)
     return DONE

@@ -55,12 +55,31 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False) -> Array:
     return np.concatenate([np.zeros(0), *(_local(key, unknown, result, nominal) for key, unknown in unknowns.items())])
 
 
+def denial(result: CalibratedArm) -> str | None:
+    """What the verdict on a result says where it is not to be used; None for any other, and for a truth."""
+    verdict = result.document.get("verdict") or {}
+    return str(verdict["words"]) if verdict.get("level") == "do not use" else None
+
+
+def check_usable(result: CalibratedArm, *, force: bool) -> None:
+    """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
+    words = denial(result)
+    if words is not None and not force:
+        raise CasacalError(
+            f"{result.file}: {words.removesuffix('.')}",
+            "Mend what the verdict names and calibrate again; --force (force=True) uses it all the same, and says so",
+        )
+
+
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
     try:
         rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
         names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
     except (KeyError, TypeError):
+        if denial(result) is not None:
+            said = f"{result.file}: a result that is not to be used has no standard deviations"
+            raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     places = {name: j for j, name in enumerate(names)}
     local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]

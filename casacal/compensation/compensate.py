@@ -15,7 +15,14 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates
+from casacal.compensation.arm import (
+    FRAMES,
+    CalibratedArm,
+    check_usable,
+    denial,
+    infinite_variances,
+    local_coordinates,
+)
 from casacal.compensation.inverse_kinematics import PosedArm, turning
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
@@ -43,6 +50,7 @@ def compensate(
     frame: Literal["flange", "tip"] = "flange",
     largest: float = LARGEST,
     rounding: Rounding | None = None,
+    force: bool = False,
 ) -> Compensation:
     """Correct targets for a calibrated robot, all rows at once.
 
@@ -57,17 +65,21 @@ def compensate(
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
         largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
         rounding: how the joint values will be written; the proof is about these.
+        force: take a result whose verdict is not to use it; nothing is then expected of its accuracy (NaN).
 
     Returns:
         One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
         there in mm and rad, and the standard deviation of its position, mm.
 
-    Raises CasacalError for a result that did not converge, or whose arm has directions that nothing holds.
+    Raises CasacalError for a result that is not to be used or did not converge, or whose arm has directions that
+    nothing holds.
 
     """
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
-    _trusted(result, frame)
+    check_usable(result, force=force)
+    if denial(result) is None:
+        _trusted(result, frame)
     rounding = rounding or Rounding()
     nominal = PosedArm.of(result.source.problem, local_coordinates(result, nominal=True), frame)
     arm = replace(nominal, local=local_coordinates(result))
@@ -157,11 +169,12 @@ def _proof(
     sound = np.flatnonzero(_finite(arm, joints, positions, rotations))
     if sound.size:
         samples = Samples.of_joints(joints[sound])
-        prediction = predict(result, samples, frame=arm.frame, std=True)
+        known = denial(result) is None  # nothing is expected of a result that is not to be used
+        prediction = predict(result, samples, frame=arm.frame, std=known)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
         place[sound] = _length(prediction.positions - positions[sound])
         turn[sound] = _length(turning(turns @ rotations[sound].transpose(0, 2, 1)))
-        spread[sound] = prediction.std
+        spread[sound] = prediction.std if known else np.nan
     return place, turn, spread
 
 

@@ -107,7 +107,8 @@ def predict(
         Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
         in mm where asked for. The quaternions are those of the flange for both frames.
 
-    Raises CasacalError for standard deviations of the nominal arm, or of a result that holds no covariance.
+    Raises CasacalError for standard deviations of the nominal arm, of a result that holds no covariance, or of one that
+    is not to be used.
 
     """
     from scipy.spatial.transform import Rotation

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, denial
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
 from casacal.errors import CasacalError, UnknownNameError
@@ -127,16 +127,22 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         "joint values are those that the problem's robot.pose takes",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
+    verb = "removes" if denial(result) is None else "changes"
+    if (words := denial(result)) is not None:
+        lines.append(f"WARNING, forced against the verdict: {words}")
     if reached.any():
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
             f"{_figures(compensation.residual_mm[reached], 'mm')} and "
             f"{_figures(1e3 * compensation.residual_rad[reached], 'mrad')}, over the rows that are reached",
-            f"what the correction removes there: {_figures(compensation.correction_mm[reached], 'mm')}",
+            f"what the correction {verb} there: {_figures(compensation.correction_mm[reached], 'mm')}",
+        ]
+    if reached.any() and words is None:
+        lines.append(
             f"position error of the {compensation.frame} to expect: "
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from where the base "
-            "stands, which must be taught",
-        ]
+            "stands, which must be taught"
+        )
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")
     if targets.poses is not None and targets.joints is None:
@@ -160,6 +166,7 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     yield ",".join(
         ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]
     )
+    denied = denial(result) is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
     figures = np.column_stack(
         [
@@ -174,7 +181,8 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
         compensation.targets.lines, written, compensation.outcomes, figures, strict=True
     ):
         cells = [f"{value:.{compensation.rounding.decimals}f}" for value in joints]
-        yield ",".join([str(line), *cells, outcome.value, *(f"{value:.6f}" for value in row)])
+        known = [f"{value:.6f}" for value in row[:-1]] + ["" if denied else f"{row[-1]:.6f}"]
+        yield ",".join([str(line), *cells, outcome.value, *known])
 
 
 def printable(text: str) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, check_usable, denial
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.c_code import c_text
 from casacal.export.dh import dh_text
+from casacal.export.remark import remark
 from casacal.export.ur_kinematics import ur_kinematics_text
 from casacal.export.urdf import urdf_text
 from casacal.export.zeros import zeros_text
@@ -25,6 +27,7 @@ def export(
     *,
     source: str | Path | None = None,
     prefix: str | None = None,
+    force: bool = False,
 ) -> str:
     """A calibrated arm in a form that others read, as text.
 
@@ -34,8 +37,9 @@ def export(
         path: file to write it to; None writes nothing.
         source: for "dh" and "urdf", the file written back with only its numbers changed.
         prefix: for "c", what the functions' names begin with; by default the problem's name.
+        force: write a result whose verdict is not to use it, with that verdict as a comment.
 
-    Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it.
+    Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
 
     """
     if form not in FORMS:
@@ -44,10 +48,21 @@ def export(
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
+    check_usable(arm, force=force)
     text = _text(arm, form, path, source, prefix)
+    if form == "urdf" and denial(arm) is not None:
+        text = _remarked(text, arm)
     if path is not None:
         write_text(path, text)
     return text
+
+
+def _remarked(text: str, arm: CalibratedArm) -> str:
+    """A URDF with the verdict against it as a comment before its first element; a comment holds no two hyphens."""
+    words = "\n".join(remark(arm)).replace("--", "- -")
+    place = re.search(r"<(?=[A-Za-z_])", text)
+    assert place is not None
+    return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
 
 
 def _text(arm: CalibratedArm, form: str, path: str | Path | None, source: str | Path | None, prefix: str | None) -> str:

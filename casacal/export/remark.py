@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, denial
 from casacal.version import __version__
 
 MARK = "casacal: "
@@ -20,6 +20,8 @@ def remark(result: CalibratedArm) -> list[str]:
     lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
     if not document.get("converged", True):
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
+    if (words := denial(result)) is not None:
+        return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
     error = (document.get("tip") or {}).get("expected_rms_mm")
     shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [

@@ -41,9 +41,10 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
 
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
-    std = bound.prior_std[own]
-    gained = np.eye(own.size) - covariance[np.ix_(own, own)] / np.outer(std, std)
-    weights = np.clip(np.linalg.eigvalsh(gained), 0.0, 1.0) if own.size else np.zeros(0)
+    std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
+    if not np.isfinite(spread).all():  # what nothing holds drags others along
+        return PriorMoves(0.0, 0.0, 1.0)
+    weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - spread / np.outer(std, std)), 0.0, 1.0)
     total, decided = float((((x - bound.x0)[own] / std) ** 2).sum()), float(weights.sum())
     if decided <= 0:
         return PriorMoves(0.0, 0.0, 1.0)

@@ -44,6 +44,9 @@ def parameters_section(calibration: Calibration, document: Mapping[str, Any]) ->
 def _row(row: Mapping[str, Any], prior: float) -> list[object]:
     unit, factor = shown_unit(row["unit"])
     nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
+    if math.isnan(std):  # the verdict denies it
+        cells = [row["name"], unit, fixed(nominal), fixed(estimate), fixed(estimate - nominal, signed=True)]
+        return [*cells, "–", "–", KNOWN_FROM[row["identifiable"]]]
     share = f"{100 * row['std'] / prior:.0f} %" if math.isfinite(prior) and math.isfinite(std) else "no prior"
     words = tag("span", KNOWN_FROM[row["identifiable"]], at={"class": f"known {row['identifiable']}"})
     return [
