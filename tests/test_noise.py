@@ -9,6 +9,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
+from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.least_squares.information import determined
 from casacal.samples.write import write_samples
@@ -194,3 +195,54 @@ def test_no_alarm_over_flat_and_finite_priors(hsr, corner_simulation):
         noise = found_noise(bind(hsr.problem.with_prior(dict.fromkeys(some, np.inf)), corner_simulation.samples))
         assert noise.low < 1.1
         assert noise.ratio < 1.2
+
+
+def repeated(hsr, seed, *, times, shared, own):
+    """Each of 120 postures touched several times: an error that repeats share, one of each touch, mm."""
+    cell = dataclasses.replace(hsr.cell, repeatability=0.0, resolution=0.0)
+    simulation = simulate(hsr.problem, cell, seed=seed)
+    rng, rows = np.random.default_rng(seed), np.repeat(np.arange(120), times)
+    touches = simulation.samples.take(rows)
+    errors = np.repeat(rng.normal(0, shared, 120), times) + rng.normal(0, own, 120 * times)
+    columns = {**touches.columns, "reading": touches.columns["reading"] + errors}
+    return simulation, dataclasses.replace(touches, columns=columns, lines=tuple(range(2, 2 + len(rows))))
+
+
+def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
+    """As much is known as from one touch of each posture with the noise of a mean, which a fit of these says."""
+    found, told = [], []
+    for seed in range(4):
+        simulation, samples = repeated(hsr, seed, times=3, shared=0.03, own=0.01)
+        calibration = calibrate(hsr.problem, samples, reference=False)
+        again = calibration.noise.repeats
+        assert (again.places, again.chance < 1e-6) == (120, True)
+        assert again.low < 1 < again.high
+        found.append((again.ratio, again.shared, calibration.noise.ratio))
+        once = calibrate(stating(hsr.problem, math.sqrt(0.03**2 + 0.01**2 / 3)), simulation.samples, noise="stated",
+                         reference=False)  # fmt: skip
+        told.append(calibration.tip_std[1] / once.tip_std[1])
+        verdict = verdict_of(calibration)
+        assert verdict.level == "use with care"
+        assert any("repeated, at 120 places" in reason for reason in verdict.reasons)
+    np.testing.assert_allclose(np.mean(found, axis=0), [1.0, 0.9, math.sqrt(10)], rtol=0.05)
+    assert np.mean(told) == pytest.approx(1.0, rel=0.03)
+
+
+def test_repeats_of_an_arm_that_is_as_modelled_count_in_full(hsr):
+    chances = []
+    for seed in range(12):
+        _, samples = repeated(hsr, seed, times=2, shared=0.0, own=0.01)
+        found = found_noise(bind(hsr.problem, samples))
+        chances.append(found.repeats.chance)
+        assert found.repeats.shared == 0 or found.repeats.chance < 0.01
+    ranks = np.sort(chances) - (np.arange(12) + 0.5) / 12
+    assert np.abs(ranks).max() < 1.63 / math.sqrt(12)  # Kolmogorov and Smirnov, 1 %
+
+
+def test_copied_rows_count_once(hsr, corner_simulation):
+    rows = np.repeat(np.arange(120), 3)
+    copied = corner_simulation.samples.take(rows)
+    once, thrice = (calibrate(hsr.problem, some, reference=False) for some in (corner_simulation.samples, copied))
+    assert thrice.noise.repeats.shared == pytest.approx(1.0)
+    assert thrice.tip_std[1] == pytest.approx(once.tip_std[1], rel=0.05)
+    np.testing.assert_allclose(thrice.x, once.x, atol=1e-3)

@@ -9,10 +9,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.slots import Block
+from casacal.samples.repeats import repeats_of
 from casacal.samples.samples import Samples
 
 OTHERS = ""
 """Stands for every face that is not named."""
+
+SHARED = "\0shared"
+"""Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
 
 
 def scaled_noise(
@@ -28,7 +32,15 @@ def scaled_noise(
 
 
 def factors(samples: Samples, groups: str | None, scale: Mapping[str, float]) -> Array:
-    """The factor of each row (N,)."""
+    """The factor of each row (N,).
+
+    Where repeats share the part c of their variance, m of them weigh together like one of variance (1 + (m - 1) c) / m,
+    the design effect of samples in clusters (Kish, Survey Sampling, 1965).
+    """
     faces = samples.faces(groups)
     known = np.array([scale.get(name, scale.get(OTHERS, 1.0)) for name in faces.names], dtype=np.float64)
-    return np.asarray(known[faces.codes])
+    found = known[faces.codes]
+    if (shared := scale.get(SHARED, 0.0)) > 0:
+        again = repeats_of(samples, groups)
+        found = found * np.sqrt(1 + (again.sizes[again.codes] - 1) * shared)
+    return np.asarray(found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib import metadata
 from typing import Any
 
@@ -65,6 +66,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
         "ratio": found.ratio,
         "low": found.low,
         "high": found.high,
+        "repeats": None if found.repeats is None else asdict(found.repeats),
         "by_face": {name: {"stated_mm": one, "used_mm": two} for name, (one, two) in pairs.items()},
     }
 

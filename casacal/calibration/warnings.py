@@ -48,7 +48,16 @@ def doubts(calibration: Calibration) -> list[Doubt]:
     """The same, each with its clause."""
     if not calibration.fit.unknowns:  # nothing moved, and nothing is known better or worse
         return []
-    found = (_rows_set_aside, _far_parameters, _repeated_rows, _noise, _loose_priors, _unknown_places, _ignored_rows)
+    found = (
+        _rows_set_aside,
+        _far_parameters,
+        _repeated_rows,
+        _lack_of_fit,
+        _noise,
+        _loose_priors,
+        _unknown_places,
+        _ignored_rows,
+    )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 
 
@@ -108,6 +117,20 @@ def _repeated_rows(calibration: Calibration) -> Doubt | None:
     (finding,) = again
     sentence = f"{finding.cause[:1].upper()}{finding.cause[1:]}. {finding.fix}."
     return Doubt("rows are repeated, so every standard deviation is too small", sentence)
+
+
+def _lack_of_fit(calibration: Calibration) -> Doubt | None:
+    again = calibration.noise.repeats
+    if again is None or not again.shared:
+        return None
+    chance = "less than 1e-6" if again.chance < 1e-6 else f"{again.chance:.1g}"
+    return Doubt(
+        "repeated touches agree better than the fit",
+        f"Touches that were repeated, at {again.places} places, scatter {again.ratio:.2f} times the stated noise; the "
+        f"fit misses them by {math.sqrt(again.f):.3g} times that (F = {again.f:.3g}, chance {chance}). The instrument "
+        "is not to blame: something errs that the model does not describe. Repeats of a place count as little more than "
+        "one touch, and all figures say so.",
+    )
 
 
 def _noise(calibration: Calibration) -> Doubt | None:

@@ -35,14 +35,17 @@ def noise_interval(result: Result) -> tuple[float, float, float]:
     The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined. Rows of
     which a robust loss left less than half do not count.
     """
-    from scipy.special import gammaincinv
-
     problem, r = result.problem, result.problem.residual(result.x)
     kept = result.weights >= HALF_WEIGHT
     counting = None if kept.all() else _counting(result.loss)
     free = max(int(kept.sum()) - effective_unknowns(problem, result.x, counting), 1.0)
-    total = float((r[kept] ** 2).sum())
-    # quantiles of chi-square with `free` degrees of freedom, without the half second that importing scipy.stats takes
+    return ratio_interval(float((r[kept] ** 2).sum()), free)
+
+
+def ratio_interval(total: float, free: float) -> tuple[float, float, float]:
+    """Root of a sum of squares over its degrees of freedom, and its 95 % interval by chi-square."""
+    from scipy.special import gammaincinv  # scipy.stats takes half a second to import
+
     low, high = (total / (2 * float(gammaincinv(free / 2, p))) for p in (0.975, 0.025))
     return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
 

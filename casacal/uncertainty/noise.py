@@ -16,12 +16,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, factors
+from casacal.binding.noise_scale import OTHERS, SHARED, factors
 from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
-from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval
+from casacal.samples.repeats import Repeats
+from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, ratio_interval
 from casacal.uncertainty.leverage import leverages
+from casacal.uncertainty.pure_error import PureError, condensed, pure_error, repeats_in
 from casacal.values import FrozenMapping, Value
 
 SETTLED = 0.003
@@ -41,13 +43,14 @@ FEWEST = 8.0
 class Noise(Value):
     """Found over stated noise with its 95 % interval, and the factor, one or more, with which each face is used.
 
-    In `scale` "" stands for all faces that are not named.
+    In `scale` "" stands for all faces that are not named. `repeats` is what touches of the same place say.
     """
 
     ratio: float
     low: float
     high: float
     scale: Mapping[str, float]
+    repeats: PureError | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scale", FrozenMapping(self.scale))
@@ -64,15 +67,18 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
         loss: a robust loss, whose ignored rows do not count.
 
     """
-    result, scale = lm(bound, loss=loss), 1.0
+    result, scale, shared = lm(bound, loss=loss), 1.0, 0.0
+    again = None if loss is not None else repeats_in(bound)
     for _ in range(MOST_ROUNDS):
         if not result.converged or not math.isfinite(result.cost):
             return noise_over_stated(result)
-        before, scale = scale, max(scale * noise_interval(result)[0], 1.0)
-        if abs(math.log(scale / before)) < SETTLED:
+        known = None if again is None else pure_error(result, again)
+        before, scale = (scale, shared), max(scale * _interval(result, again)[0], 1.0)
+        shared = 0.0 if known is None else known.shared
+        if abs(math.log(scale / before[0])) < SETTLED and abs(shared - before[1]) < SETTLED:
             break
-        result = lm(bound.with_noise({OTHERS: scale}), start=result.x, loss=loss)
-    own = _by_face(result, scale)
+        result = lm(bound.with_noise(_scale(scale, shared)), start=result.x, loss=loss)
+    own = None if shared else _by_face(result, scale)
     return noise_over_stated(result if own is None else _settled_by_face(bound, result, own, loss))
 
 
@@ -91,12 +97,28 @@ def noise_over_stated(result: Result) -> Noise:
     """What the residuals of a fit show over the noise as stated, whatever factors it was used with."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    scale = bound.noise_scale[0] if bound.noise_scale else {}
-    used, column = bound.block.noise, bound.problem.instrument.groups
-    stated = used / factors(bound.block.samples, column, scale)[:, None]
-    mean = math.sqrt(float((used**2).sum() / (stated**2).sum()))
-    ratio, low, high = (mean * each for each in noise_interval(result))
-    return Noise(ratio, low, high, scale)
+    scale, column = bound.noise_scale[0] if bound.noise_scale else {}, bound.problem.instrument.groups
+    stated = bound.block.noise / factors(bound.block.samples, column, scale)[:, None]
+    by_face = {name: value for name, value in scale.items() if name != SHARED}
+    of_a_touch = stated * factors(bound.block.samples, column, by_face)[:, None]
+    mean = math.sqrt(float((of_a_touch**2).sum() / (stated**2).sum()))
+    again = repeats_in(bound) if result.loss is None else None
+    ratio, low, high = (mean * each for each in _interval(result, again))
+    return Noise(ratio, low, high, scale, None if again is None else pure_error(result, again))
+
+
+def _scale(factor: float, shared: float) -> dict[str, float]:
+    return {OTHERS: factor, SHARED: shared} if shared else {OTHERS: factor}
+
+
+def _interval(result: Result, again: Repeats | None) -> tuple[float, float, float]:
+    """Found over used noise; of groups of repeats where they share what the model leaves out."""
+    bound = result.problem
+    assert isinstance(bound, BoundProblem)
+    if again is None or not (bound.noise_scale and bound.noise_scale[0].get(SHARED, 0.0)):
+        return noise_interval(result)
+    rows, free = condensed(result, again)
+    return ratio_interval(float((rows**2).sum()), free)
 
 
 def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = None) -> dict[str, float] | None:
