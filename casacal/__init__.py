@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from casacal.study import Run as Run
     from casacal.study import Simulated as Simulated
     from casacal.study import Study as Study
+    from casacal.uncertainty.priors import scaled_to_accuracy as scaled_to_accuracy
     from casacal.unknowns import Direction as Direction
     from casacal.unknowns import Frame as Frame
     from casacal.unknowns import Parameter as Parameter
@@ -150,6 +151,7 @@ _HOMES = {
     "casacal.simulation.simulate": ("Simulation", "simulate"),
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
     "casacal.compensation.targets": ("Targets", "read_targets"),
+    "casacal.uncertainty.priors": ("scaled_to_accuracy",),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -128,8 +128,8 @@ def _lack_of_fit(calibration: Calibration) -> Doubt | None:
         "repeated touches agree better than the fit",
         f"Touches that were repeated, at {again.places} places, scatter {again.ratio:.2f} times the stated noise; the "
         f"fit misses them by {math.sqrt(again.f):.3g} times that (F = {again.f:.3g}, chance {chance}). The instrument "
-        "is not to blame: something errs that the model does not describe. Repeats of a place count as little more than "
-        "one touch, and all figures say so.",
+        "is not to blame: something errs that the model does not describe. Repeats of a place count as little more "
+        "than one touch, and all figures say so.",
     )
 
 

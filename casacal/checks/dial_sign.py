@@ -59,7 +59,7 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
             WRONG_SIGN,
             f"with the arm as drawn the residuals already follow the reading, with a slope of {slope:.2f} +- {std:.2f} "
             "(0 is expected, 2 if the sign is wrong)",
-            "Reverse the sign of the dial in the problem",
+            f"Reverse the sign of the dial in the problem (--set sign={-probe.sign} tries it)",
         )
     ]
 

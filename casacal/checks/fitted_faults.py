@@ -25,16 +25,17 @@ FEWEST = 5
 """Rows that a face needs on either side of such a place to have a plane there."""
 
 
+def tool_keys(problem: Problem) -> list[str]:
+    """Lengths of the instrument that say where its tip is; none for an instrument without one."""
+    probe, unknowns = problem.instrument.probe, problem.instrument.unknowns
+    moves = () if probe is None else probe.moves
+    return [key for key in moves if isinstance(found := unknowns.get(key), Parameter) and found.unit == "mm"]
+
+
 def tool_elsewhere(problem: Problem, samples: Samples) -> Undone:
     """The tool point free of its prior, and where it then stands."""
-    probe = problem.instrument.probe
-    assert probe is not None
-    keys = [
-        key
-        for key, unknown in problem.instrument.unknowns.items()
-        if key in probe.moves and isinstance(unknown, Parameter) and set(unknown.units) <= {"mm"}
-    ]
-    freed = problem.free(*keys)
+    keys = tool_keys(problem)
+    freed = problem.free(*(key for key in keys if not problem.instrument.unknowns[key].size))
     freed = freed.with_prior(dict.fromkeys(keys, math.inf))
     fitted = quick_fit(freed, samples)
     if fitted is None or not keys:

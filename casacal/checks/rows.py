@@ -49,13 +49,14 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         reading = samples.columns[probe.column]
         bad = (reading < 0) | (reading > probe.travel)
         if bad.any():
+            longer = math.ceil(float(reading.max()))
             findings.append(
                 Finding(
                     "error",
                     "readings outside travel",
                     f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
                     f"(from {reading.min():g} to {reading.max():g} mm)",
-                    "Check the unit of the column and the dial's zero, or declare its travel",
+                    f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})",
                     _lines(samples, bad),
                 )
             )

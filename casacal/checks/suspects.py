@@ -11,7 +11,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere
+from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere, tool_keys
 from casacal.checks.undone import Undo, Undone
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -69,8 +69,9 @@ def flips(problem: Problem) -> Iterator[Fault]:
 def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
     probe, turns = problem.instrument.probe, problem.robot.revolute
-    if probe is not None and probe.moves:
-        cause, fix = "the tool seems to stand elsewhere", "Measure the tool again, and correct it in the problem"
+    if names := ",".join(tool_keys(problem)):
+        fix = f"Measure the tool again, and correct it in the problem (--free {names} --prior {names}=20 tries it)"
+        cause = "the tool seems to stand elsewhere"
         yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:
         yield from _signs_of_faces(samples, probe.column, probe.label, probe.travel)

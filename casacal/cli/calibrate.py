@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shlex
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from casacal.cli.adjust import add_adjustments, adjusted
 from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of, spare, whole_number
 from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.calibration.calibration import Calibration
-    from casacal.problem.problem import Problem
     from casacal.problem.problem_file import ProblemFile
     from casacal.uncertainty.expectation import Box
 
@@ -41,15 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=whole_number, default=0, metavar="K", help="for held-out rows and random methods"
     )
-    parser.add_argument(
-        "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
-    )
-    parser.add_argument(
-        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation in mm or rad, or inf"
-    )
-    parser.add_argument(
-        "--accuracy", type=float, metavar="MM", help="scale the arm's priors to the accuracy that its maker states"
-    )
+    add_adjustments(parser)
     parser.add_argument("--loss", choices=("huber", "tukey"), help="keep gross rows from pulling the fit; method lm")
     parser.add_argument(
         "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also give the tip error expected inside this box, mm, base frame"
@@ -83,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None and Path(options.out).exists() and not Path(options.out).is_dir():
         raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
     source = load_problem(options.problem)
-    problem = _adjusted(source.problem, options.fix, options.prior, options.accuracy)
+    problem = adjusted(source.problem, options)
     given = samples_of(source, options.samples)
     if options.out is not None:
         places = [Path(options.out) / name for name in FILES]
@@ -151,25 +141,6 @@ def _box(text: str) -> Box:
     except ValueError:
         raise CasacalError(f"--box {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
     return (x0, x1), (y0, y1), (z0, z1)
-
-
-def _adjusted(problem: Problem, fixed: Sequence[str], priors: Sequence[str], accuracy: float | None) -> Problem:
-    if accuracy is not None:
-        from casacal.uncertainty.priors import scaled_to_accuracy
-
-        problem = scaled_to_accuracy(problem, accuracy)
-    stds = {}
-    for setting in priors:
-        name, equals, number = setting.partition("=")
-        try:
-            stds[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals or math.isnan(stds.get(name.strip(), math.nan)):
-            raise CasacalError(f"--prior {setting} is not NAME=STD", "Give mm or rad, such as a3=0.5 or alpha=0.001")
-    problem = problem.with_prior(stds)
-    names = [name.strip() for group in fixed for name in group.split(",") if name.strip()]
-    return problem.fix(*names)
 
 
 class _Progress:

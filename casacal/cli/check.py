@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
+from casacal.cli.adjust import add_adjustments, adjusted
 from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of
 from casacal.cli.terminal import say_json, say_paragraph
 
@@ -18,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_samples(parser)
+    add_adjustments(parser)
     add_json(parser)
 
 
@@ -29,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     source = load_problem(options.problem)
     place = samples_of(source, options.samples)
     samples = source.problem.read(place, readings=options.readings, key=options.id, absurd=True)
-    findings = check(source.problem, samples)
+    findings = check(adjusted(source.problem, options), samples)
     counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
     if options.json:
         data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}

@@ -22,26 +22,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tip", metavar="LINK", help="link that is the flange; default: the last link, when there is only one"
     )
     parser.add_argument("--base", metavar="LINK", help="link that is the base frame; default: the root link")
+    parser.add_argument(
+        "--tool", metavar="X,Y,Z", help="tip of the plunger at reading zero in the flange frame, mm, such as 0,0,120"
+    )
+    parser.add_argument(
+        "--sign", choices=("-1", "+1", "1"), help="-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
+    )
+    parser.add_argument(
+        "--accuracy", type=float, metavar="MM", help="absolute accuracy of the arm, as its maker states"
+    )
     parser.add_argument("--out", metavar="DIR", default=".", help="where to make the folder; default: here")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.problem.new import new_from_dh, new_from_urdf
+    from casacal.problem.new_dial import Given
 
+    sign = None if options.sign is None else int(options.sign)
+    given = Given(tool=None if options.tool is None else _triple(options.tool), sign=sign, accuracy=options.accuracy)
     if options.dh is not None:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
-        folder, table = new_from_dh(options.name, options.dh, options.out)
+        folder, table = new_from_dh(options.name, options.dh, options.out, given=given)
         say_paragraph(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
         if table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraph(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
-        folder, arm = new_from_urdf(options.name, options.urdf, options.out, tip=options.tip, base=options.base)
+        folder, arm = new_from_urdf(
+            options.name, options.urdf, options.out, tip=options.tip, base=options.base, given=given
+        )
         say_paragraph(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
     say_paragraph(f"Written: {place}")
     following = f"casacal simulate {place} --out out/{options.name}.csv"
-    say_paragraph(f"Next: write your tool into {place}/problem.py, then {following}")
+    for words in given.missing:
+        say_paragraph(f"To fill in: {words}")
+    say_paragraph(f"Next: {f'fill these in in {place}/problem.py, then ' if given.missing else ''}{following}")
     return DONE
+
+
+def _triple(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise CasacalError(f"--tool {text} is not X,Y,Z", "Give three numbers of mm, such as 0,0,120") from None
+    return x, y, z

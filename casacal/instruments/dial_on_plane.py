@@ -171,7 +171,7 @@ class DialOnPlane(Instrument):
         sign = Suspect(
             "wrong dial sign",
             "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
-            "Reverse the sign of the dial in the problem",
+            f"Reverse the sign of the dial in the problem (--set sign={-self.sign} tries it)",
             ("reading",),
             -1.0,
         )

@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
+from casacal.problem.new_dial import Given
 from casacal.problem.problem_file import load_problem
-from casacal.robots.conventions import Conventions
+from casacal.problem.python_text import angles, conventions, imported, lengths, listed, quoted, tuple_of, word
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.decimals import degrees, plain
 from casacal.robots.files.dh_file import read_dh_file
-from casacal.robots.joints import Joint
 from casacal.robots.urdf_chain import UrdfChain
-
-WIDTH = 120
-"""Longest line of a problem file."""
 
 README = """# {name}
 
 {origin}, with a dial indicator on flat faces.
 Made by `casacal new`; edit it as you like.
 
-- Prior: 0.7 mm and 1 mrad on each of the {count} parameters of the arm ({keys}), flat on the planes.
-  Who knows the absolute accuracy that the maker states gives it to `casacal calibrate --accuracy`.
+- Prior: 0.7 mm and 1 mrad on each of the {count} parameters of the arm ({keys}),
+  unless problem.py states the maker's accuracy; flat on the planes.
 {more}- Noise: 0.01 mm along the plunger.
-- Tool: the plunger's tip stands at the flange's origin and points along its z axis. Yours does not: measure where it
-  is and write `DialOnPlane(noise_std=0.01, tool=tool_point(0, 0, 120, prior_std=1.0))`, with `tool_point` imported
-  from casacal. A larger reading lengthens the tool unless `sign=-1` is given.
+- Lines of problem.py marked TO FILL IN hold assumptions: where the tool's tip is, which way the dial counts, how
+  accurate the maker says the arm is.
 - Limits: those of the file{limits}. The simulated cell uses them.
 - Cell: none is defined, so `casacal simulate` looks for three faces in reach.
 
@@ -55,10 +50,13 @@ REDUNDANT = """- Parameters are the origins of the joints that move: x, y, z and
 """
 
 
-def new_from_dh(name: str, path: str | Path, out: str | Path = ".") -> tuple[Path, DHTable]:
+def new_from_dh(
+    name: str, path: str | Path, out: str | Path = ".", *, given: Given | None = None
+) -> tuple[Path, DHTable]:
     """Write the folder `out`/`name` for a DH file; rows whose axes are parallel are found where the file names none.
 
-    Returns the folder and the table. Raises CasacalError when the file cannot be read or the folder exists.
+    `given` is what is known of dial and maker. Returns the folder and the table. Raises CasacalError when the file
+    cannot be read or the folder exists.
     """
     table = read_dh_file(path)
     if not table.parallel:
@@ -68,48 +66,56 @@ def new_from_dh(name: str, path: str | Path, out: str | Path = ".") -> tuple[Pat
     folder = _folder(name, out)
     readme = README.format(
         name=name,
-        origin=f"The {table.convention} DH table of {_word(table.name)} from {Path(path).name}",
+        origin=f"The {table.convention} DH table of {word(table.name)} from {Path(path).name}",
         count=4 * len(table.alpha),  # beta takes the place of d
         keys=", ".join(keys),
         more=PARALLEL.format(axes=axes) if axes else "",
         limits=", +-180 degrees or +-1000 mm where it gives none",
         folder=folder.as_posix(),
     )
-    problem = dh_problem_text(table, Path(path).name)
+    problem = dh_problem_text(table, Path(path).name, given)
     return _written(folder, {"problem.py": problem.encode(), "README.md": readme.encode()}), table
 
 
 def new_from_urdf(
-    name: str, path: str | Path, out: str | Path = ".", *, tip: str | None = None, base: str | None = None
+    name: str,
+    path: str | Path,
+    out: str | Path = ".",
+    *,
+    tip: str | None = None,
+    base: str | None = None,
+    given: Given | None = None,
 ) -> tuple[Path, UrdfChain]:
     """Write the folder `out`/`name` for a URDF, with a copy of it.
 
-    Returns the folder and the chain of joints. Raises CasacalError when it cannot be read or the folder exists.
+    `given` is what is known of dial and maker. Returns the folder and the chain of joints. Raises CasacalError when it
+    cannot be read or the folder exists.
     """
     arm = UrdfChain.read(path, base, tip, None)
     base, tip = arm.chain[0].parent, arm.chain[-1].child
     folder = _folder(name, out)
     readme = README.format(
         name=name,
-        origin=f"The arm from link '{_word(base)}' to link '{_word(tip)}' of {arm.file}",
+        origin=f"The arm from link '{word(base)}' to link '{word(tip)}' of {arm.file}",
         count=6 * len(arm.moving),
         keys="x, y, z, rx, ry, rz",
         more=REDUNDANT,
         limits=", +-180 degrees for continuous joints",
         folder=folder.as_posix(),
     )
-    problem = urdf_problem_text(arm, base, tip)
+    problem = urdf_problem_text(arm, base, tip, given)
     files = {"problem.py": problem.encode(), "README.md": readme.encode(), arm.file: Path(path).read_bytes()}
     return _written(folder, files), arm
 
 
-def dh_problem_text(table: DHTable, source: str) -> str:
+def dh_problem_text(table: DHTable, source: str, given: Given | None = None) -> str:
     """Text of a problem.py with a DH table written out; `source` says where the table comes from."""
+    given = given or Given()
     turning = all(joint.turns for joint in table.joints)
-    names = ["DialOnPlane", "Joint", "Problem", "Robot", "deg"]
-    arguments = [_quoted(table.name)]
+    names = ["Joint", "Problem", "Robot", "deg", *given.names]
+    arguments = [quoted(table.name)]
     for key, values in (("alpha", table.alpha), ("a", table.a), ("d", table.d), ("theta", table.theta)):
-        arguments.append(f"{key}=" + (_angles(values) if key in ("alpha", "theta") else _lengths(values)))
+        arguments.append(f"{key}=" + (angles(values) if key in ("alpha", "theta") else lengths(values)))
     if turning:
         arguments.append('joints=[Joint("revolute", *deg(*limits)) for limits in LIMITS]')
     else:
@@ -119,86 +125,37 @@ def dh_problem_text(table: DHTable, source: str) -> str:
             else f'Joint("prismatic", {plain(joint.lower)}, {plain(joint.upper)})'
             for joint in table.joints
         ]
-        arguments.append("joints=" + _listed("[", rows, "]", 4, wide=True))
+        arguments.append("joints=" + listed("[", rows, "]", 4, wide=True))
     if table.convention != "standard":
         arguments.append(f'convention="{table.convention}"')
     if table.parallel:
-        arguments.append(f"parallel={_tuple(map(str, table.parallel))}")
+        arguments.append(f"parallel={tuple_of(map(str, table.parallel))}")
     if any(table.beta):
-        arguments.append(f"beta={_angles(table.beta)}")
+        arguments.append(f"beta={angles(table.beta)}")
     if table.conventions is not None:
-        names.insert(0, "Conventions")
-        arguments.append(f"conventions={_conventions(table.conventions, table.joints)}")
-    text = f'"""{_word(table.name)} with a dial indicator on flat faces; the table is that of {_word(source)}."""\n\n'
-    text += f"from casacal import {', '.join(names)}\n\n"
+        names.append("Conventions")
+        arguments.append(f"conventions={conventions(table.conventions, table.joints)}")
+    text = f'"""{word(table.name)} with a dial indicator on flat faces; the table is that of {word(source)}."""\n\n'
+    text += f"from casacal import {imported(names)}\n\n"
     if turning:
         limits = [f"({degrees(joint.lower)}, {degrees(joint.upper)})" for joint in table.joints]
         text += "# degrees, as the controller shows them\n"
-        text += f"LIMITS = {_listed('[', limits, ']', 0, taken=len('LIMITS = '))}\n\n"
+        text += f"LIMITS = {listed('[', limits, ']', 0, taken=len('LIMITS = '))}\n\n"
     text += "robot = Robot.from_dh(\n" + "".join(f"    {argument},\n" for argument in arguments) + ")\n"
-    return text + "problem = Problem(robot, DialOnPlane(noise_std=0.01))\n"
+    return f"{text}\n{given.text}"
 
 
-def urdf_problem_text(arm: UrdfChain, base: str, tip: str) -> str:
+def urdf_problem_text(arm: UrdfChain, base: str, tip: str, given: Given | None = None) -> str:
     """Text of a problem.py that reads the URDF beside it."""
-    given = [f"Path(__file__).with_name({_quoted(arm.file)})", f"base={_quoted(base)}", f"tip={_quoted(tip)}"]
-    robot = _listed("(", given, ")", 0, taken=len("robot = Robot.from_urdf"))
+    said = given or Given()
+    read = [f"Path(__file__).with_name({quoted(arm.file)})", f"base={quoted(base)}", f"tip={quoted(tip)}"]
+    robot = listed("(", read, ")", 0, taken=len("robot = Robot.from_urdf"))
     return (
-        f'"""{_word(arm.name)} with a dial indicator on flat faces; the arm is that of {_word(arm.file)}."""\n\n'
+        f'"""{word(arm.name)} with a dial indicator on flat faces; the arm is that of {word(arm.file)}."""\n\n'
         "from pathlib import Path\n\n"
-        "from casacal import DialOnPlane, Problem, Robot\n\n"
-        f"robot = Robot.from_urdf{robot}\n"
-        "problem = Problem(robot, DialOnPlane(noise_std=0.01))\n"
+        f"from casacal import {imported(['Problem', 'Robot', *said.names])}\n\n"
+        f"robot = Robot.from_urdf{robot}\n\n{said.text}"
     )
-
-
-def _conventions(conventions: Conventions, joints: Sequence[Joint]) -> str:
-    """The `Conventions(...)` of a table."""
-    turns = [joint.turns for joint in joints]
-    if all(turns):
-        offsets = _angles(conventions.offsets)
-    else:
-        shown = (f"deg({degrees(o)})" if turn else plain(o) for o, turn in zip(conventions.offsets, turns, strict=True))
-        offsets = _tuple(shown, 8)
-    parts = [f"signs={_tuple(map(str, conventions.signs))}", f"offsets={offsets}"]
-    if conventions.coupling:
-        parts.append(f"coupling={_tuple(f'({i}, {j}, {plain(factor)})' for i, j, factor in conventions.coupling)}")
-    return _listed("Conventions(", parts, ")", 4, taken=len("conventions="))
-
-
-def _angles(values: Sequence[float]) -> str:
-    """Angles in rad as deg(...); a tuple also where there is one alone."""
-    if len(values) == 1:
-        return f"(deg({degrees(values[0])}),)"
-    return _listed("deg(", [degrees(value) for value in values], ")", 4, taken=8)
-
-
-def _lengths(values: Sequence[float]) -> str:
-    return _tuple(plain(value) for value in values)
-
-
-def _tuple(items: Iterable[str], indent: int = 4) -> str:
-    found = list(items)
-    return f"({found[0]},)" if len(found) == 1 else _listed("(", found, ")", indent, taken=8)
-
-
-def _listed(opening: str, items: list[str], closing: str, indent: int, *, taken: int = 0, wide: bool = False) -> str:
-    """Items on one line where they fit behind `taken` characters, else one per line."""
-    line = opening + ", ".join(items) + closing
-    if not wide and indent + taken + len(line) + 1 <= WIDTH:
-        return line
-    inner = "".join(f"{' ' * (indent + 4)}{item},\n" for item in items)
-    return f"{opening}\n{inner}{' ' * indent}{closing}"
-
-
-def _quoted(text: str) -> str:
-    """A Python string, between double quotes unless it holds one."""
-    return repr(text) if '"' in text else json.dumps(text, ensure_ascii=False)
-
-
-def _word(text: str) -> str:
-    """A name for a sentence: one line, without what would end a docstring, not too long."""
-    return " ".join(re.sub(r'["\\]', "", text).split())[:40] or "an arm"
 
 
 def _folder(name: str, out: str | Path) -> Path:

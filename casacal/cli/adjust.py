@@ -1,0 +1,66 @@
+"""A problem as the options change it: what is held, freed, set, and how far it may be from the drawing."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.problem.problem import Problem
+
+
+def add_adjustments(parser: argparse.ArgumentParser) -> None:
+    """The options that change a problem without an editor."""
+    parser.add_argument(
+        "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
+    )
+    parser.add_argument(
+        "--free", action="append", default=[], metavar="NAMES", help="parameters to estimate that are held: tool,..."
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=NUMBER",
+        help="another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02",
+    )
+    parser.add_argument(
+        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation in mm or rad, or inf"
+    )
+    parser.add_argument(
+        "--accuracy", type=float, metavar="MM", help="scale the arm's priors to the accuracy that its maker states"
+    )
+
+
+def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
+    """The problem as the options want it; raises CasacalError for what cannot be read or does not exist."""
+    if options.accuracy is not None:
+        from casacal.uncertainty.priors import scaled_to_accuracy
+
+        problem = scaled_to_accuracy(problem, options.accuracy)
+    if options.set:
+        problem = problem.with_settings(_numbers("--set", options.set, "NAME=NUMBER", "sign=-1 or noise_std=0.02"))
+    problem = problem.free(*_names(options.free))
+    problem = problem.with_prior(_numbers("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
+    return problem.fix(*_names(options.fix))
+
+
+def _names(groups: Sequence[str]) -> list[str]:
+    return [name.strip() for group in groups for name in group.split(",") if name.strip()]
+
+
+def _numbers(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
+    found = {}
+    for setting in settings:
+        name, equals, number = setting.partition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals or math.isnan(found.get(name.strip(), math.nan)):
+            raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}")
+    return found
