@@ -106,8 +106,8 @@ def report(run: Run) -> list[str]:
     return [
         "# When someone errs in the cell",
         "",
-        f"Ten mistakes on four simulated robots, dials of 1 and 10 mm, {run.study.trials} arms each, 120 touches unless",
-        "said. *Accepted*: the verdict is not “do not use”; single rows may have been set aside. *Worse*: an accepted",
+        f"Ten mistakes on four simulated robots, dials of 1 and 10 mm, {run.study.trials} arms each, 120 touches",
+        "unless said. *Accepted*: the verdict is not “do not use”; single rows may have been set aside. *Worse*: an accepted",
         "arm whose true tip error, over 400 workspace poses and apart from where the base stands, exceeds that of its",
         "drawing. *Named*: the verdict or its reasons say what was done wrong. Rates with Clopper and Pearson's 95 %",
         "intervals.",
@@ -137,7 +137,7 @@ def in_short(run: Run, mistaken: list[str], clean: list[str]) -> list[str]:
     worse = int((accepted & (true > drawn)).sum())
     fine = np.concatenate([of(run, name, "level") for name in clean])
     return [
-        f"- {len(level)} trials with a mistake: {int(accepted.sum())} accepted, {worse} of them worse than the drawing.",
+        f"- {len(level)} trials with a mistake: {int(accepted.sum())} accepted, {worse} of them worse than drawn.",
         f"- Named: {percent(success_rate(int(np.nansum(named)), len(named)))}.",
         f"- {len(fine)} clean trials: *calibrated* {percent(success_rate(int((fine == 0).sum()), len(fine)))}, "
         f"{int((fine == 2).sum())} refused.",
