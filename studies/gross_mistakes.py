@@ -108,7 +108,7 @@ def report(run: Run) -> list[str]:
         "",
         f"Ten mistakes on four simulated robots, dials of 1 and 10 mm, {run.study.trials} arms each, 120 touches",
         "unless said. *Accepted*: the verdict is not “do not use”; single rows may have been set aside. *Worse*: an",
-        "accepted arm whose true tip error, over 400 workspace poses and apart from where the base stands, exceeds that of its",
+        "accepted arm whose true tip error over 400 workspace poses, apart from where the base stands, exceeds that of its",
         "drawing. *Named*: the verdict or its reasons say what was done wrong. Rates with Clopper and Pearson's 95 %",
         "intervals.",
         "",
