@@ -17,6 +17,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
+    cures_part,
     geometry,
     noise_part,
     parameter_rows,
@@ -51,9 +52,10 @@ def calibration_document(
     prior_tip, tip = calibration.tip_std
     without = calibration.tip_std_without_prior
     pairs = correlated_pairs(calibration.covariance, calibration.seen.names)
+    verdict = verdict_of(calibration)
     return {
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
-        "verdict": asdict(verdict_of(calibration)),
+        "verdict": asdict(verdict),
         "data": {
             "file": seen_from(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
@@ -72,6 +74,7 @@ def calibration_document(
         },
         "noise": noise_part(calibration),
         "identifiability": what_is_seen(calibration),
+        "cures": [] if verdict.level == "do not use" else cures_part(calibration),
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **spreads(calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),

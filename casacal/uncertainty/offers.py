@@ -16,6 +16,8 @@ from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Touches
 
 TILT = math.radians(30.0)
 """Largest tilt of the tool that is offered."""
+NEARLY = math.radians(25.0)
+"""Tilt from which more is none."""
 MARGIN = math.radians(0.1)
 """By which a tool may lean more than it has: as much as arms err."""
 STEP = 100.0
@@ -47,10 +49,9 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     leaning = max(now, TILT)
     same = _cell(faces, now)
     yield Offer("same", f"{count} more touches of the same kind", problem, same)
-    repeats = f"{count} touches with half the noise: "
-    better = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
-    yield Offer("noise", repeats + better, problem, same, 0.5)
-    if now < TILT:
+    how = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
+    yield Offer("noise", f"{count} touches with half the noise ({how})", problem, same, 0.5)
+    if now < NEARLY:
         yield Offer("tilt", f"{count} touches with the tool tilted by 10 to 30 degrees", problem, _cell(faces, TILT))
     first = faces[0]
     for aside in _across(first):
