@@ -178,9 +178,15 @@ class Calibration(Value):
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """Rank, null and weak directions at the estimate, where the tip error to expect is worked out, too."""
-        _, tips, slopes = self.workspace
-        return identifiability(self.seen, slopes, tips, self.seen_x)
+        """Rank, null and weak directions of arm and touches as drawn: at the nominal.
+
+        All that says how large something is, tip errors, verdicts on parameters, cures and what they do to these
+        directions, is worked out at the estimate. Rank cannot be: what the drawing hides exactly, by axes that are
+        parallel or a plate that is level, an estimate hides but for its own corrections, so that at a tolerance of
+        1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
+        """
+        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.fit, self.fit.x0)
+        return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
 
     @cached_property
     def cures(self) -> tuple[Cure, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from casacal.calibration.calibration import MINIMISERS, NOT_NEEDED, Calibration
+from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.verdict import Verdict, suspicious
 from casacal.uncertainty.cures import Cure
 

@@ -6,6 +6,7 @@ they were found, and the linearised touches are added to what the samples know, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,13 +15,12 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen, seen
+from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.uncertainty.bounds import bayesian_bound
-from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Known, Touches
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
 from casacal.uncertainty.offers import offers
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 
 GAIN = 0.95
 """Expected tip error over that without a cure, above which it is not worth recommending."""
@@ -52,25 +52,28 @@ def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
     the noise. What this arm cannot reach is left out. An instrument that touches no faces has two: more of the same,
     and half the noise.
     """
-    if not np.isfinite(x).all():
+    if not (x.size and np.isfinite(x).all()):
         return ()
     arm, at = seen(bound, x)
     joints = workspace_joints(bound.problem.robot)
-    tips, slopes = arm.tips(at, joints), arm.tip_jacobian(at, joints)
-    found: dict[str, tuple[str, float, Array]] = {}
-    for kind, words, information, prior_std in _outcomes(bound, arm, x, at):
-        if not np.isfinite(information).all():
-            continue
-        widened = np.hstack([slopes, np.zeros((len(slopes), len(prior_std) - at.size))])
-        error = bayesian_bound(information, prior_std, widened, tips)
-        if kind not in found or error < found[kind][1]:  # of the same at several places, the best
-            covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]
-            found[kind] = (words, error, covariance)
-    now = expected_accuracy(arm, at)[1]
-    same = found["same"][1] if "same" in found else now
+    tips, told = arm.tips(at, joints), arm.information(at)
+    field = without_rigid(arm.tip_jacobian(at, joints), tips)
+
+    def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
+        covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
+        return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean())), covariance
+
+    found: dict[str, tuple[float, Array, str]] = {}
+    for kind, words, information, prior_std in _outcomes(bound, arm, x, told):
+        if np.isfinite(information).all():
+            error, covariance = judged(information, prior_std)
+            if kind not in found or error < found[kind][0]:  # of the same at several places, the best
+                found[kind] = error, covariance, words
+    now, _ = judged(told, arm.prior_std)
+    same = min(now, found["same"][0]) if "same" in found else now
     made = [
-        Cure(words, EXTRA_TOUCHES, error, error < GAIN * (now if kind == "same" else min(now, same)), covariance)
-        for kind, (words, error, covariance) in found.items()
+        Cure(words, EXTRA_TOUCHES, error, error < GAIN * (now if kind == "same" else same), covariance)
+        for kind, (error, covariance, words) in found.items()
     ]
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
@@ -94,24 +97,29 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
     for cure, part in sorted(left, key=lambda each: not each[0].recommended):
         if part < SETTLES:
             return cure.words
-    cure, part = min(left, key=lambda each: each[1], default=(None, 1.0))
-    return NO_CURE if cure is None or part > LOWERS else f"{cure.words} (in part)"
+    best = min(left, key=lambda each: each[1], default=None)
+    return NO_CURE if best is None or best[1] > LOWERS else f"{best[0].words} (in part)"
 
 
-def _outcomes(bound: BoundProblem, arm: Seen, x: Array, at: Array) -> Iterator[tuple[str, str, Array, Array]]:
-    """Kind, words, information (m, m) and prior (m,) after each cure; the first unknowns are those of `arm`."""
-    touches = Touches.of(bound, x)
+def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator[tuple[str, str, Array, Array]]:
+    """Kind, words, information (m, m) and prior (m,) after each cure.
+
+    The first unknowns are those of `arm`, of which the samples told (s, s).
+    """
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        touches = None
     if touches is None:
-        told, more = arm.information(at), EXTRA_TOUCHES / len(bound.samples[0])
+        more = EXTRA_TOUCHES / len(bound.samples[0])
         yield "same", f"{EXTRA_TOUCHES} more samples of the same kind", (1 + more) * told, arm.prior_std
-        words = f"{EXTRA_TOUCHES} samples with half the noise"
-        yield "noise", words, (1 + 4 * more) * told, arm.prior_std
+        yield "noise", f"{EXTRA_TOUCHES} samples with half the noise", (1 + 4 * more) * told, arm.prior_std
         return
-    known = Known.of(bound, arm, x, at, [face.label for face in touches.faces])
+    known = Known.of(bound, x, told, [face.label for face in touches.faces])
     for offer in offers(bound, touches):
         rows = touches.on(offer.cell)
         if rows is not None:
-            information, prior_std = known.plus(offer.problem, rows, offer.noise)
+            information, prior_std = known.plus(offer.problem, offer.cell, rows, offer.noise)
             yield offer.kind, offer.words, information, prior_std
 
 
@@ -121,7 +129,7 @@ def _spread(covariance: Array, along: Array) -> float:
     if along[lost].any():
         return float("inf")
     held = np.where(np.isfinite(covariance), covariance, 0.0)
-    return float(np.sqrt(max(along @ held @ along, 0.0)))
+    return math.sqrt(max(float(along @ held @ along), 0.0))
 
 
 def _ratio(after: float, before: float) -> float:

@@ -1,11 +1,8 @@
 """What the data can and cannot tell: rank, null directions by kind, weak directions.
 
 NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
-figures can be compared: the whitened Jacobian at one x; its rank at 1e-9 of the largest singular value, columns times
-1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior standard deviation. Of a
-calibration, x is the estimate, where the tip error to expect and the cures are worked out; of a set-up that is only
-planned, the nominal. What the nominal hides by chance, such as axes that are exactly parallel, is null there and weak
-at an estimate.
+figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest singular value, columns
+times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior standard deviation.
 """
 
 from __future__ import annotations
@@ -77,7 +74,7 @@ class WeakDirection:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Rank and null space of a bound problem at one x."""
+    """Rank and null space of a bound problem at its nominal."""
 
     unknowns: int
     rank: int
@@ -92,25 +89,21 @@ class Identifiability:
         return sum(direction.kind == kind for direction in self.null)
 
 
-def identifiability(
-    problem: LeastSquares, tip_jacobian: Array, tips: Array, x: Array | None = None
-) -> Identifiability:
-    """Rank, null directions and weak directions of a problem at x, by default its nominal.
+def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:
+    """Rank, null directions and weak directions of a problem at its nominal.
 
     Args:
-        problem: its Jacobian is judged.
+        problem: its Jacobian at x0 is judged.
         tip_jacobian: of the workspace tips by x, (3 N, n), mm per unit of x.
         tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
-        x: where (n,).
 
     """
     scale, natural = prior_scale(problem), natural_scale(problem)
-    jacobian = problem.compact_jacobian(x := problem.x0 if x is None else x)
     # what takes part is judged by how far it moves things, an angle at a lever of a metre
     lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
-    rank, seen = seen_space(jacobian * natural)
+    rank, seen = seen_space(problem.compact_jacobian(problem.x0) * natural)
     field = tip_jacobian * scale
-    elsewhere = [_null_projector(problem, x, seed) for seed in range(PERTURBATIONS)]
+    elsewhere = [_null_projector(problem, seed) for seed in range(PERTURBATIONS)]
 
     def cost(direction: Array) -> float:
         return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
@@ -122,7 +115,7 @@ def identifiability(
             words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
             direction = change * natural / scale
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
-    sizes, right = _seen_directions(jacobian * scale, seen[rank:].T * (natural / scale)[:, None])
+    sizes, right = _seen_directions(problem, seen[rank:].T * (natural / scale)[:, None], scale)
     weak = [
         WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
         for size, each in zip(sizes, right, strict=True)
@@ -151,20 +144,20 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
-def _seen_directions(jacobian: Array, null: Array) -> tuple[Array, Array]:
-    """Singular values (rank,) and vectors (rank, n; rows) of a scaled Jacobian (k, n) beside a null space (n, m)."""
-    basis, _ = np.linalg.qr(np.column_stack([null, np.eye(len(null))]))
+def _seen_directions(problem: LeastSquares, null: Array, scale: Array) -> tuple[Array, Array]:
+    """Singular values (rank,) and vectors (rank, n; rows) of the scaled Jacobian beside a null space (n, k)."""
+    basis, _ = np.linalg.qr(np.column_stack([null, np.eye(problem.unknowns)]))
     rest = basis[:, null.shape[1] :]
-    _, sizes, within = np.linalg.svd(jacobian @ rest, full_matrices=False)
+    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
     return sizes, within @ rest.T
 
 
-def _null_projector(problem: LeastSquares, x: Array, seed: int) -> Array:
-    """Projector (n, n) on the null space, on natural scales, where x (n,) is off by random errors of that size."""
+def _null_projector(problem: LeastSquares, seed: int) -> Array:
+    """Projector (n, n) on the null space, on natural scales, where parameters are off by random errors of that size."""
     natural = natural_scale(problem)
     size = np.minimum(prior_scale(problem), natural)
-    elsewhere = x + size * np.random.default_rng(seed).normal(size=problem.unknowns)
-    rank, right = seen_space(problem.compact_jacobian(elsewhere) * natural)
+    x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
+    rank, right = seen_space(problem.compact_jacobian(x) * natural)
     return np.asarray(right[rank:].T @ right[rank:])
 
 

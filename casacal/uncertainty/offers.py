@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,14 +46,21 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     """Every way to go on that makes sense here, whether or not this arm can reach it."""
     faces, problem, count = touches.faces, touches.problem, EXTRA_TOUCHES
     now = min(touches.tilt + MARGIN, TILT + MARGIN)
-    leaning = max(now, TILT)
     same = _cell(faces, now)
     yield Offer("same", f"{count} more touches of the same kind", problem, same)
     how = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
     yield Offer("noise", f"{count} touches with half the noise ({how})", problem, same, 0.5)
     if now < NEARLY:
         yield Offer("tilt", f"{count} touches with the tool tilted by 10 to 30 degrees", problem, _cell(faces, TILT))
-    first = faces[0]
+    if not touches.held:
+        yield from _other_faces(touches, now)
+    yield from _step(touches, now)
+
+
+def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
+    """A face at right angles to the first; where all are as good as one, that one inclined."""
+    faces, problem, count, first = touches.faces, touches.problem, EXTRA_TOUCHES, touches.faces[0]
+    leaning = max(tilt, TILT)
     for aside in _across(first):
         second = Face(_new("second", faces), _beside(first, aside), _triple(aside), first.size)
         words = f"{count} touches with the tool tilted, half of them on another face at right angles ({_named(aside)})"
@@ -63,8 +70,7 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
             normal = math.cos(INCLINED) * first.axes[0] + math.sin(INCLINED) * aside
             inclined = Face(_new("inclined", faces), first.centre, _triple(normal), first.size)
             words = f"{count} touches on the plate inclined by 15 degrees"
-            yield Offer("inclined", words, problem, _cell((inclined,), max(now, INCLINED + 10 * MARGIN)))
-    yield from _step(touches, now)
+            yield Offer("inclined", words, problem, _cell((inclined,), max(tilt, INCLINED + 10 * MARGIN)))
 
 
 def _step(touches: Touches, tilt: float) -> Iterator[Offer]:
