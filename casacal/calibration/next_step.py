@@ -50,7 +50,7 @@ def nothing_helps(calibration: Calibration) -> str:
 
 def fall(now: float, after: float) -> str:
     """Two tip errors, with as many digits as tell them apart."""
-    digits = 2 if after >= 0.02 and round(now, 2) > round(after, 2) else 3
+    digits = 2 if now >= 0.1 and after >= 0.02 and round(now, 2) > round(after, 2) else 3
     return f"{now:.{digits}f} -> {after:.{digits}f} mm"
 
 

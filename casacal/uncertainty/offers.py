@@ -69,7 +69,7 @@ def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
         for aside in _across(first):
             normal = math.cos(INCLINED) * first.axes[0] + math.sin(INCLINED) * aside
             inclined = Face(_new("inclined", faces), first.centre, _triple(normal), first.size)
-            words = f"{count} touches on the plate inclined by 15 degrees"
+            words = f"{count} touches on the plate inclined by 15 degrees ({_named(aside)})"
             yield Offer("inclined", words, problem, _cell((inclined,), max(tilt, INCLINED + 10 * MARGIN)))
 
 
