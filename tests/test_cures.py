@@ -198,6 +198,8 @@ def test_planes_that_are_declared_or_face_away_change_nothing(hsr):
         problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, plane=plane))
         bound = bind(problem, dataclasses.replace(samples, labels={}), backend="blocks")
         found.append(by_kind(cures(bound, lm(bound).x)))
+    (step,) = (each for each in offers(bound, Touches.of(bound, bound.x0)) if each.kind == "step")
+    assert step.problem.instrument.steps["known step"].height == -100.0
     assert found[1] == pytest.approx(found[0], rel=0.15)  # sides are counted the other way round, and touched elsewhere
     held = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, plane=Plane(per="plane"))).fix(
         "plane"
@@ -273,7 +275,7 @@ def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulat
     assert verdict.level == "do not use"
     document = json.loads(json.dumps(calibration_document(found)["cures"]))
     assert document == []
-    for said in (brief(found, verdict), summary(found, "hsr")):
+    for said in (brief(found, verdict, room=60), summary(found, "hsr")):
         assert "expected tip error" not in said
         assert not re.search(r"-> [\d.]+ mm", said)
 
