@@ -14,6 +14,7 @@ from casacal import (
     Cell,
     DialOnPlane,
     Joint,
+    Parameter,
     Plane,
     Problem,
     Robot,
@@ -33,6 +34,7 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.samples import joined
+from casacal.tables.labels import Labels
 from casacal.uncertainty.cures import NO_CURE, cures
 from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy
 from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Touches
@@ -267,7 +269,7 @@ def test_a_doubt_is_settled_before_the_cure(one_face):
     assert f"Then: {best_cure(one_face)}" in flat
 
 
-def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulation):
+def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulation, three_faces):
     samples = corner_simulation.samples
     wrong = dataclasses.replace(samples, columns={"reading": -samples.columns["reading"]})
     found = calibrate(hsr.problem, wrong, reference=False)
@@ -275,7 +277,8 @@ def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulat
     assert verdict.level == "do not use"
     document = json.loads(json.dumps(calibration_document(found)["cures"]))
     assert document == []
-    for said in (brief(found, verdict, room=60), summary(found, "hsr")):
+    denied = dataclasses.replace(verdict_of(three_faces), level="do not use")
+    for said in (brief(three_faces, denied, room=60), brief(found, verdict, room=60), summary(found, "hsr")):
         assert "expected tip error" not in said
         assert not re.search(r"-> [\d.]+ mm", said)
 
@@ -285,8 +288,9 @@ def test_it_is_said_when_nothing_helps(three_faces):
     found = dataclasses.replace(three_faces)
     vars(found)["cures"] = idle
     assert best_cure(found) == ""
-    assert nothing_helps(found).startswith("no cure that was tried helps much")
-    assert "No cure that was tried helps much" in summary(found, "hsr")
+    assert nothing_helps(found).startswith("No cure that was tried helps much: expected tip error ")
+    assert nothing_helps(found) in summary(found, "hsr")
+    assert nothing_helps(found) in " ".join(brief(found, verdict_of(found)).split())
     assert nothing_helps(three_faces) == ""
 
 
@@ -301,3 +305,26 @@ def test_it_is_said_when_nothing_helps(three_faces):
 )
 def test_two_figures_can_be_told_apart(now, after, said):
     assert fall(now, after) == said
+
+
+def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
+    """Tools by day: extra touches are made on the commonest day; many days are taken out of the sum as faces are."""
+    tool = Parameter((0.0, 0.0, 0.0), unit="mm", prior_std=0.5, per="day", labels=("_x", "_y", "_z"))
+    problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, tool=tool))
+    samples = simulate(hsr.problem, hsr.cell, seed=1).samples
+    days = [f"day {k % 10 if k < 100 else 7}" for k in range(120)]
+    samples = dataclasses.replace(samples, labels={**samples.labels, "day": Labels.of(days)})
+    whole = bind(problem, samples, backend="blocks")
+    x = lm(whole).x
+    touches = Touches.of(whole, x)
+    (step,) = (offer for offer in offers(whole, touches) if offer.kind == "step")
+    rows = touches.on(step.cell)
+    assert set(rows.labels["day"]) == {"day 7"}
+    together = bind(step.problem, joined(samples, rows), backend="blocks")
+    kinds = by_kind(cures(whole, x))
+    assert kinds.keys() == {"step", "same", "noise", "face"}
+    assert kinds["step"] == pytest.approx(planned_accuracy(together)[1], rel=0.05)
+    monkeypatch.setattr(sums, "MANY", 40)
+    parted = bind(problem, samples, backend="blocks")
+    assert parted.groups is not None
+    assert by_kind(cures(parted, x)).keys() == kinds.keys()

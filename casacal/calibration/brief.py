@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
-from casacal.calibration.next_step import best_cure, next_step
+from casacal.calibration.next_step import best_cure, next_step, nothing_helps
 from casacal.calibration.verdict import Verdict
 
 MOST_LINES = 15
@@ -50,7 +50,8 @@ def brief(
         if left >= min(len(untold), 2):
             break
     reasons = _reasons(untold, width, left)
-    more = _wrapped([f"Then: {step if first else cure}"], width) if cure else []
+    said = f"Then: {step if first else cure}" if cure else "" if denied else nothing_helps(calibration)
+    more = _wrapped([said], width)
     if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result
         more = []
     return "\n".join([*above, *reasons, *below, *more]) + "\n"

@@ -45,7 +45,7 @@ def nothing_helps(calibration: Calibration) -> str:
     if not calibration.cures or _best(calibration) is not None:
         return ""
     least = calibration.cures[0].expected_rms_mm
-    return f"no cure that was tried helps much: expected tip error {fall(calibration.tip_std[1], least)} at best."
+    return f"No cure that was tried helps much: expected tip error {fall(calibration.tip_std[1], least)} at best."
 
 
 def fall(now: float, after: float) -> str:

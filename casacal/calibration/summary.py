@@ -143,7 +143,7 @@ def _cures(calibration: Calibration) -> str:
         lines.append(said if cure.recommended else f"{said} (gains little)")
     lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
     if none := nothing_helps(calibration):
-        lines.append(f"{none[:1].upper()}{none[1:]}")
+        lines.append(none)
     return "\n".join(lines)
 
 

@@ -28,6 +28,8 @@ SETTLES = 0.5
 """Part of a direction's standard deviation below which a cure settles it."""
 LOWERS = 0.95
 """The same below which a cure helps at all."""
+MOST_TILT = math.radians(85.0)
+"""Tilt of a plunger that hardly touches a face: such an arm is not understood."""
 NO_CURE = "none that was tried lowers it; rely on the prior"
 
 
@@ -106,21 +108,30 @@ def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator
 
     The first unknowns are those of `arm`, of which the samples told (s, s).
     """
-    try:
-        touches = Touches.of(bound, x)
-    except CasacalError:
-        touches = None
+    touches = _touches(bound, x)
     if touches is None:
         more = EXTRA_TOUCHES / len(bound.samples[0])
         yield "same", f"{EXTRA_TOUCHES} more samples of the same kind", (1 + more) * told, arm.prior_std
         yield "noise", f"{EXTRA_TOUCHES} samples with half the noise", (1 + 4 * more) * told, arm.prior_std
         return
-    known = Known.of(bound, x, told, [face.label for face in touches.faces])
+    known = Known.of(bound, x, told, touches.labels)
     for offer in offers(bound, touches):
-        rows = touches.on(offer.cell)
-        if rows is not None:
+        if (rows := touches.on(offer.cell)) is None:
+            continue
+        try:
             information, prior_std = known.plus(offer.problem, offer.cell, rows, offer.noise)
-            yield offer.kind, offer.words, information, prior_std
+        except CasacalError:  # such as a plunger that would lie in the face
+            continue
+        yield offer.kind, offer.words, information, prior_std
+
+
+def _touches(bound: BoundProblem, x: Array) -> Touches | None:
+    """The arm before its faces; None where no such thing can be said."""
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        return None
+    return touches if touches is not None and touches.tilt < MOST_TILT else None
 
 
 def _spread(covariance: Array, along: Array) -> float:

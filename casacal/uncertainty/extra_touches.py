@@ -47,7 +47,6 @@ class Touches:
     """Whether each face's plane has that normal, or its opposite: +1, -1."""
     tilt: float
     """Largest angle (rad) between plunger and normal in the samples there are."""
-
     other: Samples
     """A row as those that there are mostly look: what is neither joints nor a reading nor a face stays like that."""
     held: bool
@@ -75,6 +74,11 @@ class Touches:
         faces, senses, tilts = zip(*found, strict=True)
         held = not any(slot.datum and slot.unknown.size for slot in bound.slots)
         return Touches(problem, labelled.probe, touch, faces, senses, max(tilts), other, held)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels that extra touches may have: those of the faces, and of all else the commonest."""
+        return (*(face.label for face in self.faces), *(values[0] for values in self.other.labels.values()))
 
     def on(self, cell: Cell) -> Samples | None:
         """Rows of touches shared between the faces of a cell; None where they are out of reach."""
@@ -104,7 +108,7 @@ class Touches:
 
 @dataclass(frozen=True)
 class Known:
-    """What the samples tell at the estimate, in their shared unknowns and those of the faces that extra touches see."""
+    """What the samples tell at the estimate, in shared unknowns and those of the labels that extra touches see."""
 
     bound: BoundProblem
     slots: tuple[Slot, ...]
@@ -117,16 +121,16 @@ class Known:
         if bound.groups is None:
             return Known(bound, bound.slots, x, told)
         shared = set(bound.groups.shared.tolist())
-        first = [slot for slot in bound.slots if all(j in shared for j in slot.columns)]
-        own = [slot for slot in bound.slots if slot.label in labels and slot not in first]
+        first = [slot for slot in bound.slots if shared.issuperset(slot.columns)]
+        own = [slot for slot in bound.slots if slot.label in labels and not shared.issuperset(slot.columns)]
         slots, x = _in_row([*first, *own], x)
-        # these faces' own unknowns were taken out: their rows go out of the sum, and come back with them
-        samples = bound.samples[0]
-        faces = samples.faces(bound.problem.instrument.groups)
-        named = {slot.label for slot in own}
-        instrument, key = bound.problem.instrument, own[0].key
-        codes = [k for k, name in enumerate(faces.names) if instrument.instance(key, name) in named]
-        rows = samples.take(np.flatnonzero(np.isin(faces.codes, codes)))
+        if not own:
+            return Known(bound, slots, x, told)
+        # their own unknowns were taken out: the rows that see them go out of the sum, and come back with them
+        samples, instrument, key = bound.samples[0], bound.problem.instrument, own[0].key
+        groups, named = samples.labels[own[0].unknown.per or ""], {slot.label for slot in own}
+        codes = [k for k, name in enumerate(groups.names) if instrument.instance(key, name) in named]
+        rows = samples.take(np.flatnonzero(np.isin(groups.codes, codes)))
         part = BoundProblem(bound.problem, slots, (rows,), "blocks", noise_scale=bound.noise_scale)
         information, few = part.information(x), len(told)
         information[:few, :few] += told - _left(information, part.prior_std, few)

@@ -45,7 +45,7 @@ class Offer:
 def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     """Every way to go on that makes sense here, whether or not this arm can reach it."""
     faces, problem, count = touches.faces, touches.problem, EXTRA_TOUCHES
-    now = min(touches.tilt + MARGIN, TILT + MARGIN)
+    now = touches.tilt + MARGIN
     same = _cell(faces, now)
     yield Offer("same", f"{count} more touches of the same kind", problem, same)
     how = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
@@ -63,13 +63,13 @@ def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
     leaning = max(tilt, TILT)
     for aside in _across(first):
         second = Face(_new("second", faces), _beside(first, aside), _triple(aside), first.size)
-        words = f"{count} touches with the tool tilted, half of them on another face at right angles ({_named(aside)})"
+        words = f"{count} touches, tool tilted, half of them on another face at right angles, facing {_named(aside)}"
         yield Offer("face", words, problem, _cell((first, second), leaning))
     if all(abs(face.axes[0] @ first.axes[0]) > ALIKE for face in faces):
         for aside in _across(first):
             normal = math.cos(INCLINED) * first.axes[0] + math.sin(INCLINED) * aside
             inclined = Face(_new("inclined", faces), first.centre, _triple(normal), first.size)
-            words = f"{count} touches on the plate inclined by 15 degrees ({_named(aside)})"
+            words = f"{count} touches on the plate inclined by 15 degrees towards {_named(aside)}"
             yield Offer("inclined", words, problem, _cell((inclined,), max(tilt, INCLINED + 10 * MARGIN)))
 
 
@@ -109,8 +109,8 @@ def _named(normal: Array) -> str:
     """A direction in the base frame, as people say it."""
     largest = int(np.argmax(np.abs(normal)))
     if abs(normal[largest]) > ALIKE:
-        return f"facing {'-' if normal[largest] < 0 else '+'}{'xyz'[largest]}"
-    return f"its normal {' '.join(f'{value:.1f}' for value in np.round(normal, 1) + 0.0)}"
+        return f"{'-' if normal[largest] < 0 else '+'}{'xyz'[largest]}"
+    return f"({', '.join(f'{value:.1f}' for value in np.round(normal, 1) + 0.0)})"
 
 
 def _new(label: str, faces: tuple[Face, ...]) -> str:
