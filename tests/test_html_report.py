@@ -155,6 +155,10 @@ def test_what_the_data_cannot_tell_is_all_there(page, document):
         assert direction["words"] in words
         if direction["cure"] != "none needed":
             assert rows[direction["words"]][3].lower() == direction["cure"].lower()
+    shown = tables(page)["cures"][1:]
+    listed = [[cure["words"], f"{cure['expected_rms_mm']:.3f} mm"] for cure in document["cures"]]
+    assert [cells[:2] for cells in shown] == [*listed, ["As it is", f"{document['tip']['expected_rms_mm']:.3f} mm"]]
+    assert [cells[2] == "yes" for cells in shown[:-1]] == [cure["recommended"] for cure in document["cures"]]
     reference = facts(page, "reference-facts")
     assert float(reference["Cost, ipopt"]) == pytest.approx(document["reference"]["cost"], rel=1e-9)
     assert float(reference["Cost, sckf-lm"]) == pytest.approx(document["cost"], rel=1e-9)

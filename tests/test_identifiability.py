@@ -9,6 +9,7 @@ from conftest import ROOT
 
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem, plate, simulate
 from casacal.cli.main import main
+from casacal.least_squares.linalg import posterior_covariance
 from casacal.samples.write import write_samples
 from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy
@@ -120,7 +121,7 @@ def test_result_json_holds_the_table(row, tmp_path, capsys):
         if entry["kind"] in ("invisible", "rigid"):
             assert entry["cure"] == "none needed"
         elif entry["kind"] == "scale":
-            assert "known length" in entry["cure"]
+            assert "100 mm step" in entry["cure"]
             assert entry["tip_mm"] > 0.1
 
 
@@ -130,10 +131,14 @@ def test_tilt_is_the_cure_for_a_normal_tool_and_does_what_it_says(hsr):
     bound = bind(contact, simulate(contact, cell, seed=1).samples)
     joints = workspace_joints(contact.robot)
     found = identifiability(bound, bound.tip_jacobian(bound.x0, joints), bound.tips(bound.x0, joints))
-    offers, scale = cures(bound), prior_scale(bound)
-    advised = {cure_for(bound, offers, d, scale) for d in found.null if d.kind == "blind" and d.tip_mm > 0.1}
-    assert advised == {offers[0].words}
-    assert offers[0].words.startswith("tilt the tool by 10 degrees")
+    offers, now = cures(bound, bound.x0), posterior_covariance(bound.information(bound.x0), bound.prior_std)
+    (tilted,) = (cure for cure in offers if "tilted by 10 to 30 degrees" in cure.words)
+    assert tilted.recommended
+    blind = [d for d in found.null if d.kind == "blind" and d.tip_mm > 0.1]
+    assert blind
+    for direction in blind:
+        assert cure_for(bound, now, offers, direction).removesuffix(" (in part)") in {cure.words for cure in offers}
+        assert cure_for(bound, now, [tilted], direction).startswith(tilted.words)
     # the advice, taken, removes the blindness: the fourth row of the table against the fifth
     assert judge(contact, CORNER, 30).count("blind") == 0
 

@@ -13,7 +13,6 @@ from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.least_squares.information import determined
 from casacal.samples.write import write_samples
-from casacal.uncertainty.cures import cures
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.leverage import effective_unknowns, leverages
 from casacal.uncertainty.noise import found_noise
@@ -159,13 +158,6 @@ def test_faces_alike_have_their_noise_in_common(hsr, seed):
     noise = found_noise(bind(hsr.problem, touched(hsr, seed, repeatability=0.03)))
     assert list(noise.scale) == [""]
     assert noise.scale[""] == pytest.approx(3.0, rel=0.15)
-
-
-def test_cures_are_judged_by_the_noise_in_use(hsr, corner_simulation):
-    bound = bind(hsr.problem, corner_simulation.samples).with_noise({"": 3.0})
-    for offer in cures(bound):
-        stated = offer.bound.with_noise({}).block.noise
-        np.testing.assert_allclose(offer.bound.block.noise, 3.0 * stated)
 
 
 def test_held_out_rows_are_judged_by_the_same_noise(hsr):

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
-from casacal.calibration.next_step import best_cure, next_step
+from casacal.calibration.next_step import best_cure, next_step, nothing_helps
 from casacal.calibration.verdict import Verdict
 
 MOST_LINES = 15
@@ -41,14 +41,17 @@ def brief(
     told = verdict.words.lower()
     untold = [reason for reason in verdict.reasons if reason.lower() not in told]
     above = _wrapped(head, width)
+    cure = "" if denied else best_cure(calibration)
+    first = verdict.level == "calibrated" and cure  # a doubt is settled first
     for named in (about, "PROBLEM SAMPLES"):  # long paths give way to what speaks against the result
-        below = _wrapped([*tail, f"Next: {next_step(calibration, verdict, about=named, out=out)}"], width)
+        step = next_step(calibration, verdict, about=named, out=out)
+        below = _wrapped([*tail, f"Next: {cure if first else step}"], width)
         left = room - len(above) - len(below)
         if left >= min(len(untold), 2):
             break
     reasons = _reasons(untold, width, left)
-    cure = "" if denied else best_cure(calibration)
-    more = _wrapped([f"To know more: {cure}"], width) if cure else []
+    said = f"Then: {step if first else cure}" if cure else "" if denied else nothing_helps(calibration)
+    more = _wrapped([said], width)
     if len(reasons) + len(more) > left:  # advice gives way to what speaks against the result
         more = []
     return "\n".join([*above, *reasons, *below, *more]) + "\n"

@@ -16,10 +16,11 @@ from casacal.checks import Finding, check
 from casacal.checks.dial_sign import sign_before_fit
 from casacal.checks.rows import outside, rounded
 from casacal.estimators import lm
+from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
-from casacal.uncertainty.cures import cure_for, cures
+from casacal.uncertainty.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
 from casacal.uncertainty.identifiability import (
@@ -27,7 +28,6 @@ from casacal.uncertainty.identifiability import (
     NullDirection,
     WeakDirection,
     identifiability,
-    prior_scale,
 )
 from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
@@ -183,20 +183,38 @@ class Calibration(Value):
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """Rank, null and weak directions at the nominal."""
+        """Rank, null and weak directions of arm and touches as drawn: at the nominal.
+
+        All that says how large something is, tip errors, verdicts on parameters, cures and what they do to these
+        directions, is worked out at the estimate. Rank cannot be: what the drawing hides exactly, by axes that are
+        parallel or a plate that is level, an estimate hides but for its own corrections, so that at a tolerance of
+        1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
+        """
         joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.fit, self.fit.x0)
         return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
 
     @cached_property
+    def cures(self) -> tuple[Cure, ...]:
+        """What to do next, best first: 24 extra touches each, simulated at the estimate, with the tip error after them.
+
+        Worked out when asked for, in less than a second. Figures compare with `tip_std`, and mean as little where the
+        verdict is not to use this result.
+        """
+        found = cures(self.fit, self.result.x)
+        return tuple(
+            replace(cure, expected_rms_mm=math.hypot(cure.expected_rms_mm, self.tip_from_minimum)) for cure in found
+        )
+
+    @cached_property
     def advice(self) -> tuple[str, ...]:
-        """The cheapest cure of each null, then each weak direction, in words; none needed where it moves no tip."""
+        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
         found = self.identifiability
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        offers, scale = cures(self.fit), prior_scale(self.seen)
+        now = posterior_covariance(self.seen.information(self.seen_x), self.seen.prior_std)
         return tuple(
-            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.seen, offers, direction, scale)
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.seen, now, self.cures, direction)
             for direction in directions
         )
 

@@ -1,12 +1,12 @@
-"""What to do next with a result: the step that the verdict calls for, and the cheapest cure of what stays unseen."""
+"""What to do next with a result: the step that the verdict calls for, and what would lower the tip error most."""
 
 from __future__ import annotations
 
 import math
 
-from casacal.calibration.calibration import MINIMISERS, NOT_NEEDED, Calibration
+from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.verdict import Verdict, wrong_with_samples
-from casacal.uncertainty.identifiability import NullDirection, WeakDirection
+from casacal.uncertainty.cures import Cure
 
 
 def next_step(
@@ -33,20 +33,31 @@ def next_step(
 
 
 def best_cure(calibration: Calibration) -> str:
-    """What would let the samples see the costliest direction that has a cure, as a sentence; empty without one."""
-    found = calibration.identifiability
-    directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
-    cured = [
-        (direction.tip_mm, cure)
-        for direction, cure in zip(directions, calibration.advice, strict=True)
-        if cure != NOT_NEEDED and not cure.endswith("rely on the prior")
-    ]
-    if not cured:
+    """The best cure and its figure, as a sentence; empty where none gains much. Not for who must not use the result."""
+    cure = _best(calibration)
+    if cure is None:
         return ""
-    size, cure = max(cured, key=lambda entry: entry[0])
-    if not math.isfinite(size):
-        return f"{cure}."
-    return f"{cure}; without it a tip error of {size:.2g} mm stays possible."
+    return f"{cure.words}: expected tip error {fall(calibration.tip_std[1], cure.expected_rms_mm)}."
+
+
+def nothing_helps(calibration: Calibration) -> str:
+    """That no cure gains much, as a sentence; empty where one does, or none is known."""
+    if not calibration.cures or _best(calibration) is not None:
+        return ""
+    least = calibration.cures[0].expected_rms_mm
+    return f"No cure that was tried helps much: expected tip error {fall(calibration.tip_std[1], least)} at best."
+
+
+def fall(now: float, after: float) -> str:
+    """Two tip errors, with as many digits as tell them apart."""
+    digits = 2 if now >= 0.1 and after >= 0.02 and round(now, 2) > round(after, 2) else 3
+    return f"{now:.{digits}f} -> {after:.{digits}f} mm"
+
+
+def _best(calibration: Calibration) -> Cure | None:
+    """The first of the cures that are worth it and bound the tip error."""
+    worth = (cure for cure in calibration.cures if cure.recommended and math.isfinite(cure.expected_rms_mm))
+    return next(worth, None)
 
 
 def _repair(calibration: Calibration, check: str) -> str:
@@ -62,5 +73,5 @@ def _repair(calibration: Calibration, check: str) -> str:
         return "--method lm or sckf-lm, which go to the minimum."
     if math.isfinite(calibration.tip_std[1]):
         return f"{check} looks at the samples."
-    cure = best_cure(calibration)
-    return cure or "give every parameter a prior, or hold it with --fix."
+    cure = _best(calibration)
+    return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."

@@ -18,6 +18,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
+    cures_part,
     geometry,
     noise_part,
     parameter_rows,
@@ -69,6 +70,7 @@ def calibration_document(
         "tip": None if denied else tip_part(calibration),
         "noise": noise_part(calibration),
         "identifiability": what_is_seen(calibration),
+        "cures": [] if denied else cures_part(calibration),
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),

@@ -90,6 +90,19 @@ def what_is_seen(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def cures_part(calibration: Calibration) -> list[dict[str, Any]]:
+    """What to do next, best first, with the tip error to expect after it."""
+    return [
+        {
+            "words": cure.words,
+            "touches": cure.touches,
+            "expected_rms_mm": cure.expected_rms_mm,
+            "recommended": cure.recommended,
+        }
+        for cure in calibration.cures
+    ]
+
+
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """What the independent solver found; None where none was asked."""
     if reference is None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
+from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
@@ -28,6 +29,7 @@ def summary(calibration: Calibration, name: str) -> str:
         "" if verdict.level == "do not use" else _accuracy(calibration),
         parameter_table(calibration),
         _blind_spots(calibration),
+        "" if verdict.level == "do not use" else _cures(calibration),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -132,6 +134,20 @@ def _blind_spots(calibration: Calibration) -> str:
         shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
         more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
         lines.append(f"  correlated above 0.95: {shown}{more}")
+    return "\n".join(lines)
+
+
+def _cures(calibration: Calibration) -> str:
+    """What to do next, best first; what is not worth it stands in brackets."""
+    if not calibration.cures:
+        return ""
+    lines = ["What to do next, best first, and the tip error to expect after it:"]
+    for cure in calibration.cures:
+        said = f"{_mm(cure.expected_rms_mm):>11}  {cure.words}"
+        lines.append(said if cure.recommended else f"{said} (gains little)")
+    lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
+    if none := nothing_helps(calibration):
+        lines.append(none)
     return "\n".join(lines)
 
 

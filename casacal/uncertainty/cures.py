@@ -1,150 +1,147 @@
-"""The cheapest way to see a direction that the samples do not: found by computing what each cure would show."""
+"""What to do next, best first: extra touches, simulated, put on top of the samples there are, and judged at the tip.
+
+Every figure is worked out at the estimate, as the tip error to expect is: the arm as calibrated touches its faces as
+they were found, and the linearised touches are added to what the samples know, everything free.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen, seen
-from casacal.binding.slots import ENOUGH, nominal_sight
 from casacal.errors import CasacalError
-from casacal.instruments import Instrument
-from casacal.problem.cell import Cell, Face
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples, joined
-from casacal.simulation.simulate import simulate
-from casacal.uncertainty.identifiability import NullDirection, WeakDirection
+from casacal.least_squares.linalg import posterior_covariance
+from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Known, Touches
+from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
+from casacal.uncertainty.offers import offers
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 
-EXTRA_ROWS = 24
-"""Touches that a cure adds."""
-SEES = 2.0
-"""A cure must raise the direction's whitened singular value above this: the data then know it better than the prior."""
-STEP = 100.0
-"""Known length that is offered as a cure, mm."""
+GAIN = 0.95
+"""Expected tip error over that without a cure, above which it is not worth recommending."""
+SETTLES = 0.5
+"""Part of a direction's standard deviation below which a cure settles it."""
+LOWERS = 0.95
+"""The same below which a cure helps at all."""
+MOST_TILT = math.radians(85.0)
+"""Tilt of a plunger that hardly touches a face: such an arm is not understood."""
+NO_CURE = "none that was tried lowers it; rely on the prior"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cure:
-    """What to do, and what it would do: the nominal problem with the extra touches."""
+    """Something to do next, and the tip error to expect after it."""
 
     words: str
-    bound: BoundProblem
+    touches: int
+    expected_rms_mm: float
+    """Over the workspace, apart from where the base stands."""
+    recommended: bool
+    """Whether it gains more than a few per cent, over as many touches of the same kind too."""
+    covariance: Array
+    """Of the unknowns that the samples share (s, s), after it."""
 
 
-def cures(bound: BoundProblem) -> list[Cure]:
-    """Extra touches that could help, cheapest first: more tilt, another face, a known length.
+def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
+    """What to do next at x (n,), best first, each from 24 extra touches.
 
-    Simulated on the nominal arm and the nominal planes, without noise; a cure that this arm cannot reach is left out.
-    Empty for instruments that know no faces by label, such as a tracker.
+    More of the same; more tilt; another face at right angles; a plate that stands alone, inclined; a known length; half
+    the noise. What this arm cannot reach is left out. An instrument that touches no faces has two: more of the same,
+    and half the noise.
     """
-    if len(bound.problem.instruments) != 1:
-        return []
-    labelled = bound.problem.instrument.with_faces_by_label()
-    if labelled is None:
-        return []
-    found, here = [], _labelled(bound.block.samples, labelled)
-    if len(here) > ENOUGH:
-        here = here.take(np.arange(0, len(here), -(-len(here) // ENOUGH)))
-    for words, problem, cell in _offers(bound, labelled):
-        try:
-            extra = simulate(problem, cell, samples=EXTRA_ROWS, seed=0).samples
-            # a problem that only asks what if is not worth compiling
-            backend = None if problem is bound.problem else "blocks"
-            more = bind(problem, joined(here, extra), backend=backend)
-            found.append(Cure(words, more.with_noise(*bound.noise_scale)))
-        except CasacalError:
-            continue
-    return found
+    if not (x.size and np.isfinite(x).all()):
+        return ()
+    arm, at = seen(bound, x)
+    joints = workspace_joints(bound.problem.robot)
+    tips, told = arm.tips(at, joints), arm.information(at)
+    field = without_rigid(arm.tip_jacobian(at, joints), tips)
+
+    def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
+        covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
+        return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean())), covariance
+
+    found: dict[str, tuple[float, Array, str]] = {}
+    for kind, words, information, prior_std in _outcomes(bound, arm, x, told):
+        if np.isfinite(information).all():
+            error, covariance = judged(information, prior_std)
+            if kind not in found or error < found[kind][0]:  # of the same at several places, the best
+                found[kind] = error, covariance, words
+    now, _ = judged(told, arm.prior_std)
+    same = min(now, found["same"][0]) if "same" in found else now
+    made = [
+        Cure(words, EXTRA_TOUCHES, error, error < GAIN * (now if kind == "same" else same), covariance)
+        for kind, (error, covariance, words) in found.items()
+    ]
+    return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
-def cure_for(bound: Seen, offers: list[Cure], direction: NullDirection | WeakDirection, scale: Array) -> str:
-    """The first offer that sees a direction, in words; says so when none does.
+def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
+    """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
 
     Args:
         bound: the problem whose direction it is.
-        offers: from `cures`.
-        direction: in units of `scale`.
-        scale: natural scale of the unknowns (n,).
+        now: covariance of its unknowns (s, s).
+        found: from `cures`, best first.
+        direction: in units of `prior_scale`.
 
     """
-    arm = np.flatnonzero(~bound.datum)
-    part = direction.direction[arm] / np.linalg.norm(direction.direction)
-    if not np.abs(part).max(initial=0.0) > 0:
+    along = np.where(bound.datum, 0.0, direction.direction) / np.linalg.norm(direction.direction)
+    if not along.any():
         return "none needed"
-    if not offers:
-        return "none known for this instrument; rely on the prior"
-    names = {bound.names[j]: float(scale[j]) * value for j, value in zip(arm, part, strict=True)}
-    for offer in offers:
-        if _seen(offer.bound, names) > SEES:
-            return offer.words
-    return "neither tilt nor another face nor a known length helps; rely on the prior"
+    along = along / prior_scale(bound)
+    before = _spread(now, along)
+    left = [(cure, _ratio(_spread(cure.covariance, along), before)) for cure in found]
+    for cure, part in sorted(left, key=lambda each: not each[0].recommended):
+        if part < SETTLES:
+            return cure.words
+    best = min(left, key=lambda each: each[1], default=None)
+    return NO_CURE if best is None or best[1] > LOWERS else f"{best[0].words} (in part)"
 
 
-def _seen(bound: BoundProblem, names: dict[str, float]) -> float:
-    """Whitened singular value along a direction of the arm, with all planes free."""
-    arm, x0 = seen(bound, bound.x0)
-    jacobian = arm.compact_jacobian(x0)
-    along = np.zeros(arm.unknowns)
-    for j, name in enumerate(arm.names):
-        along[j] = names.get(name, 0.0)
-    shown = jacobian @ along
-    planes = jacobian[:, arm.datum]
-    left = shown - planes @ np.linalg.lstsq(planes, shown, rcond=None)[0]
-    return float(np.linalg.norm(left))
+def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator[tuple[str, str, Array, Array]]:
+    """Kind, words, information (m, m) and prior (m,) after each cure.
 
-
-def _offers(bound: BoundProblem, labelled: Instrument) -> Iterator[tuple[str, Problem, Cell]]:
-    """Words, problem and cell of each cure; the cell holds faces where the nominal arm found them."""
-    faces, problem = _faces(bound), bound.problem
-    if labelled is not problem.instrument:
-        problem = Problem(problem.robot, labelled)
-    calm = Cell(faces=faces, error_scale=0.0, repeatability=0.0, resolution=0.0)
-    yield "tilt the tool by 10 degrees or more, up to 30", problem, calm
-    first = faces[0]
-    _, aside, across = first.axes
-    for normal in (aside, -aside, across, -across):
-        centre = np.asarray(first.centre) + 0.5 * first.size[0] * (first.axes[0] - normal)
-        second = Face("second", _triple(centre), _triple(normal), first.size)
-        yield "add a second face at right angles, tool tilted", problem, replace(calm, faces=(*faces, second))
-    top = np.asarray(first.centre) + STEP * first.axes[0]
-    stepped = labelled.with_step("known step", first.label, STEP)
-    if stepped is None:
+    The first unknowns are those of `arm`, of which the samples told (s, s).
+    """
+    touches = _touches(bound, x)
+    if touches is None:
+        more = EXTRA_TOUCHES / len(bound.samples[0])
+        yield "same", f"{EXTRA_TOUCHES} more samples of the same kind", (1 + more) * told, arm.prior_std
+        yield "noise", f"{EXTRA_TOUCHES} samples with half the noise", (1 + 4 * more) * told, arm.prior_std
         return
-    raised = Face("known step", _triple(top), first.normal, first.size)
-    yield (
-        f"measure one known length, such as a {STEP:g} mm gauge-block step",
-        Problem(problem.robot, stepped),
-        replace(calm, faces=(*faces, raised)),
-    )
-
-
-def _faces(bound: BoundProblem) -> tuple[Face, ...]:
-    """Rectangles around the nominal tips of each face."""
-    samples, instrument = bound.block.samples, bound.problem.instrument
-    sight, labels = nominal_sight(bound.problem, 0, samples), samples.faces(instrument.groups)
-    faces = []
-    for slot in bound.slots:
-        if (plane := slot.unknown.nominal_plane(slot.nominal)) is None:
+    known = Known.of(bound, x, told, touches.labels)
+    for offer in offers(bound, touches):
+        if (rows := touches.on(offer.cell)) is None:
             continue
-        normal, base = plane
-        own = [k for k, name in enumerate(labels.names) if instrument.instance(slot.key, name) == slot.label]
-        tips = sight.tips if slot.label is None else sight.tips[np.isin(labels.codes, own)]
-        face = Face(slot.label or "plane", _triple(base), _triple(normal))
-        spans = np.ptp((tips - base) @ face.axes[1:].T, axis=0)
-        faces.append(replace(face, size=(max(float(spans[0]), 50.0), max(float(spans[1]), 50.0))))
-    return tuple(faces)
+        try:
+            information, prior_std = known.plus(offer.problem, offer.cell, rows, offer.noise)
+        except CasacalError:  # such as a plunger that would lie in the face
+            continue
+        yield offer.kind, offer.words, information, prior_std
 
 
-def _labelled(samples: Samples, labelled: Instrument) -> Samples:
-    """Rows with a column of labels; those of a problem with one plane have none."""
-    column = labelled.groups or "plane"
-    return replace(samples, labels={**samples.labels, column: samples.faces(column)})
+def _touches(bound: BoundProblem, x: Array) -> Touches | None:
+    """The arm before its faces; None where no such thing can be said."""
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        return None
+    return touches if touches is not None and touches.tilt < MOST_TILT else None
 
 
-def _triple(values: Array | tuple[float, ...]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+def _spread(covariance: Array, along: Array) -> float:
+    """Standard deviation of a combination (s,) of unknowns, some of which may be unbounded."""
+    lost = ~np.isfinite(np.diagonal(covariance))
+    if along[lost].any():
+        return float("inf")
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    return math.sqrt(max(float(along @ held @ along), 0.0))
+
+
+def _ratio(after: float, before: float) -> float:
+    return 1.0 if not np.isfinite(after) or before == 0 else after / before

@@ -1,4 +1,4 @@
-"""What the samples cannot tell, what that costs at the tip, and the cheapest cure."""
+"""What the samples cannot tell, what that costs at the tip, what lowers it, and what to do next."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from casacal.calibration.calibration import NOT_NEEDED
 from casacal.calibration.page.markup import Markup, paragraph, section, tag, together
-from casacal.calibration.page.numbers import count
+from casacal.calibration.page.numbers import count, mm
 from casacal.calibration.page.table import NUMBER, WORDS, table
 
 SHOWN = 20
@@ -29,8 +29,29 @@ def unseen_section(document: Mapping[str, Any]) -> Markup:
         "unseen",
         "What the data cannot tell",
         paragraph(opening),
+        _next(document) if document["cures"] else None,
         _costly(costly) if costly else None,
         _harmless(harmless) if harmless else None,
+    )
+
+
+def _next(document: Mapping[str, Any]) -> Markup:
+    rows = [
+        [each["words"], mm(each["expected_rms_mm"]), "yes" if each["recommended"] else "gains little"]
+        for each in document["cures"]
+    ]
+    rows.append(["As it is", mm(document["tip"]["expected_rms_mm"]), "–"])
+    columns = [("Extra touches", WORDS), ("Expected tip error, RMS", NUMBER), ("Worth it", WORDS)]
+    return together(
+        tag("h3", "What to do next"),
+        paragraph(
+            "Each was simulated with the arm as calibrated, put on top of the samples there are, and fitted with them; "
+            "the arm’s size may be known better than its prior and still be most of what remains."
+        ),
+        table("cures", "What to do next, best first, and the tip error to expect after it", columns, rows),
+        None
+        if any(each["recommended"] for each in document["cures"])
+        else paragraph("None of these helps much.", style="note"),
     )
 
 
@@ -39,12 +60,12 @@ def _costly(directions: Sequence[Mapping[str, Any]]) -> Markup:
         [each["words"], each["kind"], f"{each['tip_mm']:.2g}", each["cure"][:1].upper() + each["cure"][1:]]
         for each in directions[:SHOWN]
     ]
-    columns = [("What moves unseen", WORDS), ("Kind", WORDS), ("At the tip, mm", NUMBER), ("Cheapest cure", WORDS)]
+    columns = [("What moves unseen", WORDS), ("Kind", WORDS), ("At the tip, mm", NUMBER), ("Cure", WORDS)]
     return together(
         paragraph(
             "Along each of these the arm may still be off by what the prior allows: “at the tip” is what one prior "
-            "standard deviation does, RMS over the workspace. A cure is the cheapest change of the set-up, found by "
-            "simulating extra touches, that would let the samples see it."
+            "standard deviation does, RMS over the workspace. A cure is the best of what can be done next, found by "
+            "simulating extra touches, that lowers it by half; “in part” lowers it by less."
         ),
         table("directions", "Directions that the samples do not fix", columns, rows, look="stacked"),
         _more(directions),
