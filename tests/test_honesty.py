@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import Parameter, bind, calibrate, lm, load_problem, simulate
+from casacal import Parameter, Problem, bind, calibrate, lm, load_problem, simulate, tool_point
 from casacal.calibration.summary import summary
 from casacal.calibration.warnings import tip_extremes, warnings
 from casacal.cli.main import main
@@ -158,3 +158,25 @@ def test_what_to_expect_of_a_plan_and_inside_a_box(hsr, capsys):
     assert main([*command, "9000:9100,0:1,0:1"]) == 2
     assert main([*command, "1000:1700,0:100"]) == 2
     assert "X0:X1" in capsys.readouterr().err
+
+
+def test_the_flange_is_promised_what_drawn_arms_keep(hsr):
+    """By drawing arms of the posterior and of the prior: the spread of the flange, a tool of its own beside it."""
+    arm = Problem(
+        hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, tool=tool_point(0, 0, 300, prior_std=3))
+    )
+    calibration = calibrate(arm, simulate(arm, hsr.cell, seed=2).samples, reference=False)
+    rng, joints = np.random.default_rng(0), workspace_joints(arm.robot)
+    fit, center = calibration.fit, calibration.x
+    right = fit.poses(center, joints)[:, :3, 3]
+    root = np.linalg.cholesky(calibration.result.covariance)
+    drawn = {"now": [center + root @ rng.normal(size=center.size) for _ in range(200)]}
+    free = np.where(np.isfinite(fit.prior_std), fit.prior_std, 0.0)
+    drawn["before"] = [center + free * rng.normal(size=center.size) for _ in range(200)]
+    sizes = {
+        name: math.sqrt(np.mean([tip_rms(without_rigid((fit.poses(x, joints)[:, :3, 3] - right).ravel(), right)) ** 2
+                                 for x in states]))
+        for name, states in drawn.items()
+    }  # fmt: skip
+    assert calibration.flange_std == pytest.approx((sizes["before"], sizes["now"]), rel=0.1)
+    assert calibration.tip_std[0] > 1.2 * calibration.flange_std[0]

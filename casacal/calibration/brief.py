@@ -79,8 +79,8 @@ def _residual(calibration: Calibration) -> str:
     said = calibration.fit.problem.instrument.words
     held = "" if part == "fit" else "held-out "
     return (
-        f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (before: "
-        f"{before['rmse_mm']:.4f})."
+        f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (as "
+        f"drawn: {before['rmse_mm']:.4f})."
     )
 
 

@@ -23,6 +23,7 @@ from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
+from casacal.uncertainty.flange import flange_accuracy
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -163,6 +164,12 @@ class Calibration(Value):
         """
         before, now = expected_accuracy(self.seen, self.seen_x)
         return before, math.hypot(now, self.tip_from_minimum)
+
+    @cached_property
+    def flange_std(self) -> tuple[float, float]:
+        """The same of the flange's origin, whatever tool it carries; NaN now where the estimate is not the minimum."""
+        before, now = flange_accuracy(self.seen, self.seen_x)
+        return before, now if self.method in MINIMISERS else math.nan
 
     @cached_property
     def tip_from_minimum(self) -> float:

@@ -49,9 +49,14 @@ def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool =
 
 
 def tip_part(calibration: Calibration) -> dict[str, Any]:
-    """The tip error to expect: after, before, and from the samples alone, with the directions that they miss."""
+    """The tip error to expect: after, before, and from the samples alone, with the directions that they miss.
+
+    Beside it that of the flange's origin, which any tool of the arm has.
+    """
     (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
-    return {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
+    drawn, flange = calibration.flange_std
+    tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
+    return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
 
 
 def noise_part(calibration: Calibration) -> dict[str, Any]:

@@ -95,15 +95,16 @@ def _figures(figures: Mapping[str, Any]) -> str:
 
 
 def _accuracy(calibration: Calibration) -> str:
-    before, after = calibration.tip_std
+    (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
     alone, unseen = calibration.tip_std_without_prior
     samples_alone = f"unbounded, with {unseen} unseen directions that move the tip" if unseen else f"{_mm(alone)} RMS"
     return "\n".join(
         [
             "The residuals above are not accuracy: a fit can look perfect on them and the arm be wrong elsewhere.",
-            f"Expected tip error over the workspace, apart from where the base stands: {_mm(after)} RMS (before: "
+            f"Expected tip error over the workspace, apart from where the base stands: {_mm(after)} RMS (priors alone: "
             f"{_mm(before)}),",
-            "if the stated noise and priors are right and nothing else bends the arm.",
+            *([f"of the flange {_mm(flange)} (priors alone: {_mm(drawn)}),"] if math.isfinite(flange) else []),
+            "if noise and priors are right and nothing else bends the arm.",
             f"From the samples alone, without any prior: {samples_alone}.",
         ]
     )

@@ -50,13 +50,20 @@ def verdict_of(calibration: Calibration) -> Verdict:
     trusting = calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale
     least, noise = "at least " if trusting else "", "noise as found" if calibration.noise.scale else "the stated noise"
     expected = (
-        f"expect a tip error of {least}{now:.3f} mm RMS over the workspace, apart from where the base stands (before: "
-        f"{f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if {noise} and priors are right"
+        f"expect a tip error of {least}{now:.3f} mm RMS over the workspace{_at_flange(calibration)}, apart from where "
+        f"the base stands (priors alone: {f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if {noise} and "
+        "priors are right"
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
         return Verdict("use with care", words, tuple(doubt.sentence for doubt in found))
     return Verdict("calibrated", f"Calibrated: {expected}.")
+
+
+def _at_flange(calibration: Calibration) -> str:
+    """What is expected of the flange, in brackets; nothing where the estimate is not the minimum."""
+    flange = calibration.flange_std[1]
+    return f" ({flange:.3f} mm at the flange)" if math.isfinite(flange) else ""
 
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
