@@ -259,7 +259,7 @@ def test_every_report_says_the_best_and_its_figure(three_faces):
     text = summary(three_faces, "hsr")
     for cure in three_faces.cures:
         assert f"{cure.expected_rms_mm:.3f} mm  {cure.words}" in text
-        assert (f"{cure.words} (gains little)" in text) is not cure.recommended
+        assert (f"{cure.words} (not recommended)" in text) is not cure.recommended
 
 
 def test_a_doubt_is_settled_before_the_cure(one_face):

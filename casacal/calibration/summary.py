@@ -139,13 +139,13 @@ def _blind_spots(calibration: Calibration) -> str:
 
 
 def _cures(calibration: Calibration) -> str:
-    """What to do next, best first; what is not worth it stands in brackets."""
+    """What to do next, best first; what gains little, or hardly more than touches of the same kind, is marked."""
     if not calibration.cures:
         return ""
     lines = ["What to do next, best first, and the tip error to expect after it:"]
     for cure in calibration.cures:
         said = f"{_mm(cure.expected_rms_mm):>11}  {cure.words}"
-        lines.append(said if cure.recommended else f"{said} (gains little)")
+        lines.append(said if cure.recommended else f"{said} (not recommended)")
     lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
     if none := nothing_helps(calibration):
         lines.append(none)

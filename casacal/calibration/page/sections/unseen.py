@@ -37,16 +37,17 @@ def unseen_section(document: Mapping[str, Any]) -> Markup:
 
 def _next(document: Mapping[str, Any]) -> Markup:
     rows = [
-        [each["words"], mm(each["expected_rms_mm"]), "yes" if each["recommended"] else "gains little"]
+        [each["words"], mm(each["expected_rms_mm"]), "yes" if each["recommended"] else "no"]
         for each in document["cures"]
     ]
     rows.append(["As it is", mm(document["tip"]["expected_rms_mm"]), "–"])
-    columns = [("Extra touches", WORDS), ("Expected tip error, RMS", NUMBER), ("Worth it", WORDS)]
+    columns = [("Extra touches", WORDS), ("Expected tip error, RMS", NUMBER), ("Recommended", WORDS)]
     return together(
         tag("h3", "What to do next"),
         paragraph(
             "Each was simulated with the arm as calibrated, put on top of the samples there are, and fitted with them; "
-            "the arm’s size may be known better than its prior and still be most of what remains."
+            "the arm’s size may be known better than its prior and still be most of what remains. Not recommended "
+            "is what gains little, or hardly more than as many touches of the same kind."
         ),
         table("cures", "What to do next, best first, and the tip error to expect after it", columns, rows),
         None
