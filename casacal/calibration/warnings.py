@@ -10,6 +10,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.checks.rows import repeated
+from casacal.checks.tool import tool_elsewhere_at
 from casacal.uncertainty.prior_scatter import prior_scatter
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
@@ -50,6 +51,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         return []
     found = (
         _rows_set_aside,
+        _tool_elsewhere,
         _far_parameters,
         _repeated_rows,
         _lack_of_fit,
@@ -108,6 +110,17 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
     each = " ".join(str(finding).removeprefix("error: ") for finding in found)
     return Doubt(said, f"{said}, and the others were fitted without {'it' if len(rows) == 1 else 'them'}: {each}")
+
+
+def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
+    if calibration.fit.groups is not None:  # thousands of faces are looked at face by face
+        return None
+    found = tool_elsewhere_at(calibration.fit, calibration.result.x, calibration.result.spread[0])
+    if not found:
+        return None
+    (finding,) = found
+    sentence = f"Tool elsewhere: {finding.cause}. {finding.fix}."
+    return Doubt("the tool stands elsewhere than the problem says", sentence)
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:

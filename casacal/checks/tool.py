@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
 from casacal.checks.finding import Finding
 from casacal.checks.undone import quick_fit
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.figures import chance_beyond
+from casacal.uncertainty.prior_moves import chance_of_move
 
-CHANCE = 1e-4
+CHANCE = 1e-3
 """Chance that a tool as stated moves so far, all its components together."""
 
 
 def tool_moved(problem: Problem, samples: Samples) -> list[Finding]:
-    """A warning where a tool with a prior moved far beyond it; nothing for a held tool, or for one without a prior."""
-    probe = problem.instrument.probe
-    fitted = None if probe is None else quick_fit(problem, samples)
-    if probe is None or fitted is None:
+    """A warning where the tool moved far beyond its prior in a quick fit."""
+    fitted = quick_fit(problem, samples)
+    if fitted is None or fitted[0].groups is not None:
         return []
     bound, result = fitted
-    own = {
-        name: (float(result.x[j]), float(bound.prior_std[j]))
+    return tool_elsewhere_at(bound, result.x, result.spread[0])
+
+
+def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
+    """The same at an estimate (n,) with its covariance (n, n); nothing for a held tool, or for one without a prior."""
+    probe = bound.problem.instrument.probe
+    named = {
+        name: j
         for slot in bound.slots
-        if slot.key in probe.moves
+        if probe is not None and slot.key in probe.moves
         for name, j, unit in zip(slot.unknown.names(slot.name), slot.columns, slot.unknown.units, strict=True)
-        if unit == "mm" and bound.prior_std[j] < math.inf
+        if unit == "mm" and np.isfinite(bound.prior_std[j])
     }
-    if not own or chance_beyond(sum((by / std) ** 2 for by, std in own.values()), len(own)) > CHANCE:
+    own = np.array(list(named.values()), dtype=np.intp)
+    if not own.size or chance_of_move(bound, x, covariance, own) > CHANCE:
         return []
-    moved = ", ".join(f"{name} by {by:+.2f} mm (its prior: {std:.2g})" for name, (by, std) in own.items())
+    moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
     return [
         Finding(
             "warning",

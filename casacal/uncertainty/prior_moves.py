@@ -10,10 +10,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.marginal import Seen
 from casacal.uncertainty.figures import chance_beyond
+
+DULL = 1e-3
+"""Part of a prior's variance that samples must take away from a direction before it can be said to move."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,22 @@ class PriorMoves:
     """Unknowns that the samples decide, of those with a prior."""
     chance: float
     """Chance of moves as large as these, where priors and model are right."""
+
+
+def chance_of_move(bound: Seen, x: Array, covariance: Array, own: NDArray[np.intp]) -> float:
+    """Chance that some unknowns (k,) move as far as they did: chi-square of x'(P - C)^+ x, P their priors' covariance.
+
+    What the samples do not see has not moved and does not count. One where a prior is flat.
+    """
+    prior, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
+    if not own.size or not np.isfinite(prior).all() or not np.isfinite(spread).all():
+        return 1.0
+    gained, moved = np.eye(own.size) - spread / np.outer(prior, prior), (x - bound.x0)[own] / prior
+    values, along = np.linalg.eigh(gained)
+    seen = values > DULL
+    if not seen.any():
+        return 1.0
+    return chance_beyond(float((((along[:, seen].T @ moved) ** 2) / values[seen]).sum()), float(seen.sum()))
 
 
 def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
