@@ -93,6 +93,8 @@ if TYPE_CHECKING:
     from casacal.unknowns import Frame as Frame
     from casacal.unknowns import Parameter as Parameter
     from casacal.unknowns import Plane as Plane
+    from casacal.verification.verification import Verification as Verification
+    from casacal.verification.verify import verify as verify
 
 _HOMES = {
     "casacal.binding.bound_problem": ("BoundProblem", "bind"),
@@ -151,6 +153,8 @@ _HOMES = {
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
     "casacal.compensation.targets": ("Targets", "read_targets"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
+    "casacal.verification.verification": ("Verification",),
+    "casacal.verification.verify": ("verify",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME)

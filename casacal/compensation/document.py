@@ -30,6 +30,16 @@ def is_number_or_null(value: Any) -> bool:
     return value is None or is_number(value)
 
 
+def _is_noise(faces: Any) -> bool:
+    some = list(faces.values()) if isinstance(faces, dict) else [None]
+    stds = [face.get(key) for face in some if isinstance(face, dict) for key in ("stated_mm", "used_mm")]
+    return len(stds) == 2 * len(some) and all(is_number(std) and std > 0 for std in stds)
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_number, value))
+
+
 Shape = Callable[[Any], bool]
 FILE: Mapping[str, Shape] = {"path": is_text, "sha256": is_text, "text": is_text}
 PARAMETER: Mapping[str, Shape] = {"name": is_text, "unit": is_text, "nominal": is_number, "estimate": is_number}
@@ -44,6 +54,9 @@ OPTIONAL: Mapping[str, Shape] = {
     "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
     "verdict": lambda value: isinstance(value, dict) and is_text(value.get("level")) and is_text(value.get("words")),
     "arm": lambda value: isinstance(value, dict),
+    "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")),
+    "noise": lambda value: isinstance(value, dict) and _is_noise(value.get("by_face")),
+    "proposed": lambda value: isinstance(value, dict) and all(map(_is_row, value.values())),
     "versions": lambda value: isinstance(value, dict) and all(map(is_text, value.values())),
 }
 

@@ -1,0 +1,114 @@
+"""What a verification found, as a value: whether fresh rows lie as the calibration promised."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from casacal.values import Value
+
+LEVEL = 0.05
+"""Chance below which rows that are as promised are said not to be: one verification in twenty of a good arm."""
+
+QUANTILE = 0.95
+"""Part of the rows whose residual must lie within a tolerance."""
+
+
+@dataclass(frozen=True)
+class FaceVerification:
+    """One face: rows, residuals (mm RMS) as drawn, as calibrated and as predicted, chi-square over freedom, chance."""
+
+    label: str
+    rows: int
+    before_mm: float
+    after_mm: float
+    predicted_mm: float
+    chi_square: float
+    freedom: int
+    p: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Verification(Value):
+    """Fresh rows against a calibration that has not seen them.
+
+    A row's residual is its distance from the face, mm, or the length of its error where a row has several residuals.
+
+    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
+    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
+    standing: what was said to stand where it was calibrated.
+    before_mm, after_mm, predicted_mm: residuals, RMS, with the arm as drawn, as calibrated, and as it was predicted.
+    chi_square, freedom, p: of all residuals against their predicted covariance, and the chance of so much or more.
+    faces: the same for each face. gross_lines, p_without_gross: rows that the others do not expect where they are, and
+    the chance without them. quantile_mm: within which 95 % of the rows lie. tolerance_mm: what was asked for, or None.
+    seen, unknowns: directions of the arm that these rows know better than the prior, of how many.
+    promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
+    base stands, and the part of it that rows like these would leave; infinite where nothing bounds it.
+    accuracy: whether residuals are errors of the tip itself. thing: what was measured, as in "planes". unit: of it all.
+    """
+
+    robot: str
+    result: str
+    verdict: tuple[str, str]
+    samples: str
+    sha256: str
+    rows: int
+    own: tuple[str, ...]
+    standing: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+    predicted_mm: float
+    chi_square: float
+    freedom: int
+    p: float
+    faces: tuple[FaceVerification, ...]
+    gross_lines: tuple[int, ...]
+    p_without_gross: float
+    quantile_mm: float
+    tolerance_mm: float | None
+    seen: int
+    unknowns: int
+    promised_tip_mm: float
+    hidden_tip_mm: float
+    accuracy: bool
+    things: str
+    unit: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether the promise was kept: the residuals are no larger than chance explains, at a level of 5 %."""
+        return self.p >= LEVEL
+
+    @property
+    def within(self) -> bool | None:
+        """Whether 95 % of the rows lie within the tolerance; None where there is none."""
+        return None if self.tolerance_mm is None else self.quantile_mm <= self.tolerance_mm
+
+    @property
+    def passed(self) -> bool:
+        """Whether the promise was kept, and the tolerance where there is one."""
+        return self.kept and self.within is not False
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it in JSON's own types, as `casacal verify --json` prints it."""
+        from casacal.files import jsonable
+
+        level, words = self.verdict
+        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        found["verdict"] = {"level": level, "words": words} if level else None
+        found["faces"] = [asdict(face) for face in self.faces]
+        if level == "do not use":
+            found["promised_tip_mm"] = found["hidden_tip_mm"] = math.nan
+        judged = {"kept": self.kept, "within_tolerance": self.within, "passed": self.passed}
+        return dict(jsonable({**judged, **found}))
+
+    def summary(self) -> str:
+        """What `casacal verify` prints: a paragraph each line."""
+        from casacal.verification.words import told
+
+        return "\n".join(told(self))
+
+    def __repr__(self) -> str:
+        said = "kept" if self.kept else "not kept"
+        return f"<Verification of {self.robot} by {self.rows} fresh rows: promise {said}, p {self.p:.3g}>"
