@@ -32,8 +32,11 @@ def is_number_or_null(value: Any) -> bool:
 
 def _is_noise(faces: Any) -> bool:
     some = list(faces.values()) if isinstance(faces, dict) else [None]
-    stds = [face.get(key) for face in some if isinstance(face, dict) for key in ("stated_mm", "used_mm")]
-    return len(stds) == 2 * len(some) and all(is_number(std) and std > 0 for std in stds)
+    return all(isinstance(face, dict) and all(map(_is_size, map(face.get, STDS))) for face in some)
+
+
+def _is_size(value: Any) -> bool:
+    return is_number(value) and value > 0
 
 
 def _is_row(value: Any) -> bool:
@@ -41,6 +44,7 @@ def _is_row(value: Any) -> bool:
 
 
 Shape = Callable[[Any], bool]
+STDS = ("stated_mm", "used_mm")
 FILE: Mapping[str, Shape] = {"path": is_text, "sha256": is_text, "text": is_text}
 PARAMETER: Mapping[str, Shape] = {"name": is_text, "unit": is_text, "nominal": is_number, "estimate": is_number}
 UNKNOWN: Mapping[str, Shape] = {"name": is_text, "value": is_number}

@@ -48,15 +48,16 @@ class Expected(Value):
     def __post_init__(self) -> None:
         frozen((self.left, self.std, self.deleted))
 
-    def chance(self, noise_freedom: float = math.inf) -> float:
-        """Chance of so much or more: chi-square, or F where the noise was itself found from so many rows."""
-        from scipy.special import fdtrc, gammaincc  # without the half second that importing scipy.stats takes
 
-        if not self.freedom:
-            return 1.0
-        if math.isfinite(noise_freedom):
-            return float(fdtrc(self.freedom, noise_freedom, self.chi_square / self.freedom))
-        return float(gammaincc(self.freedom / 2, self.chi_square / 2))
+def chance(chi_square: float, freedom: int, noise_freedom: float = math.inf) -> float:
+    """Chance of so much or more: chi-square, or F where the noise was itself found, from so many rows."""
+    from scipy.special import fdtrc, gammaincc  # without the half second that importing scipy.stats takes
+
+    if not freedom:
+        return 1.0
+    if math.isfinite(noise_freedom):
+        return float(fdtrc(freedom, noise_freedom, chi_square / freedom))
+    return float(gammaincc(freedom / 2, max(chi_square, 0.0) / 2))
 
 
 def covariance_root(covariance: Array) -> Array:
@@ -73,7 +74,7 @@ def spanned(columns: Array) -> Array:
     sizes = np.linalg.norm(columns, axis=0)
     scaled = columns[:, sizes > 0] / sizes[sizes > 0]
     if not scaled.size:
-        return scaled[:, :0]
+        return np.zeros((len(columns), 0))
     left, values, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(left[:, values > ROUNDING * max(scaled.shape) * values.max(initial=0.0)])
 
@@ -89,8 +90,7 @@ def expected(residual: Array, spread: Array, own: Array) -> Expected:
     """
     basis = spanned(own)
     left, across = residual - basis @ (basis.T @ residual), spread - basis @ (basis.T @ spread)
-    root = np.linalg.cholesky(np.eye(across.shape[1]) + across.T @ across)
-    pulls = across @ inverse_triangle(root).T
+    pulls = across @ _inverse_half(across).T
     toward = pulls.T @ left
     beside = 1.0 - (basis**2).sum(axis=1)
     free = np.maximum(beside - (pulls**2).sum(axis=1), 0.0)
@@ -122,14 +122,25 @@ def gross(residual: Array, spread: Array, own: Array) -> NDArray[np.intp]:
     return np.array(found, dtype=np.intp)
 
 
-def seen_directions(jacobian: Array, own: Array, scale: Array) -> int:
-    """How many directions (of n) the rows know better than a prior of size `scale` (n,), apart from their own unknowns.
+def toward(residual: Array, spread: Array, own: Array, scaled: Array) -> tuple[float, int]:
+    """Chi-square in the directions of the arm that fresh rows see, and how many these are.
 
-    As a weak direction is one whose whitened singular value is below one.
+    An arm that has changed since shows there and nowhere else, so this notices what drowns in the noise of all rows.
+    Seen are directions that the rows know better than the prior: whitened singular values of one or more. The size of
+    the arm would without that be among them: where faces hold no length, a change of it moves the residuals in
+    proportion to themselves.
+
+    Args:
+        residual, spread, own: as for `expected`.
+        scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
+
     """
     basis = spanned(own)
-    scaled = jacobian * scale
-    return int((np.linalg.svd(scaled - basis @ (basis.T @ scaled), compute_uv=False) >= 1.0).sum())
+    directions, sizes, _ = np.linalg.svd(scaled - basis @ (basis.T @ scaled), full_matrices=False)
+    seen = directions[:, sizes >= 1.0]
+    along, left = seen.T @ spread, seen.T @ residual
+    weighed = np.linalg.solve(np.eye(len(left)) + along @ along.T, left)
+    return float(left @ weighed), len(left)
 
 
 def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
@@ -137,6 +148,10 @@ def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
     root, basis = covariance_root(covariance), spanned(own)
     spread = jacobian @ root
     spread = spread - basis @ (basis.T @ spread)
-    half = np.linalg.cholesky(np.eye(root.shape[1]) + spread.T @ spread)
-    left = root @ inverse_triangle(half).T
+    left = root @ _inverse_half(spread).T
     return np.asarray(left @ left.T)
+
+
+def _inverse_half(spread: Array) -> Array:
+    """Lower triangular H (k, k) with H'H = (I + B'B)^-1 for B (m, k)."""
+    return inverse_triangle(np.asarray(np.linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread)))

@@ -21,6 +21,7 @@ from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import covariance_root
+from casacal.uncertainty.identifiability import prior_scale
 
 MOST = 30_000_000
 """Elements of a Jacobian that is held as a whole."""
@@ -30,8 +31,8 @@ MOST = 30_000_000
 class Fresh:
     """Rows of an instrument, and where the result says that everything stands.
 
-    known: which unknowns (n,) the result knows; the others belong to these rows. at: the estimate (n,), zero where it is
-    not known. covariance: of the known ones (k, k).
+    known: which unknowns (n,) the result knows; the others belong to these rows. at: the estimate (n,), zero of those
+    that it does not. covariance: of the known ones (k, k).
     """
 
     bound: BoundProblem
@@ -90,6 +91,12 @@ class Fresh:
         there = ~self.lost
         return residual, slopes[:, ~free] @ covariance_root(self.covariance[np.ix_(there, there)]), slopes[:, free]
 
+    def scaled_arm(self) -> Array:
+        """Derivative of the same residuals by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
+        columns = np.flatnonzero(self.known)[self.arm]
+        firm = int((~self.known & np.isfinite(self.bound.prior_std)).sum())
+        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((firm, columns.size))])
+
 
 def fresh_rows(
     result: CalibratedArm, problem: Problem, samples: Samples, *, other: bool, standing: Collection[str]
@@ -106,7 +113,7 @@ def fresh_rows(
     Raises CasacalError for what cannot be standing, SamplesError for too few rows or too many.
 
     """
-    kept = _kept(result, problem, samples, other=other, standing=standing)
+    kept = _kept(result, problem, samples, standing)
     slots = make_slots(problem, [samples], kept)
     _refuse_held(slots, kept)
     factors = _noise_used(result, problem, samples, other=other)
@@ -143,9 +150,7 @@ def _remains(slot: Slot) -> bool:
     return not slot.datum and slot.unknown.nominal is not None
 
 
-def _kept(
-    result: CalibratedArm, problem: Problem, samples: Samples, *, other: bool, standing: Collection[str]
-) -> dict[str, Array]:
+def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
     """Nominal values of what stands where it was calibrated, by name of its slot."""
     instrument, proposed, kept = problem.instrument, result.document.get("proposed") or {}, {}
     there: dict[str, list[str]] = {}

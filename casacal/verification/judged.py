@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
-from casacal.uncertainty.fresh_rows import expected, gross, learnt, seen_directions
-from casacal.uncertainty.identifiability import prior_scale
+from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.verification.fresh import Fresh
-from casacal.verification.verification import QUANTILE, FaceVerification, Verification
+from casacal.verification.verification import LEVEL, QUANTILE, FaceVerification, Verification
 
 
 def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], tolerance: float | None) -> Verification:
@@ -26,7 +25,7 @@ def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], toleranc
     found = expected(*parts)
     off = gross(*parts)
     off = off[off < bound.rows]
-    rest = expected(*(np.delete(part, off, axis=0) for part in parts)) if off.size else found
+    arm_chi, seen = toward(*parts, fresh.scaled_arm())
     before, after = (
         lengths(bound.plain_residual(x), per_row) for x in (fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), fresh.x)
     )
@@ -48,13 +47,15 @@ def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], toleranc
         predicted_mm=_rms(predicted),
         chi_square=found.chi_square,
         freedom=found.freedom,
-        p=found.chance(freedom),
+        p=chance(found.chi_square, found.freedom, freedom),
+        seen=seen,
+        arm_chi_square=arm_chi,
+        arm_p=chance(arm_chi, seen, freedom),
         faces=_faces(fresh, before, after, predicted, freedom),
         gross_lines=tuple(sorted({int(samples.lines[k // per_row]) for k in off.tolist()})),
-        p_without_gross=rest.chance(freedom),
+        kept_without_gross=_kept_without(fresh, off, freedom),
         quantile_mm=float(np.quantile(after, QUANTILE, method="inverted_cdf")),
         tolerance_mm=tolerance,
-        seen=_seen(fresh),
         unknowns=int(fresh.arm.sum()),
         promised_tip_mm=promised,
         hidden_tip_mm=hidden,
@@ -62,6 +63,14 @@ def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], toleranc
         things=instrument.words.things,
         unit=instrument.words.unit,
     )
+
+
+def _kept_without(fresh: Fresh, off: NDArray[np.intp], noise: float) -> bool:
+    """Whether the promise would be kept without some residuals."""
+    residual, spread, own = (np.delete(part, off, axis=0) for part in fresh.likelihood())
+    found = expected(residual, spread, own)
+    arm, seen = toward(residual, spread, own, np.delete(fresh.scaled_arm(), off, axis=0))
+    return min(chance(found.chi_square, found.freedom, noise), chance(arm, seen, noise)) >= LEVEL / 2
 
 
 def lengths(values: Array, per_row: int) -> Array:
@@ -94,21 +103,14 @@ def _faces(fresh: Fresh, before: Array, after: Array, predicted: Array, noise: f
     found = []
     for label, rows in labels.rows().items() if len(labels.names) > 1 else ():
         one = expected(*fresh.likelihood(_residuals(rows, per_row)))
-        sizes = (_rms(each[rows]) for each in (before, after, predicted))
-        found.append(FaceVerification(label, len(rows), *sizes, one.chi_square, one.freedom, one.chance(noise)))
+        drawn, here, promised = (_rms(each[rows]) for each in (before, after, predicted))
+        p = chance(one.chi_square, one.freedom, noise)
+        found.append(FaceVerification(label, len(rows), drawn, here, promised, one.chi_square, one.freedom, p))
     return tuple(found)
 
 
 def _residuals(rows: NDArray[np.intp], per_row: int) -> NDArray[np.intp]:
     return (rows[:, None] * per_row + np.arange(per_row)).ravel()
-
-
-def _seen(fresh: Fresh) -> int:
-    _, _, own = fresh.likelihood()
-    columns = np.flatnonzero(fresh.known)[fresh.arm]
-    slopes = np.zeros((len(own), columns.size))
-    slopes[: fresh.bound.rows] = fresh.jacobian[:, columns]
-    return seen_directions(slopes, own, prior_scale(fresh.bound)[columns])
 
 
 def _tips(fresh: Fresh) -> tuple[float, float]:

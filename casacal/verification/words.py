@@ -8,6 +8,9 @@ from collections.abc import Sequence
 from casacal.errors import counted
 from casacal.verification.verification import LEVEL, FaceVerification, Verification
 
+LEAST = 1e-6
+"""Chance below which nobody asks how small."""
+
 SHOWN = 12
 """Faces, or lines of rows, that are named."""
 
@@ -30,18 +33,20 @@ def told(found: Verification) -> list[str]:
 def _answer(found: Verification) -> str:
     said = f"{counted(found.rows, 'fresh row')} of {found.samples}"
     if not found.kept:
-        times = f"{_ratio(found):.3g} times what was predicted"
+        if found.p < LEVEL / 2:
+            times = f"{math.sqrt(found.chi_square / max(found.freedom, 1)):.3g} times what was predicted"
+            return f"Not kept: the residuals of {said} are {times}, which is hardly chance ({_chance(found.p)})."
         return (
-            f"Not kept: the residuals of {said} are {times}, which chance explains with a probability of {found.p:.2g}."
+            f"Not kept: {said} lie where an arm other than the calibrated one would put them, which is hardly chance "
+            f"({_chance(found.arm_p)})."
         )
     if found.within is False:
         return f"Kept, but not within the tolerance: {said} lie as the calibration promised, and that is not enough."
     return f"Kept: {said} lie as the calibration of {found.robot} promised."
 
 
-def _ratio(found: Verification | FaceVerification) -> float:
-    """Root of chi-square over its degrees of freedom: residuals in units of what was predicted."""
-    return math.sqrt(found.chi_square / max(found.freedom, 1))
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= LEAST else f"p < {LEAST:g}"
 
 
 def _own_verdict(found: Verification) -> list[str]:
@@ -53,11 +58,10 @@ def _own_verdict(found: Verification) -> list[str]:
 
 def _residuals(found: Verification) -> str:
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
-    said = (
+    return (
         f"{what}: {found.after_mm:.4f} {found.unit} RMS as calibrated, {found.predicted_mm:.4f} predicted (as drawn: "
         f"{found.before_mm:.4f}); 95 % of the rows within {found.quantile_mm:.4f}."
     )
-    return said
 
 
 def _statistic(found: Verification) -> str:
@@ -65,15 +69,17 @@ def _statistic(found: Verification) -> str:
     fitted = f"{own} fitted to these rows ({_named(found.own, 4)})" if found.own else "nothing fitted to these rows"
     still = f"; taken to stand where calibrated: {', '.join(found.standing)}" if found.standing else ""
     return (
-        f"Chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, p = {found.p:.2g} (kept from "
-        f"{LEVEL:g} on); {fitted}{still}. The arm was not fitted."
+        f"Chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {_chance(found.p)}; of it "
+        f"{found.arm_chi_square:.1f} with {found.seen} in what they say of the arm, {_chance(found.arm_p)}. Kept where "
+        f"both are {LEVEL / 2:g} or more. The arm was not fitted; {fitted}{still}."
     )
 
 
 def _face(found: Verification, face: FaceVerification) -> str:
     return (
         f"  {face.label}: {counted(face.rows, 'row')}, {face.after_mm:.4f} {found.unit} RMS, {face.predicted_mm:.4f} "
-        f"predicted (as drawn: {face.before_mm:.4f}); chi-square {face.chi_square:.1f} / {face.freedom}, p = {face.p:.2g}"
+        f"predicted (as drawn: {face.before_mm:.4f}); chi-square {face.chi_square:.1f} / {face.freedom}, "
+        f"{_chance(face.p)}"
     )
 
 
@@ -84,10 +90,10 @@ def _gross(found: Verification) -> list[str]:
     where = f"{'Line' if len(lines) == 1 else 'Lines'} {_named([str(line) for line in lines], SHOWN)}"
     lies = "lies" if len(lines) == 1 else "lie"
     without = "it" if len(lines) == 1 else "them"
-    kept = "would have been kept" if found.p_without_gross >= LEVEL else "would not have been kept either"
+    kept = "is kept" if found.kept_without_gross else "is not kept either"
     return [
-        f"{where} of {found.samples} {lies} where no other row expects it: measure there again. Without {without} the "
-        f"promise {kept} (p = {found.p_without_gross:.2g})."
+        f"{where} of {found.samples} {lies} where no other row expects {without}: measure there again. Without "
+        f"{without} the promise {kept}."
     ]
 
 
@@ -96,8 +102,8 @@ def _tolerance(found: Verification) -> list[str]:
         return []
     said = "within" if found.within else "NOT within"
     return [
-        f"Tolerance: 95 % of the rows lie within {found.quantile_mm:.4f} mm, {said} the {found.tolerance_mm:g} mm asked "
-        "for."
+        f"Tolerance: 95 % of the rows lie within {found.quantile_mm:.4f} mm, {said} the {found.tolerance_mm:g} mm that "
+        "was asked for."
     ]
 
 
@@ -109,7 +115,7 @@ def _vouches(found: Verification) -> str:
         what += "." if not any(name.startswith("tool") for name in found.own) else " and the reflector sits."
     else:
         what = "Small residuals are not accuracy: they say nothing of directions that these rows do not see."
-    if found.verdict[0] == "do not use":
+    if found.verdict[0] == "do not use" or not found.kept or not found.promised_tip_mm:
         return f"{what} {seen}."
     if not math.isfinite(found.hidden_tip_mm):
         return f"{what} {seen}, and a tip error without bound could hide from them."
