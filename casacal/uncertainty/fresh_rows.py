@@ -64,9 +64,13 @@ def covariance_root(covariance: Array) -> Array:
     """R (n, k) with R R' = C (n, n), a covariance that rounding may have left a little short of positive."""
     stds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(stds > 0, stds, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    held = values > 0
-    return np.asarray(scale[:, None] * vectors[:, held] * np.sqrt(values[held]))
+    scaled = covariance / np.outer(scale, scale)
+    try:
+        return np.asarray(scale[:, None] * np.linalg.cholesky(scaled))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        held = values > 0
+        return np.asarray(scale[:, None] * vectors[:, held] * np.sqrt(values[held]))
 
 
 def spanned(columns: Array) -> Array:
