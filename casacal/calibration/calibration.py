@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.further import extended
 from casacal.binding.marginal import Seen, seen
 from casacal.checks import Finding, check
 from casacal.estimators import lm
@@ -27,6 +28,7 @@ from casacal.uncertainty.identifiability import (
     identifiability,
     prior_scale,
 )
+from casacal.uncertainty.left_out import LeftOut, leave_one_face_out
 from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
@@ -93,6 +95,8 @@ class Calibration(Value):
     seconds: Mapping[str, float]
     source: ProblemFile
     """The problem as it was given: its file, where it has one."""
+    heldout_by: str = "rows"
+    """What was held out together: rows, region, face, or the name of a column."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -119,14 +123,27 @@ class Calibration(Value):
         return noise_over_stated(self.result)
 
     @cached_property
+    def heldout_x(self) -> tuple[Array, Array]:
+        """All unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
+        before, after = self.before.x, self.result.x
+        if self.heldout is None:
+            return before, after
+        return extended(self.heldout, before), extended(self.heldout, after)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
+        return leave_one_face_out(self.fit, self.result)
+
+    @cached_property
     def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
         return {
             when: {
                 "fit": residual_figures(self.fit.plain_residual(result.x)),
-                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(result.x)),
+                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(held)),
             }
-            for when, result in (("before", self.before), ("after", self.result))
+            for when, result, held in zip(("before", "after"), (self.before, self.result), self.heldout_x, strict=True)
         }
 
     @cached_property

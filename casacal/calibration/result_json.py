@@ -59,11 +59,13 @@ def calibration_document(
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
+            "heldout_by": calibration.heldout_by,
         },
         "cost": result.cost,
         "parameters": parameter_rows(fit, result.x, result.std),
         **geometry(fit, result),
         "metrics": calibration.metrics,
+        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
         "tip": {
             "expected_rms_mm": tip,
             "prior_rms_mm": prior_tip,
