@@ -124,7 +124,7 @@ class Calibration(Value):
 
     @cached_property
     def heldout_x(self) -> tuple[Array, Array]:
-        """All unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
+        """Unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
         before, after = self.before.x, self.result.x
         if self.heldout is None:
             return before, after

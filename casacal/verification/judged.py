@@ -12,8 +12,9 @@ from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.verification.figures import LEVEL, QUANTILE, FaceVerification
 from casacal.verification.fresh import Fresh
-from casacal.verification.verification import LEVEL, QUANTILE, FaceVerification, Verification
+from casacal.verification.verification import Verification
 
 
 def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], tolerance: float | None) -> Verification:

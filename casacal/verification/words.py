@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from casacal.errors import counted
-from casacal.verification.verification import LEVEL, FaceVerification, Verification
+from casacal.verification.figures import LEVEL, FaceVerification, Figures
 
 LEAST = 1e-6
 """Chance below which nobody asks how small."""
@@ -15,7 +15,7 @@ SHOWN = 12
 """Faces, or lines of rows, that are named."""
 
 
-def told(found: Verification) -> list[str]:
+def told(found: Figures) -> list[str]:
     """Paragraphs, the answer first."""
     return [
         _answer(found),
@@ -30,7 +30,7 @@ def told(found: Verification) -> list[str]:
     ]
 
 
-def _answer(found: Verification) -> str:
+def _answer(found: Figures) -> str:
     said = f"{counted(found.rows, 'fresh row')} of {found.samples}"
     if not found.kept:
         if found.p < LEVEL / 2:
@@ -49,14 +49,14 @@ def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p >= LEAST else f"p < {LEAST:g}"
 
 
-def _own_verdict(found: Verification) -> list[str]:
+def _own_verdict(found: Figures) -> list[str]:
     level, words = found.verdict
     if level in ("", "calibrated"):
         return []
     return [f"The result's own verdict: {words}"]
 
 
-def _residuals(found: Verification) -> str:
+def _residuals(found: Figures) -> str:
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
     return (
         f"{what}: {found.after_mm:.4f} {found.unit} RMS as calibrated, {found.predicted_mm:.4f} predicted (as drawn: "
@@ -64,7 +64,7 @@ def _residuals(found: Verification) -> str:
     )
 
 
-def _statistic(found: Verification) -> str:
+def _statistic(found: Figures) -> str:
     own = counted(len(found.own), "unknown")
     fitted = f"{own} fitted to these rows ({_named(found.own, 4)})" if found.own else "nothing fitted to these rows"
     still = f"; taken to stand where calibrated: {', '.join(found.standing)}" if found.standing else ""
@@ -75,7 +75,7 @@ def _statistic(found: Verification) -> str:
     )
 
 
-def _face(found: Verification, face: FaceVerification) -> str:
+def _face(found: Figures, face: FaceVerification) -> str:
     return (
         f"  {face.label}: {counted(face.rows, 'row')}, {face.after_mm:.4f} {found.unit} RMS, {face.predicted_mm:.4f} "
         f"predicted (as drawn: {face.before_mm:.4f}); chi-square {face.chi_square:.1f} / {face.freedom}, "
@@ -83,7 +83,7 @@ def _face(found: Verification, face: FaceVerification) -> str:
     )
 
 
-def _gross(found: Verification) -> list[str]:
+def _gross(found: Figures) -> list[str]:
     lines = found.gross_lines
     if not lines:
         return []
@@ -97,7 +97,7 @@ def _gross(found: Verification) -> list[str]:
     ]
 
 
-def _tolerance(found: Verification) -> list[str]:
+def _tolerance(found: Figures) -> list[str]:
     if found.tolerance_mm is None:
         return []
     said = "within" if found.within else "NOT within"
@@ -107,7 +107,7 @@ def _tolerance(found: Verification) -> list[str]:
     ]
 
 
-def _vouches(found: Verification) -> str:
+def _vouches(found: Figures) -> str:
     """What residuals mean, and what they leave open."""
     seen = f"These rows see {found.seen} of the arm's {found.unknowns} unknown directions better than its priors do"
     if found.accuracy:
