@@ -279,19 +279,21 @@ def test_a_face_that_stands_needs_no_rows_of_its_own(good):
 def test_priors_of_what_the_rows_alone_know_count_as_readings(good, hsr):
     arm, fresh, _, _ = good
     _, bound, *_ = drawn("hsr_jr680")
-    truth = {slot.label: slot for slot in bound.slots if slot.key == "plane"}
-    floor = truth["floor"].nominal
-    known = Plane(tuple(floor[:3]), tuple(floor[9:12]), prior_std=(1e-7, 1e-5))
+    floor = next(slot.nominal for slot in bound.slots if slot.name == "plane.floor")
     rows = fresh.take(np.flatnonzero(np.array(fresh.labels["plane"]) == "floor"))
-    dial = dataclasses.replace(hsr.problem.instrument, plane=known)
-    other = verify(arm, dataclasses.replace(rows, labels={}), problem=Problem(hsr.problem.robot, dial))
-    held = verify(
-        arm,
-        dataclasses.replace(rows, labels={}),
-        problem=Problem(hsr.problem.robot, dataclasses.replace(dial, plane=dataclasses.replace(known, free=False))),
-    )
-    assert other.freedom == held.freedom == len(rows)  # three unknowns, and as many guesses beforehand
-    assert other.chi_square == pytest.approx(held.chi_square, rel=1e-4)
+    rows = dataclasses.replace(rows, labels={})
+
+    def guessed(off):
+        """With a floor that somebody surveyed to a hundredth, and wrote down so far off."""
+        plane = Plane(tuple(floor[:3]), tuple(floor[9:12] + off * floor[:3]), prior_std=(1e-3, 0.01))
+        dial = dataclasses.replace(hsr.problem.instrument, plane=plane)
+        return verify(arm, rows, problem=Problem(hsr.problem.robot, dial))
+
+    right, wrong = guessed(0.0), guessed(5.0)
+    assert right.freedom == wrong.freedom == len(rows)  # three unknowns, and as many guesses beforehand
+    assert right.kept
+    assert not wrong.kept
+    assert wrong.after_mm < 1.0  # the rows themselves lie on a plane, only not where it was surveyed
 
 
 def test_gross_rows_are_named_by_their_lines(good):
@@ -360,6 +362,41 @@ def test_a_reflector_nobody_measured_belongs_to_its_rows(good, hsr):
     assert "and the reflector sits" in found.summary()
     with pytest.raises(SamplesError, match="3 rows for 9 unknowns"):
         verify(arm, rows.take([0, 1, 2]), problem=problem)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OnShelves(TrackedPoint):
+    """Points listed by where they were watched."""
+
+    @property
+    def groups(self):
+        """The shelf."""
+        return "shelf"
+
+
+def test_groups_of_rows_with_three_residuals_each(good, hsr):
+    arm, _, x, _ = good
+    _, bound, *_ = drawn("hsr_jr680")
+    tool = np.array([20.0, 10.0, 60.0])
+    problem = Problem(hsr.problem.robot, OnShelves(noise_std=0.01, tool=tool_point(*tool, free=False)))
+    rows = tracked(bound, x, tool, np.random.default_rng(14))
+    rows = dataclasses.replace(rows, labels={"shelf": ["high", "low", "low", "low"] * 10})
+    found = {face.label: face for face in verify(arm, rows, problem=problem).faces}
+    alone = verify(arm, rows.take(np.flatnonzero(np.array(rows.labels["shelf"]) == "high")), problem=problem)
+    assert (found["high"].rows, found["low"].rows) == (10, 30)
+    assert found["high"].freedom == alone.freedom == 24
+    assert found["high"].chi_square == pytest.approx(alone.chi_square, rel=1e-3)
+
+
+def test_a_tool_goes_with_its_instrument():
+    source, bound, *_ = drawn("ur5")
+    some, fresh = halves(bound.block.samples)
+    arm = fitted(source, some)
+    assert "tool_x" not in verify(arm, fresh).own
+    problem = Problem(source.problem.robot, TrackedPoint(noise_std=0.01))
+    rows = tracked(bound, bound.x0, np.array([0.0, 0.0, 50.0]), np.random.default_rng(15))
+    assert {"tool_x", "tool_y", "tool_z"} < set(verify(arm, rows, problem=problem).own)
+    assert "tool_x" not in verify(arm, rows, problem=problem, standing=["tool"]).own
 
 
 # ------------------------------------------------------------------------------------------------ values and refusals

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators import lm
-from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
 from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.fresh_rows import chance, covariance_root, expected
@@ -67,19 +66,16 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
 def _left_out(
     others: BoundProblem, bound: BoundProblem, rows: NDArray[np.intp], result: Result, face: str
 ) -> LeftOut | None:
-    told = np.isfinite(others.prior_std) | (np.abs(others.jacobian(result.x)).max(axis=0) > 0)
-    part = Restricted(others, told, result.x)
-    fit = lm(part, start=result.x[told], loss=result.loss)
+    fit = lm(others, start=result.x, loss=result.loss)
     if not fit.converged:
         return None
-    known, held = told.copy(), np.isfinite(np.diagonal(fit.covariance))
-    known[np.flatnonzero(told)[~held]] = False  # what the others do not hold, these rows alone know
-    x, per_row = part.expand(fit.x), bound.rows // len(bound.block.samples)
+    known = np.isfinite(np.diagonal(fit.covariance))  # what the others do not hold, these rows alone know
+    per_row = bound.rows // len(bound.block.samples)
     index = (rows[:, None] * per_row + np.arange(per_row)).ravel()
     index = index[result.weights[index] >= HALF_WEIGHT]
-    slopes = bound.jacobian(x)[index]
-    spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(held, held)])
-    judged = expected(bound.residual(x)[index], spread, slopes[:, ~known])
+    slopes = bound.jacobian(fit.x)[index]
+    spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(known, known)])
+    judged = expected(bound.residual(fit.x)[index], spread, slopes[:, ~known])
     if judged.freedom < 1:
         return None
     actual, predicted = (_rms(sizes * bound.block.noise.ravel()[index]) for sizes in (judged.left, judged.std))
