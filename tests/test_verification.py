@@ -402,6 +402,26 @@ def test_a_tool_goes_with_its_instrument():
 # ------------------------------------------------------------------------------------------------ values and refusals
 
 
+def test_what_the_calibration_held_stays_held_whoever_watches(good, hsr):
+    _, fresh, x, some = good
+    arm = fitted(dataclasses.replace(hsr, problem=hsr.problem.fix("alpha")), some)
+    tool = np.array([20.0, 10.0, 60.0])
+    problem = Problem(hsr.problem.robot, TrackedPoint(noise_std=0.01, tool=tool_point(*tool, free=False)))
+    _, bound, *_ = drawn("hsr_jr680")
+    found = verify(arm, tracked(bound, x, tool, np.random.default_rng(16)), problem=problem)
+    assert found.unknowns == verify(arm, fresh).unknowns == 18
+
+
+def test_nothing_is_promised_of_what_nothing_held(good, hsr):
+    _, fresh, _, some = good
+    loose = dataclasses.replace(hsr, problem=hsr.problem.with_prior({"a": np.inf, "d": np.inf}))
+    found = verify(fitted(loose, some), fresh)
+    assert found.kept
+    assert found.hidden_tip_mm == np.inf
+    assert "without bound could hide" in found.summary()
+    assert found.to_dict()["hidden_tip_mm"] is None
+
+
 def test_a_verification_is_a_value(good):
     arm, fresh, _, _ = good
     found = verify(arm, fresh)

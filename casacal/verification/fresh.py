@@ -116,8 +116,9 @@ def fresh_rows(
     kept = _kept(result, problem, samples, standing)
     slots = make_slots(problem, [samples], kept)
     _refuse_held(slots, kept)
-    factors = _noise_used(result, problem, samples, other=other)
-    bound = BoundProblem(problem, slots, (samples,), noise_scale=[factors] if factors else ())
+    bound = BoundProblem(problem, slots, (samples,))
+    factors = _noise_used(result, bound, other=other)
+    bound = bound.with_noise(factors) if factors else bound
     if bound.rows * bound.unknowns > MOST:
         most = MOST // bound.unknowns
         raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
@@ -196,7 +197,7 @@ def _values(result: CalibratedArm) -> dict[str, float]:
     return known | {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
 
 
-def _noise_used(result: CalibratedArm, problem: Problem, samples: Samples, *, other: bool) -> dict[str, float]:
+def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> dict[str, float]:
     """Factor of each face's noise over what was stated, as the calibration used it; "" stands for other faces.
 
     New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, to which that is added
@@ -208,8 +209,7 @@ def _noise_used(result: CalibratedArm, problem: Problem, samples: Samples, *, ot
         return {}
     if other:
         excess = float(np.mean([used**2 - stated**2 for stated, used in pairs.values()]))
-        slots = make_slots(problem, [samples])
-        stated = float(np.median(BoundProblem(problem, slots, (samples,)).block.noise))
+        stated = float(np.median(bound.block.noise))
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2)}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
     return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors}
