@@ -455,6 +455,7 @@ def test_refusals(good, hsr):
     robot = Robot(
         "HSR", hsr.problem.robot.joints, hsr.problem.robot.pose, {**hsr.problem.robot.parameters, "a": longer}
     )
+    damaged = dataclasses.replace(arm, document={**arm.document, "proposed": {"plane.wall": [1.0, 2.0]}})
     refusals = [
         (lambda: verify(arm, some), SamplesError, "calibrated from, which verifies nothing"),
         (lambda: verify(arm, fresh, problem=ur5), CasacalError, "the arm of the problem .UR5. is not the calibrated"),
@@ -470,6 +471,7 @@ def test_refusals(good, hsr):
             CasacalError,
             "does not say where 'w' stood",
         ),
+        (lambda: verify(damaged, fresh, standing=["wall"]), CasacalError, "does not say where 'wall' stood"),
         (lambda: verify(arm, fresh, tolerance=0), CasacalError, "The tolerance is 0"),
         (lambda: verify(3.0, fresh), CasacalError, "A float came as the result"),
         (lambda: verify(arm, fresh, problem=3.0), CasacalError, "A float came as the problem"),
@@ -566,7 +568,21 @@ def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
     plain, found = (verify(by_command / name, by_command / "fresh.csv") for name in ("result.json", "louder.json"))
     assert found.predicted_mm == pytest.approx(3 * plain.predicted_mm, rel=0.1)
     assert found.chi_square < plain.chi_square / 5
-    for damaged in ({"ratio": 1}, {"by_face": {"floor": {"stated_mm": 0, "used_mm": 1}}}, {"by_face": {"floor": 3}}):
+    # what every face showed beside the dial, a tracker sees too; what one face showed is that face's own
+    _, bound, *_ = drawn("hsr_jr680")
+    problem = Problem(bound.problem.robot, TrackedPoint(noise_std=0.01, tool=tool_point(20.0, 10.0, 60.0, free=False)))
+    rows = tracked(bound, bound.x0, np.array([20.0, 10.0, 60.0]), np.random.default_rng(17))
+    everywhere = verify(louder, rows, problem=problem)
+    document["noise"]["by_face"]["side"]["used_mm"] = 0.01
+    louder.write_text(json.dumps(document), encoding="utf-8")
+    one = verify(louder, rows, problem=problem)
+    assert everywhere.predicted_mm**2 - one.predicted_mm**2 == pytest.approx(3 * 0.0008, rel=0.1)
+    for damaged in (
+        {"ratio": 1},
+        {"by_face": sizes, "low": "2"},
+        {"by_face": {"floor": {"stated_mm": 0, "used_mm": 1}}},
+        {"by_face": {"floor": 3}},
+    ):
         document["noise"] = damaged
         louder.write_text(json.dumps(document), encoding="utf-8")
         assert main(["verify", str(louder), str(by_command / "fresh.csv")]) == 2

@@ -30,9 +30,11 @@ def is_number_or_null(value: Any) -> bool:
     return value is None or is_number(value)
 
 
-def _is_noise(faces: Any) -> bool:
+def _is_noise(noise: Mapping[str, Any]) -> bool:
+    faces = noise.get("by_face")
     some = list(faces.values()) if isinstance(faces, dict) else [None]
-    return all(isinstance(face, dict) and all(map(_is_size, map(face.get, STDS))) for face in some)
+    interval = all(map(is_number_or_null, map(noise.get, ("low", "high"))))
+    return interval and all(isinstance(face, dict) and all(map(_is_size, map(face.get, STDS))) for face in some)
 
 
 def _is_size(value: Any) -> bool:
@@ -59,7 +61,7 @@ OPTIONAL: Mapping[str, Shape] = {
     "verdict": lambda value: isinstance(value, dict) and is_text(value.get("level")) and is_text(value.get("words")),
     "arm": lambda value: isinstance(value, dict),
     "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")),
-    "noise": lambda value: isinstance(value, dict) and _is_noise(value.get("by_face")),
+    "noise": lambda value: isinstance(value, dict) and _is_noise(value),
     "proposed": lambda value: isinstance(value, dict) and all(map(_is_row, value.values())),
     "versions": lambda value: isinstance(value, dict) and all(map(is_text, value.values())),
 }

@@ -47,7 +47,8 @@ class Figures(Value):
     whether the promise is kept without them.
     quantile_mm: within which 95 % of the rows lie. tolerance_mm: what was asked for, or None.
     promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
-    base stands, and the part of it that rows like these would leave; infinite where nothing bounds it.
+    base stands and how another instrument is mounted, and the part of it that rows like these would leave; infinite
+    where nothing bounds it.
     accuracy: whether residuals are errors of the tip itself. thing: what was measured, as in "planes". unit: of it all.
     """
 

@@ -22,6 +22,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import covariance_root
 from casacal.uncertainty.identifiability import prior_scale
+from casacal.unknowns import Unknown
 
 MOST = 30_000_000
 """Elements of a Jacobian that is held as a whole."""
@@ -155,23 +156,23 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
     """Nominal values of what stands where it was calibrated, by name of its slot."""
     instrument, proposed, kept = problem.instrument, result.document.get("proposed") or {}, {}
     there: dict[str, list[str]] = {}
-    nominals: dict[str, Array | None] = {}
+    unknowns: dict[str, Unknown] = {}
     for key, unknown in instrument.unknowns.items():
         labels = [] if unknown.per is None else samples.labels[unknown.per].names
         for label in dict.fromkeys(instrument.instance(key, label) for label in labels):
             name = f"{key}.{label}"
-            nominals[name] = unknown.nominal
+            unknowns[name] = unknown
             for word in (key, label, name):
                 there.setdefault(word, []).append(name)
         if unknown.per is None and (unknown.size or unknown.nominal is None):
-            nominals[key] = unknown.nominal
+            unknowns[key] = unknown
             there.setdefault(key, []).append(key)
     for word in standing:
         if word not in there:
             raise UnknownNameError("face or unknown of these rows", word, there)
         for name in there[word]:
-            nominal = nominals[name]
-            if nominal is None and name not in proposed:
+            nominal = unknowns[name].nominal
+            if nominal is None and len(proposed.get(name, ())) != unknowns[name].nominal_size:
                 raise CasacalError(
                     f"{result.file}: it does not say where '{word}' stood",
                     "Leave it out of --standing, or calibrate again",
@@ -200,15 +201,16 @@ def _values(result: CalibratedArm) -> dict[str, float]:
 def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> dict[str, float]:
     """Factor of each face's noise over what was stated, as the calibration used it; "" stands for other faces.
 
-    New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, to which that is added
-    which the calibration found beside its instrument: joints that do not repeat err whoever watches.
+    New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, and what every face
+    showed beside the calibration's instrument is added: joints that do not repeat err whoever watches, while a face
+    that is not flat errs alone.
     """
     faces = ((result.document.get("noise") or {}).get("by_face") or {}).items()
     pairs = {name: (float(face["stated_mm"]), float(face["used_mm"])) for name, face in faces}
     if not pairs:
         return {}
     if other:
-        excess = float(np.mean([used**2 - stated**2 for stated, used in pairs.values()]))
+        excess = min(used**2 - stated**2 for stated, used in pairs.values())
         stated = float(np.median(bound.block.noise))
         return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2)}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}

@@ -120,7 +120,7 @@ def _vouches(found: Figures) -> str:
     if not math.isfinite(found.hidden_tip_mm):
         return f"{what} {seen}, and a tip error without bound could hide from them."
     return (
-        f"{what} {seen}; of the {found.promised_tip_mm:.3f} mm RMS that the calibration expects at the tip, "
+        f"{what} {seen}; of the {found.promised_tip_mm:.3f} mm RMS that the calibration expects of the arm, "
         f"{found.hidden_tip_mm:.3f} mm could hide from them."
     )
 
