@@ -94,6 +94,8 @@ if TYPE_CHECKING:
     from casacal.unknowns import Frame as Frame
     from casacal.unknowns import Parameter as Parameter
     from casacal.unknowns import Plane as Plane
+    from casacal.verification.verification import Verification as Verification
+    from casacal.verification.verify import verify as verify
 
 _HOMES = {
     "casacal.binding.bound_problem": ("BoundProblem", "bind"),
@@ -153,6 +155,8 @@ _HOMES = {
     "casacal.compensation.targets": ("Targets", "read_targets"),
     "casacal.uncertainty.priors": ("scaled_to_accuracy",),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
+    "casacal.verification.verification": ("Verification",),
+    "casacal.verification.verify": ("verify",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME)

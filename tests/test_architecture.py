@@ -36,6 +36,7 @@ ORDER = [
     "compensation",
     "export",
     "calibration",
+    "verification",
     "study",
     "cli",
     "__main__",

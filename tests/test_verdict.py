@@ -14,8 +14,8 @@ from test_doctor import PLANTED
 import casacal
 from casacal import DialOnPlane, Problem, bind, calibrate, ipopt, lm, simulate
 from casacal.calibration.brief import MOST_LINES, brief
-from casacal.calibration.calibration import Reference
 from casacal.calibration.next_step import best_cure, next_step
+from casacal.calibration.reference import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.checks.set_aside import gross

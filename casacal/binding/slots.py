@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -90,10 +90,10 @@ class Block:
         return self.rows(slice(None))
 
 
-def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
+def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str, Array] | None = None) -> list[Slot]:
     """Lay out x: the robot's parameters, then each instrument's unknowns, those that differ by label last.
 
-    Raises ProblemError as `bind` does.
+    What is known, by name of its slot, has that nominal however few rows see it. Raises ProblemError as `bind` does.
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
@@ -105,6 +105,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
             f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"
         )
     slots: list[Slot] = []
+    known = known or {}
 
     def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool) -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
@@ -117,8 +118,10 @@ def make_slots(problem: Problem, samples: Sequence[Samples]) -> list[Slot]:
     for i, instrument in enumerate(problem.instruments):
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in _instances(instrument, key, unknown, samples[i]):
-                _check_rows(problem, i, key, unknown, label, rows, samples[i])
-                nominal = unknown.nominal
+                name = problem.prefix(i) + (key if label is None else f"{key}.{label}")
+                nominal = known.get(name, unknown.nominal)
+                if name not in known:
+                    _check_rows(problem, i, key, unknown, label, rows, samples[i])
                 if nominal is None:
                     few = rows[:: -(-len(rows) // ENOUGH) or 1]
                     nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))
@@ -180,10 +183,6 @@ def _patterns(
     return tuple(patterns), pattern
 
 
-def _data(problem: Problem, i: int, samples: Samples) -> Array:
-    return np.column_stack([samples.joints, *_columns(problem, i, samples).values()])
-
-
 def _columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:
     """Columns that were read, then those known from labels, each (N,)."""
     instrument = problem.instruments[i]
@@ -233,7 +232,8 @@ def _nominal_inputs(problem: Problem, i: int, samples: Samples) -> tuple[Array, 
         np.full(model.unknowns[k].nominal_size, np.nan) if (n := model.unknowns[k].nominal) is None else n
         for k in model.constants
     ]
-    return z, np.concatenate(known or [np.zeros(0)]), _data(problem, i, samples)
+    data = np.column_stack([samples.joints, *_columns(problem, i, samples).values()])
+    return z, np.concatenate(known or [np.zeros(0)]), data
 
 
 def _check_rows(

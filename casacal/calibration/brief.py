@@ -61,7 +61,7 @@ def _subject(calibration: Calibration) -> str:
     held = calibration.heldout
     rows = f"{len(calibration.samples)} samples"
     if held is not None:
-        rows += f", {len(held.block.samples)} of them held out"
+        rows += f", {len(held.block.samples)} of them held out{together(calibration)}"
     checked = ""
     if calibration.reference is not None:
         found = calibration.reference
@@ -69,6 +69,11 @@ def _subject(calibration: Calibration) -> str:
         apart = f"finds a cost lower by {found.gap:.2g}" if lower else "DIFFERS"
         checked = f"; {found.solver} {'agrees' if found.agrees else apart}"
     return f"{calibration.fit.problem.robot.name}: {calibration.method} from {rows}{checked}"
+
+
+def together(calibration: Calibration) -> str:
+    """How rows were held out, where not one by one."""
+    return "" if calibration.heldout_by == "rows" else f" by {calibration.heldout_by}"
 
 
 def _residual(calibration: Calibration) -> str:

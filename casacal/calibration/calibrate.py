@@ -14,8 +14,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.further import bind_further
 from casacal.calibration.calibrated import Calibrated
-from casacal.calibration.calibration import Reference
+from casacal.calibration.reference import Reference
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
@@ -59,6 +60,7 @@ def calibrate(
     *,
     method: str | Method | None = None,
     holdout: float = 0.0,
+    holdout_by: str = "rows",
     seed: int = 0,
     reference: bool = True,
     noise: Literal["found", "stated"] = "found",
@@ -76,7 +78,10 @@ def calibrate(
             samples.csv beside a problem file.
         method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
             default "sckf-lm", and "lm" with a loss.
-        holdout: fraction of each plane's rows (0 to below 1) that is not fitted but judged.
+        holdout: fraction of the rows (0 to below 1) that is not fitted but judged.
+        holdout_by: what is held out together: "rows" of each face one by one, "region" (on each face the nearest
+            postures to one), "face" (whole faces, whose places are then fitted to their own rows), or a column of the
+            samples, such as one of sessions: all rows of some of its values.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum; it knows no robust loss.
         noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
@@ -103,7 +108,7 @@ def calibrate(
     if outliers not in ("set aside", "keep"):
         raise CasacalError(f"{came(outliers)} came for the outliers", "Give 'set aside' or 'keep'")
     began = time.perf_counter()
-    fitted, held = split(rows, holdout, seed)
+    fitted, held = split(rows, holdout, seed, holdout_by, source.problem.instrument.groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
         if fit.rows < fit.unknowns:
@@ -120,7 +125,7 @@ def calibrate(
         scale = found_noise(fit, loss).scale if noise == "found" else {}
         if scale:
             fit = fit.with_noise(scale)
-        heldout = fit.on(rows.take(held)) if held.size else None
+        heldout = bind_further(fit, rows.take(held)) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
         result = _estimate(run, name, fit, seed, loss, progress)
@@ -129,7 +134,7 @@ def calibrate(
         before = plane_only(fit)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside)
+    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by)
 
 
 def problem_from(given: Any) -> ProblemFile:

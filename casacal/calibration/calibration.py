@@ -11,7 +11,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.further import extended
 from casacal.binding.marginal import Seen, seen
+from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
 from casacal.checks.dial_sign import sign_before_fit
 from casacal.checks.rows import outside, rounded
@@ -30,6 +32,7 @@ from casacal.uncertainty.identifiability import (
     WeakDirection,
     identifiability,
 )
+from casacal.uncertainty.left_out import LeftOut, leave_one_face_out
 from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
@@ -42,44 +45,6 @@ HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
 
 NOT_NEEDED = "none needed"
-
-AGREEMENT = 1e-8
-"""Largest relative gap between the costs of two solvers that found the same minimum."""
-
-NEGLIGIBLE = 1e-6
-"""A gap in cost that means nothing, however small the costs are.
-
-The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
-deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
-is their ratio.
-"""
-
-
-@dataclass(frozen=True, eq=False)
-class Reference(Value):
-    """What an independent solver found on the same objective."""
-
-    solver: str
-    result: Result
-    cost: float
-    """The objective as that solver itself evaluated it."""
-    relative_gap: float
-    """(cost of the method - cost of the reference) / cost of the reference."""
-
-    @property
-    def gap(self) -> float:
-        """Cost of the method less that of the reference."""
-        return self.relative_gap * max(self.cost, 1e-300)
-
-    @property
-    def limit(self) -> float:
-        """Largest gap of two solvers that found the same minimum."""
-        return max(AGREEMENT * self.cost, NEGLIGIBLE)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether both found the same minimum."""
-        return self.result.converged and abs(self.gap) <= self.limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,6 +64,8 @@ class Calibration(Value):
     """The problem as it was given: its file, where it has one."""
     aside: tuple[Finding, ...] = ()
     """What is wrong with the rows that were set aside, with their lines."""
+    heldout_by: str = "rows"
+    """What was held out together: rows, region, face, or the name of a column."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -125,14 +92,27 @@ class Calibration(Value):
         return noise_over_stated(self.result)
 
     @cached_property
+    def heldout_x(self) -> tuple[Array, Array]:
+        """Unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
+        before, after = self.before.x, self.result.x
+        if self.heldout is None:
+            return before, after
+        return extended(self.heldout, before), extended(self.heldout, after)
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
+        return leave_one_face_out(self.fit, self.result)
+
+    @cached_property
     def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
         return {
             when: {
                 "fit": residual_figures(self.fit.plain_residual(result.x)),
-                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(result.x)),
+                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(held)),
             }
-            for when, result in (("before", self.before), ("after", self.result))
+            for when, result, held in zip(("before", "after"), (self.before, self.result), self.heldout_x, strict=True)
         }
 
     @cached_property

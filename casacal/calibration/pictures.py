@@ -32,13 +32,12 @@ BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 def plot_residuals(calibration: Calibration, axes: Any) -> None:
     """Distances of the tips from their planes (mm), before and after, row by row, plane by plane."""
     offset, ticks, ends = 0, [], []
-    parts = [("", calibration.fit, AFTER)]
+    parts = [("", calibration.fit, (calibration.before.x, calibration.result.x), AFTER)]
     if calibration.heldout is not None:
-        parts.append((" (held out)", calibration.heldout, HELD))
-    for suffix, bound, colour in parts:
+        parts.append((" (held out)", calibration.heldout, calibration.heldout_x, HELD))
+    for suffix, bound, pair, colour in parts:
         faces = bound.block.samples.faces(bound.problem.instrument.groups)
-        pair = calibration.before, calibration.result
-        before, after = (bound.plain_residual(each.x).reshape(len(faces), -1) for each in pair)
+        before, after = (bound.plain_residual(x).reshape(len(faces), -1) for x in pair)
         order, places = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for label, rows in faces.rows().items():
             count = len(rows) * before.shape[1]

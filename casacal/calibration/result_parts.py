@@ -13,7 +13,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.calibration.calibration import Calibration, Reference
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.reference import Reference
 from casacal.least_squares.result import Result
 from casacal.uncertainty.identifiability import verdict
 from casacal.version import __version__
@@ -122,7 +123,7 @@ def reference_part(reference: Reference | None) -> dict[str, Any] | None:
 
 
 def geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
-    """Planes, directions and frames at the estimate, and x itself."""
+    """Planes, directions and frames at the estimate, x itself, and what x counts from where the samples proposed it."""
     found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
     for slot in bound.slots:
         kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
@@ -130,7 +131,8 @@ def geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
             name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
             found[kind][name] = shown
     unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
-    return {**found, "unknowns": unknowns}
+    proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
+    return {**found, "unknowns": unknowns, "proposed": proposed}
 
 
 def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from casacal.calibration.brief import together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
@@ -26,6 +27,7 @@ def summary(calibration: Calibration, name: str) -> str:
         _opening(calibration, name),
         "\n".join([verdict.words, *(f"- {reason}" for reason in verdict.reasons)]),
         _residuals(calibration),
+        _left_out(calibration),
         "" if verdict.level == "do not use" else _accuracy(calibration),
         parameter_table(calibration),
         _blind_spots(calibration),
@@ -67,6 +69,7 @@ def _opening(calibration: Calibration, name: str) -> str:
     groups = len(calibration.samples.labels[column].names) if column in calibration.samples.labels else 0
     counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
     rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
+    rows += "" if held is None else together(calibration)
     if calibration.aside:
         rows += f", {len({line for found in calibration.aside for line in found.lines})} set aside"
     return (
@@ -87,6 +90,17 @@ def _residuals(calibration: Calibration) -> str:
             if figures is not None:
                 label = f"  {words[when] if part == 'fit' else when + ', held out'}"
                 lines.append(f"{label:<32}" + _figures(figures))
+    return "\n".join(lines)
+
+
+def _left_out(calibration: Calibration) -> str:
+    faces = calibration.left_out
+    if not faces:
+        return ""
+    title = f"each face by the others, {calibration.fit.problem.instrument.words.unit} RMS"
+    lines = [f"{title:<41}{'found':>9}{'predicted':>11}{'ratio':>8}"]
+    for face in faces:
+        lines.append(f"  {face.face:<39}{face.actual_mm:>9.4f}{face.predicted_mm:>11.4f}{face.ratio:>8.2f}")
     return "\n".join(lines)
 
 

@@ -33,8 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser)
     add_samples(parser)
     parser.add_argument("--method", choices=METHOD_NAMES, help="default: sckf-lm; with --loss, lm")
+    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="fraction of the rows to hold out")
     parser.add_argument(
-        "--holdout", type=float, default=0.0, metavar="F", help="fraction of each face's rows to hold out"
+        "--holdout-by",
+        metavar="WHAT",
+        help="rows (default: some of each face), region (neighbouring postures), face, or a column, such as session",
     )
     parser.add_argument(
         "--seed", type=whole_number, default=0, metavar="K", help="for held-out rows and random methods"
@@ -72,6 +75,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out is not None and Path(options.out).exists() and not Path(options.out).is_dir():
         raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
+    if options.holdout_by is not None and not options.holdout:
+        raise CasacalError(f"--holdout-by {options.holdout_by} came without --holdout", "Say which part: --holdout 0.3")
     source = load_problem(options.problem)
     problem = adjusted(source.problem, options)
     given = samples_of(source, options.samples)
@@ -87,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
             samples,
             method=method,
             holdout=options.holdout,
+            holdout_by=options.holdout_by or "rows",
             seed=options.seed,
             reference=not options.no_reference,
             noise=options.noise or "found",

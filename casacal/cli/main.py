@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
-from casacal.cli import calibrate, check, compensate, completion, doctor, export, new, predict, simulate, study
+from casacal.cli import calibrate, check, compensate, completion, doctor, export, new, predict, simulate, study, verify
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare
 from casacal.errors import CasacalError
@@ -22,6 +22,7 @@ COMMANDS = {
     "check": check,
     "doctor": doctor,
     "predict": predict,
+    "verify": verify,
     "compensate": compensate,
     "study": study,
     "new": new,

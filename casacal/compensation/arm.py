@@ -73,6 +73,14 @@ def check_usable(result: CalibratedArm, *, force: bool) -> None:
 
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
+    covariance, names = named_covariance(result)
+    places = {name: j for j, name in enumerate(names)}
+    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
+    return covariance, [(i, places[name]) for i, name in enumerate(local) if name in places]
+
+
+def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
     try:
         rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
         names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
@@ -81,10 +89,7 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
             said = f"{result.file}: a result that is not to be used has no standard deviations"
             raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
-    places = {name: j for j, name in enumerate(names)}
-    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
-    seen = [(i, places[name]) for i, name in enumerate(local) if name in places]
-    return np.array(rows, dtype=np.float64).reshape(len(names), len(names)), seen
+    return np.array(rows, dtype=np.float64).reshape(len(names), len(names)), list(names)
 
 
 def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:

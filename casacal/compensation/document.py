@@ -30,7 +30,23 @@ def is_number_or_null(value: Any) -> bool:
     return value is None or is_number(value)
 
 
+def _is_noise(noise: Mapping[str, Any]) -> bool:
+    faces = noise.get("by_face")
+    some = list(faces.values()) if isinstance(faces, dict) else [None]
+    interval = all(map(is_number_or_null, map(noise.get, ("low", "high"))))
+    return interval and all(isinstance(face, dict) and all(map(_is_size, map(face.get, STDS))) for face in some)
+
+
+def _is_size(value: Any) -> bool:
+    return is_number(value) and value > 0
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_number, value))
+
+
 Shape = Callable[[Any], bool]
+STDS = ("stated_mm", "used_mm")
 FILE: Mapping[str, Shape] = {"path": is_text, "sha256": is_text, "text": is_text}
 PARAMETER: Mapping[str, Shape] = {"name": is_text, "unit": is_text, "nominal": is_number, "estimate": is_number}
 UNKNOWN: Mapping[str, Shape] = {"name": is_text, "value": is_number}
@@ -44,6 +60,9 @@ OPTIONAL: Mapping[str, Shape] = {
     "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
     "verdict": lambda value: isinstance(value, dict) and is_text(value.get("level")) and is_text(value.get("words")),
     "arm": lambda value: isinstance(value, dict),
+    "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")),
+    "noise": lambda value: isinstance(value, dict) and _is_noise(value),
+    "proposed": lambda value: isinstance(value, dict) and all(map(_is_row, value.values())),
     "versions": lambda value: isinstance(value, dict) and all(map(is_text, value.values())),
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.dial_on_plane import DialOnPlane
+from casacal.instruments.dial_on_plane import DialOnPlane, touched_normal
 from casacal.instruments.instrument import Probe, Sight
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
@@ -94,12 +94,12 @@ class DialOnBody(DialOnPlane):
             seen = []
             distinct, which = np.unique(normals, axis=0, return_inverse=True)
             for i in range(len(distinct)):
-                seen.append(self._normal(sight, which.ravel() == i))
+                seen.append(touched_normal(sight, which.ravel() == i))
             matrix = np.eye(4)
             matrix[:3, :3] = rotation_between(distinct, np.array(seen))[0]
             return Frame.encode(matrix)
         if key == "offset":
             return np.array(
-                [float((self._normal(sight, np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
+                [float((touched_normal(sight, np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
             )
         return super().propose(key, sight)

@@ -207,18 +207,28 @@ class DialOnPlane(Instrument):
         """
         if key != "plane":
             return super().propose(key, sight)
-        heights = sight.columns.get("height", np.zeros(len(sight.tips)))
-        values, counts = np.unique(heights, return_counts=True)
-        normal = self._normal(sight, heights == values[np.argmax(counts)])
-        return Plane.encode(normal, (sight.tips - heights[:, None] * normal).mean(axis=0))
+        return touched_plane(sight)
 
-    def _normal(self, sight: Sight, rows: NDArray[np.bool_]) -> Array:
-        """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger."""
-        plane = fitted_plane(sight.tips[rows])
-        if not plane.flat:
-            raise ProblemError(
-                f"A plane was touched at {int(rows.sum())} tips that lie on a line", "Spread the touches over the face"
-            )
-        assert sight.plungers is not None
-        towards = float((sight.plungers[rows] @ plane.normal).mean()) > 0
-        return -plane.normal if towards else plane.normal
+
+def touched_plane(sight: Sight) -> Array:
+    """Numbers (12,) of the total-least-squares plane through the nominal tips, their heights above it taken off.
+
+    Raises ProblemError when the tips lie on a line, so that no plane is seen.
+    """
+    heights = sight.columns.get("height", np.zeros(len(sight.tips)))
+    values, counts = np.unique(heights, return_counts=True)
+    normal = touched_normal(sight, heights == values[np.argmax(counts)])
+    return Plane.encode(normal, (sight.tips - heights[:, None] * normal).mean(axis=0))
+
+
+def touched_normal(sight: Sight, rows: NDArray[np.bool_]) -> Array:
+    """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger where there is one."""
+    plane = fitted_plane(sight.tips[rows])
+    if not plane.flat:
+        raise ProblemError(
+            f"A plane was touched at {int(rows.sum())} tips that lie on a line", "Spread the touches over the face"
+        )
+    if sight.plungers is None:
+        return np.asarray(plane.normal)
+    towards = float((sight.plungers[rows] @ plane.normal).mean()) > 0
+    return np.asarray(-plane.normal if towards else plane.normal)

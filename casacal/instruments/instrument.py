@@ -44,6 +44,8 @@ class Words:
     """What was measured, as in "the arm misses the held-out planes"."""
     before: str = "before"
     """What the control M0 fits, as in "planes fitted alone"."""
+    accuracy: bool = False
+    """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,11 @@ from typing import Any
 
 import casadi as ca
 
-from casacal.instruments.instrument import Dimension, Instrument
+from casacal.array_types import Array
+from casacal.instruments.dial_on_plane import touched_plane
+from casacal.instruments.instrument import Dimension, Instrument, Sight
 from casacal.kinematics import Expression, Product
-from casacal.unknowns import Unknown
+from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.packed import packed_symbols
 from casacal.values import FrozenMapping, frozen
 
@@ -92,6 +94,10 @@ class TracedInstrument(Instrument):
     def plunger_direction(self, pose: Expression, p: Any) -> Expression | None:
         """The plunger's direction that was traced (3), or None."""
         return None if self.graph.numel_out(2) == 0 else self._called(pose, p, None)[2]
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """A plane through the tips; for anything else the instrument itself would have to be asked."""
+        return touched_plane(sight) if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
 
     def _called(self, pose: Expression, p: Any, row: Any) -> list[Expression]:
         packed = [unknown.packed(getattr(p, key)) for key, unknown in self.values.items()]

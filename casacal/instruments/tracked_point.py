@@ -61,7 +61,7 @@ class TrackedPoint(Instrument):
     @property
     def words(self) -> Words:
         """Coordinates of points."""
-        return Words("residual of each coordinate", "mm", "points", "station fitted alone")
+        return Words("residual of each coordinate", "mm", "points", "station fitted alone", accuracy=True)
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Return the reflector in the base frame (3, mm)."""

@@ -27,10 +27,11 @@ TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 @dataclass(frozen=True)
 class Part:
-    """Fitted or held-out rows: residuals before and after (N, m; mm), what noise explains of them, and their weight."""
+    """Fitted or held-out rows: all unknowns x after, residuals before and after (N, m; mm), noise, weight."""
 
     bound: BoundProblem
     held: bool
+    x: Array
     before: Array
     after: Array
     noise: Array
@@ -119,9 +120,7 @@ class Touches:
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
-        seen = [
-            _seen(part.bound, self.calibration.result.x, rows) for part, rows in zip(self.parts, chosen, strict=True)
-        ]
+        seen = [_seen(part.bound, part.x, rows) for part, rows in zip(self.parts, chosen, strict=True)]
         tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
         plane = fitted_plane(tips)
         if not plane.flat:
@@ -153,9 +152,10 @@ def thinned(rows: Rows, most: int) -> Rows:
 
 def _part(calibration: Calibration, bound: BoundProblem, *, held: bool) -> Part:
     count = len(bound.block.samples)
-    before, after = (bound.plain_residual(r.x).reshape(count, -1) for r in (calibration.before, calibration.result))
+    pair = calibration.heldout_x if held else (calibration.before.x, calibration.result.x)
+    before, after = (bound.plain_residual(x).reshape(count, -1) for x in pair)
     weight = np.ones(count) if held else calibration.result.weights.reshape(count, -1).min(axis=1)
-    return Part(bound, held, before, after, bound.block.noise, weight)
+    return Part(bound, held, pair[1], before, after, bound.block.noise, weight)
 
 
 def _seen(bound: BoundProblem, x: Array, rows: Rows) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     data, faces = document["data"], touches.faces
     opening = (
         f"{count(data['samples'], 'row')}, of which {data['samples'] - data['heldout']:,} were fitted and "
-        f"{data['heldout']:,} held out to judge the fit."
+        f"{data['heldout']:,} held out{_together(data)} to judge the fit."
     )
     if not touches.has_faces:
         return section("measured", "What was measured", paragraph(opening), *_no_faces(touches))
@@ -41,6 +41,10 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
         table("faces", "Faces and rows", columns, rows, look="wide"),
         paragraph(notes + more, style="note"),
     )
+
+
+def _together(data: Mapping[str, Any]) -> str:
+    return "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}"
 
 
 def _no_faces(touches: Touches) -> list[Markup]:

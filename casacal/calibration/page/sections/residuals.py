@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from casacal.calibration.page.markup import Markup, paragraph, section
-from casacal.calibration.page.numbers import fixed
+from casacal.calibration.page.numbers import fixed, shortened
 from casacal.calibration.page.sections.face_maps import face_maps
 from casacal.calibration.page.sections.histograms import histograms
 from casacal.calibration.page.sections.row_plots import row_plots
@@ -28,6 +28,7 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
+        *_left_out(document["leave_one_face_out"]),
         _noise(touches, document["noise"]),
         histograms(touches),
         row_plots(touches),
@@ -44,6 +45,32 @@ def _table(document: Mapping[str, Any]) -> Markup:
                 rows.append([f"{TITLES[when]}, {words}", *(fixed(found[key]) for _, key in FIGURES)])
     columns = [("Rows", WORDS), *((f"{name}, mm", NUMBER) for name, _ in FIGURES)]
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
+
+
+def _left_out(faces: list[Mapping[str, Any]]) -> list[Markup]:
+    """Each face as the arm predicts it that the others give."""
+    if not faces:
+        return []
+    columns = [("Face", WORDS), ("Rows", NUMBER), ("Found, mm RMS", NUMBER), ("Predicted, mm RMS", NUMBER)]
+    columns += [("Found over predicted", NUMBER), ("Chance of so much", NUMBER)]
+    rows = [
+        [
+            shortened(face["face"], 60),
+            f"{face['rows']:,}",
+            *(fixed(face[key], 4) for key in ("actual_mm", "predicted_mm")),
+            fixed(face["ratio"], 2),
+            f"{face['p']:.2g}",
+        ]
+        for face in faces
+    ]
+    return [
+        paragraph(
+            "Each face in turn was left out, the arm fitted to the others, and that face's residuals compared with "
+            "what this arm expects of them; only its own plane was fitted to it. A ratio well over one with a small "
+            "chance means that something is missing from the model."
+        ),
+        table("left-out", "Each face predicted by the others", columns, rows),
+    ]
 
 
 def _noise(touches: Touches, noise: Mapping[str, Any]) -> Markup:

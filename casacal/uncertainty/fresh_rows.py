@@ -1,0 +1,161 @@
+"""Rows that a fit has not seen, against what it expects of them: restricted likelihood, in whitened rows.
+
+The residuals of such rows hold their own noise, what the fit may err by, and unknowns that these rows alone know, such
+as where a new face stands: r = e + K d + O u with e ~ N(0, I), d ~ N(0, C), u free. What O spans says nothing and is
+projected out: with N the projector beside it and B B' = K C K', the rest has the covariance N + N B B' N, so
+
+    r' P r,    P = N - N B (I + B'NB)^-1 B'N,
+
+is chi-square with rows - rank(O) degrees of freedom (Patterson and Thompson 1971). Since (P r)_k / P_kk is the residual
+of row k where every other row predicts it, (P r)_k / sqrt(P_kk) is standard normal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.least_squares.linalg import inverse_triangle
+from casacal.values import Value, frozen
+
+CHANCE = 1e-4
+"""Chance that rows which are as expected have any that is called gross (Bonferroni)."""
+
+MOST_GROSS = 0.05
+"""Beyond this fraction of the rows (and three of them) it is not single rows that are off."""
+
+ROUNDING = 16 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Expected(Value):
+    """What was found of fresh rows, and what was expected of them; everything whitened.
+
+    left: residuals (m,) with their own unknowns fitted. std: standard deviation (m,) that is expected of each.
+    deleted: residuals (m,) where all other rows predict them, standard normal. chi_square, freedom: of all.
+    """
+
+    left: Array
+    std: Array
+    deleted: Array
+    chi_square: float
+    freedom: int
+
+    def __post_init__(self) -> None:
+        frozen((self.left, self.std, self.deleted))
+
+
+def chance(chi_square: float, freedom: int, noise_freedom: float = math.inf) -> float:
+    """Chance of so much or more: chi-square, or F where the noise was itself found, from so many rows."""
+    from scipy.special import fdtrc, gammaincc  # without the half second that importing scipy.stats takes
+
+    if not freedom:
+        return 1.0
+    if math.isfinite(noise_freedom):
+        return float(fdtrc(freedom, noise_freedom, chi_square / freedom))
+    return float(gammaincc(freedom / 2, max(chi_square, 0.0) / 2))
+
+
+def covariance_root(covariance: Array) -> Array:
+    """R (n, k) with R R' = C (n, n), a covariance that rounding may have left a little short of positive."""
+    stds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    scale = np.where(stds > 0, stds, 1.0)
+    scaled = covariance / np.outer(scale, scale)
+    try:
+        return np.asarray(scale[:, None] * np.linalg.cholesky(scaled))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        held = values > 0
+        return np.asarray(scale[:, None] * vectors[:, held] * np.sqrt(values[held]))
+
+
+def spanned(columns: Array) -> Array:
+    """Orthonormal basis (m, rank) of what columns (m, k) span, whatever their units."""
+    sizes = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, sizes > 0] / sizes[sizes > 0]
+    if not scaled.size:
+        return np.zeros((len(columns), 0))
+    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(left[:, values > ROUNDING * max(scaled.shape) * values.max(initial=0.0)])
+
+
+def expected(residual: Array, spread: Array, own: Array) -> Expected:
+    """Judge fresh rows.
+
+    Args:
+        residual: whitened (m,).
+        spread: B (m, k), the whitened derivative by what the fit found times a root of its covariance.
+        own: whitened derivative (m, o) by the unknowns that these rows alone know.
+
+    """
+    basis = spanned(own)
+    left, across = residual - basis @ (basis.T @ residual), spread - basis @ (basis.T @ spread)
+    pulls = across @ _inverse_half(across).T
+    toward = pulls.T @ left
+    beside = 1.0 - (basis**2).sum(axis=1)
+    free = np.maximum(beside - (pulls**2).sum(axis=1), 0.0)
+    # a row that its own unknowns follow wherever it is has nothing to be judged by
+    told = free > 1e-9
+    deleted = np.where(told, (left - pulls @ toward) / np.sqrt(np.where(told, free, 1.0)), 0.0)
+    std = np.sqrt(np.maximum(beside + (across**2).sum(axis=1), 0.0))
+    return Expected(left, std, deleted, float(left @ left - toward @ toward), len(residual) - basis.shape[1])
+
+
+def gross(residual: Array, spread: Array, own: Array) -> NDArray[np.intp]:
+    """Rows that the others do not expect where they are, worst first; none where more than single ones are off.
+
+    One at a time, each judged by the rest; the rest's own scatter, where it is larger than expected, is the measure.
+    """
+    from scipy.special import ndtri
+
+    limit = -float(ndtri(CHANCE / (2 * max(len(residual), 1))))
+    most, kept, found = max(3, int(MOST_GROSS * len(residual))), np.arange(len(residual)), []
+    while kept.size:
+        size = np.abs(expected(residual[kept], spread[kept], own[kept]).deleted)
+        worst = int(size.argmax())
+        if size[worst] <= limit * max(1.4826 * float(np.median(size)), 1.0):
+            break
+        found.append(int(kept[worst]))
+        if len(found) > most:
+            return np.zeros(0, dtype=np.intp)
+        kept = np.delete(kept, worst)
+    return np.array(found, dtype=np.intp)
+
+
+def toward(residual: Array, spread: Array, own: Array, scaled: Array) -> tuple[float, int]:
+    """Chi-square in the directions of the arm that fresh rows see, and how many these are.
+
+    An arm that has changed since shows there and nowhere else, so this notices what drowns in the noise of all rows.
+    Seen are directions that the rows know better than the prior: whitened singular values of one or more. The size of
+    the arm would without that be among them: where faces hold no length, a change of it moves the residuals in
+    proportion to themselves.
+
+    Args:
+        residual, spread, own: as for `expected`.
+        scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
+
+    """
+    basis = spanned(own)
+    directions, sizes, _ = np.linalg.svd(scaled - basis @ (basis.T @ scaled), full_matrices=False)
+    seen = directions[:, sizes >= 1.0]
+    along, left = seen.T @ spread, seen.T @ residual
+    weighed = np.linalg.solve(np.eye(len(left)) + along @ along.T, left)
+    return float(left @ weighed), len(left)
+
+
+def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
+    """Covariance (n, n) that would remain of what the fit found, had it seen these rows as well."""
+    root, basis = covariance_root(covariance), spanned(own)
+    spread = jacobian @ root
+    spread = spread - basis @ (basis.T @ spread)
+    left = root @ _inverse_half(spread).T
+    return np.asarray(left @ left.T)
+
+
+def _inverse_half(spread: Array) -> Array:
+    """Lower triangular H (k, k) with H'H = (I + B'B)^-1 for B (m, k)."""
+    return inverse_triangle(np.asarray(np.linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread)))

@@ -1,0 +1,97 @@
+"""What a verification found, in figures: whether fresh rows lie as the calibration promised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from casacal.values import Value
+
+LEVEL = 0.05
+"""Chance at which rows that are as promised are said not to be: at most one verification in twenty of a good arm.
+
+Two tests share it, of all residuals and of what they say of the arm alone.
+"""
+
+QUANTILE = 0.95
+"""Part of the rows whose residual must lie within a tolerance."""
+
+
+@dataclass(frozen=True)
+class FaceVerification:
+    """One face: rows, residuals (mm RMS) as drawn, as calibrated and as predicted, chi-square over freedom, chance."""
+
+    label: str
+    rows: int
+    before_mm: float
+    after_mm: float
+    predicted_mm: float
+    chi_square: float
+    freedom: int
+    p: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Figures(Value):
+    """Fresh rows against a calibration that has not seen them.
+
+    A row's residual is its distance from the face, mm, or the length of its error where a row has several residuals.
+
+    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
+    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
+    standing: what was said to stand where it was calibrated.
+    before_mm, after_mm, predicted_mm: residuals, RMS, with the arm as drawn, as calibrated, and as it was predicted.
+    chi_square, freedom, p: of all residuals against their predicted covariance, and the chance of so much or more.
+    seen, arm_chi_square, arm_p: the same in those directions of the arm alone that these rows know better than the
+    prior, as many as `seen` of its `unknowns`: where an arm that changed since shows.
+    faces: each face by itself. gross_lines, kept_without_gross: rows that the others do not expect where they are, and
+    whether the promise is kept without them.
+    quantile_mm: within which 95 % of the rows lie. tolerance_mm: what was asked for, or None.
+    promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
+    base stands and how another instrument is mounted, and the part of it that rows like these would leave; infinite
+    where nothing bounds it.
+    accuracy: whether residuals are errors of the tip itself. thing: what was measured, as in "planes". unit: of it all.
+    """
+
+    robot: str
+    result: str
+    verdict: tuple[str, str]
+    samples: str
+    sha256: str
+    rows: int
+    own: tuple[str, ...]
+    standing: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+    predicted_mm: float
+    chi_square: float
+    freedom: int
+    p: float
+    seen: int
+    unknowns: int
+    arm_chi_square: float
+    arm_p: float
+    faces: tuple[FaceVerification, ...]
+    gross_lines: tuple[int, ...]
+    kept_without_gross: bool
+    quantile_mm: float
+    tolerance_mm: float | None
+    promised_tip_mm: float
+    hidden_tip_mm: float
+    accuracy: bool
+    things: str
+    unit: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether the promise was kept: the residuals are no larger than chance explains, at a level of 5 %."""
+        return min(self.p, self.arm_p) >= LEVEL / 2
+
+    @property
+    def within(self) -> bool | None:
+        """Whether 95 % of the rows lie within the tolerance; None where there is none."""
+        return None if self.tolerance_mm is None else self.quantile_mm <= self.tolerance_mm
+
+    @property
+    def passed(self) -> bool:
+        """Whether the promise was kept, and the tolerance where there is one."""
+        return self.kept and self.within is not False

@@ -1,0 +1,144 @@
+"""Was the promise kept? Fresh rows of any instrument, judged without fitting the arm again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.calibration.as_arm import AsArm
+from casacal.calibration.calibrate import samples_from
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import read_result
+from casacal.errors import CasacalError, SamplesError, came
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.robots.joint_space import random_joints
+from casacal.robots.robot import Robot
+from casacal.samples.samples import Samples
+from casacal.verification.fresh import fresh_rows
+from casacal.verification.judged import judged
+from casacal.verification.verification import Verification
+
+SAME = 1e-6
+"""Difference (mm; of a rotation's elements) of two poses below which arms are one."""
+
+COMPARED = 8
+"""Random joint values at which they are compared."""
+
+
+def verify(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    standing: Collection[str] = (),
+    tolerance: float | None = None,
+) -> Verification:
+    """Judge a calibration by rows that it has not seen; the arm is not fitted again.
+
+    Only what the rows alone know is fitted to them: where the faces or the tracker stand, and the tool of another
+    instrument. What is left is compared with its predicted covariance: of what the calibration may err by, from the
+    posterior in result.json, and of the noise as the calibration used it. The sum of squares is chi-square with rows
+    less fitted unknowns degrees of freedom (F where the calibration itself found the noise), and the promise is kept
+    unless it is larger than 95 % of those of a good arm.
+
+    Args:
+        result: a calibration, what `load` or `read_result` returns, or the path of a result.json or its folder.
+        samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
+        problem: the same arm with the instrument of these rows, where it is not that of the calibration: a `Problem`,
+            what `load_problem` returns, or a path.
+        standing: labels of faces ("floor") or unknowns ("plane", "tool") that stand where the calibration found them,
+            and so are not fitted again.
+        tolerance: largest residual, mm, that 95 % of the rows may have.
+
+    Returns:
+        What was found; residuals in mm.
+
+    Raises CasacalError for what is no result, another arm, or a tolerance that is none; UnknownNameError for something
+    else standing; SamplesError for rows that do not fit, are too few, or are those of the calibration.
+
+    """
+    if tolerance is not None and not (isinstance(tolerance, (int, float)) and 0 < tolerance < math.inf):
+        raise CasacalError(f"The tolerance is {tolerance!r}", "Give a positive number of mm")
+    if isinstance(standing, str):
+        raise CasacalError(f"'{standing}' came as a list of what stands", f"Give ['{standing}']")
+    arm = _arm(result)
+    source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
+    rows = samples_from(samples, source)
+    _refuse_fitted(arm, rows)
+    unit = source.problem.instrument.words.unit
+    if tolerance is not None and unit != "mm":
+        raise CasacalError(f"A tolerance in mm came for residuals in {unit}", "Leave it out")
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is said below
+        fresh = fresh_rows(arm, source.problem, rows, other=problem is not None, standing=standing)
+        if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
+            raise SamplesError(rows.file, "the residuals of some rows are not finite", "Check their values with check")
+    return judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance))
+
+
+def _arm(result: Any) -> CalibratedArm:
+    if isinstance(result, CalibratedArm):
+        return result
+    if isinstance(result, AsArm):
+        return result.arm
+    if isinstance(result, (str, Path)):
+        return read_result(result)
+    raise CasacalError(f"{came(result)} came as the result", "Give a calibration, or the path of its result.json")
+
+
+def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
+    """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
+    if isinstance(given, (str, Path)):
+        given = load_problem(given)
+    other = given.problem if isinstance(given, ProblemFile) else given
+    if not isinstance(other, Problem):
+        raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
+    robot = arm.source.problem.robot
+    if not _same_arm(robot, other.robot):
+        raise CasacalError(
+            f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",
+            "Give a problem whose robot is that of the calibration, parameter by parameter",
+        )
+    return Problem(robot, other.instrument)
+
+
+def _same_arm(one: Robot, two: Robot) -> bool:
+    """Whether two arms have the same parameters, and the same poses wherever these move a little."""
+    if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
+        two.parameters
+    ):
+        return False
+    rng = np.random.default_rng(0)
+    for q in random_joints(one, COMPARED, rng):
+        poses = []
+        moved = {key: rng.normal(size=u.nominal_size) * 1e-3 for key, u in one.parameters.items()}
+        for robot in (one, two):
+            values = []
+            for key, unknown in robot.traced.unknowns.items():
+                if unknown.nominal is None or np.size(unknown.nominal) != moved[key].size:
+                    return False
+                value = unknown.at(ca.DM(np.ravel(unknown.nominal) + moved[key]), ca.DM.zeros(unknown.size))
+                values.append(unknown.packed(value))
+            pose = ca.DM.eye(4)
+            for factor in robot.traced.graph.call([*values, ca.DM(q)]):
+                pose = pose @ factor
+            poses.append(np.array(pose))
+        if not np.abs(poses[0] - poses[1]).max() < SAME:
+            return False
+    return True
+
+
+def _refuse_fitted(arm: CalibratedArm, rows: Samples) -> None:
+    """Refuse the very rows that the arm was fitted to."""
+    fitted = (arm.document.get("data") or {}).get("sha256")
+    if fitted and rows.sha256 == fitted and arm.document.get("method") != "truth":
+        raise SamplesError(
+            rows.file,
+            "these are the rows that the arm was calibrated from, which verifies nothing",
+            "Take fresh rows, in other postures",
+        )
