@@ -97,7 +97,7 @@ def test_the_summary_says_what_a_person_needs(run):
     code, out, err = run("calibrate", HSR, "--holdout", 0.25)
     assert code == 0
     assert err == ""
-    for words in ("Calibrated", "before", "held out", "not accuracy", "Next: ", "ipopt agrees"):
+    for words in ("Calibrated", "as drawn", "held out", "not accuracy", "Next: ", "ipopt agrees"):
         assert words in out
     assert "known from" not in out
     code, out, err = run("calibrate", HSR, "--holdout", 0.25, "--verbose")

@@ -109,8 +109,9 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     r = bound.residual(result.x)
     leverage = np.minimum(leverages(bound, result), 0.999)
     free = max(float(bound.rows - leverage.sum()), 1.0)
-    scale = max(1.4826 * float(np.median(np.abs(r))) * math.sqrt(bound.rows / free), 1e-12)
-    size = np.abs(r) / (_scale_of_rows(bound, r, scale) * np.sqrt(1 - leverage))
+    alike = np.abs(r) / np.sqrt(1 - leverage)  # of the same spread, also where faces of few rows take much of it
+    scale = max(1.4826 * float(np.median(alike)), 1e-12)
+    size = alike / _scale_of_rows(bound, alike, scale)
     limit = float(stdtrit(free, 1 - CHANCE / (2 * bound.rows)))
     bad = np.flatnonzero(size > limit)
     per_row = bound.rows // len(bound.block.samples)
@@ -118,13 +119,13 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     return Outliers(rows, float(size.max()), limit, scale)
 
 
-def _scale_of_rows(bound: BoundProblem, r: Array, scale: float) -> Array:
+def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
     """Robust noise (rows,): that of all rows, or of the row's own face where that is rougher."""
     faces = bound.block.samples.faces(bound.problem.instrument.groups)
     per_row, own = bound.rows // len(faces), np.full(len(faces.names), scale)
     for k, rows in enumerate(faces.rows().values()):
         if rows.size >= FEWEST_OF_A_FACE:
-            own[k] = max(1.4826 * float(np.median(np.abs(r.reshape(-1, per_row)[rows]))), scale)
+            own[k] = max(1.4826 * float(np.median(sizes.reshape(-1, per_row)[rows])), scale)
     return np.repeat(own[faces.codes], per_row)
 
 

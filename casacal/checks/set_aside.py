@@ -10,6 +10,7 @@ from casacal.binding.noise_scale import OTHERS
 from casacal.checks.check import strays
 from casacal.checks.finding import Finding
 from casacal.checks.outliers import GROSS, single_rows, studentised_outliers
+from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.samples.samples import Samples
@@ -38,7 +39,7 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
     samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
     bad, findings = _off_their_face(bound, samples)
     for _ in range(ROUNDS):
-        if bad.sum() > MOST * len(samples):
+        if bad.sum() > MOST * len(samples) or not _bindable(bound, bad):
             return none, ()
         kept = np.flatnonzero(~bad)
         rest = bound if not bad.any() else bind(bound.problem, samples.take(kept))
@@ -51,7 +52,20 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
             break
         findings += single_rows(rest, result)
         bad[kept[list(found)]] = True
-    return (none, ()) if bad.sum() > MOST * len(samples) else (bad, tuple(findings))
+    if bad.sum() > MOST * len(samples) or not _bindable(bound, bad):
+        return none, ()
+    return bad, tuple(findings)
+
+
+def _bindable(bound: BoundProblem, bad: NDArray[np.bool_]) -> bool:
+    """Whether every face keeps as many rows as it needs for unknowns of its own."""
+    if not bad.any():
+        return True
+    try:
+        bind(bound.problem, bound.block.samples.take(np.flatnonzero(~bad)))
+    except CasacalError:
+        return False
+    return True
 
 
 def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:
