@@ -238,3 +238,21 @@ def test_copied_rows_count_once(hsr, corner_simulation):
     assert thrice.noise.repeats.shared == pytest.approx(1.0)
     assert thrice.tip_std[1] == pytest.approx(once.tip_std[1], rel=0.05)
     np.testing.assert_allclose(thrice.x, once.x, atol=1e-3)
+
+
+def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):
+    """Errors of one face, white or alike from row to row, of the same size: only the first are that face's noise."""
+    samples = touched(hsr, 4)
+    rows = np.flatnonzero(samples.faces().codes == 1)
+    rng = np.random.default_rng(0)
+    white, smooth = rng.normal(0, 0.05, rows.size), np.zeros(rows.size)
+    for k in range(1, rows.size):
+        smooth[k] = 0.9 * smooth[k - 1] + rng.normal(0, 0.05 * math.sqrt(1 - 0.81))
+    named = []
+    for errors in (white, smooth):
+        reading = samples.columns["reading"].copy()
+        reading[rows] += errors
+        rough = dataclasses.replace(samples, columns={**samples.columns, "reading": reading})
+        named.append(set(found_noise(bind(hsr.problem, rough)).scale))
+    assert len(named[0]) == 3
+    assert named[1] == {""}

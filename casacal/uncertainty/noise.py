@@ -21,6 +21,7 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
+from casacal.tables.labels import Labels
 from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, ratio_interval
 from casacal.uncertainty.leverage import leverages
 from casacal.uncertainty.pure_error import PureError, condensed, pure_error, repeats_in
@@ -34,6 +35,9 @@ MOST_ROUNDS = 30
 
 UNEQUAL = 1e-3
 """Chance of faces alike at which they are taken to differ in noise."""
+
+SMOOTH = 4.0
+"""Standard deviations beyond which the mean product of neighbouring residuals is not that of noise."""
 
 FEWEST = 8.0
 """Degrees of freedom of a face that can tell its own noise."""
@@ -60,7 +64,9 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
     """The noise at which found over used is one, or what was stated where less was found.
 
     Fits of Levenberg-Marquardt, each with the noise that the one before it found. Faces get factors of their own where
-    they differ more than chance explains (Bartlett's test).
+    they differ more than chance explains (Bartlett's test) in what looks like noise. Where neighbouring rows of a face
+    err alike, what is on top of the stated noise is no roughness of that face but something of the arm that the model
+    does not say, and the other faces are not free of it because they show it less.
 
     Args:
         bound: with the noise as stated; one instrument.
@@ -136,11 +142,21 @@ def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = 
     if (freedom < FEWEST).any():
         return None
     if scale is None:
-        if _bartlett(total, freedom) > UNEQUAL:
+        if _bartlett(total, freedom) > UNEQUAL or _smooth(bound.residual(result.x).reshape(-1, per_row), faces):
             return None
         scale = dict.fromkeys(faces.names, common)
     found = np.sqrt(total / freedom)
     return {name: max(scale[name] * float(each), 1.0) for name, each in zip(faces.names, found, strict=True)}
+
+
+def _smooth(r: Array, faces: Labels) -> bool:
+    """Whether rows of a face that follow one another err alike: products of neighbours, each face's own size apart."""
+    products = [np.zeros(0)]
+    for rows in faces.rows().values():
+        own = r[rows] / max(float(np.sqrt((r[rows] ** 2).mean())), 1e-300)
+        products.append((own[1:] * own[:-1]).ravel())
+    found = np.concatenate(products)
+    return float(found.sum()) > SMOOTH * math.sqrt(max(found.size, 1))
 
 
 def _bartlett(total: Array, freedom: Array) -> float:
