@@ -37,7 +37,7 @@ UNEQUAL = 1e-3
 """Chance of faces alike at which they are taken to differ in noise."""
 
 SMOOTH = 4.0
-"""Standard deviations beyond which the mean product of neighbouring residuals is not that of noise."""
+"""Standard deviations beyond which the mean product of a face's neighbouring residuals is not that of noise."""
 
 FEWEST = 8.0
 """Degrees of freedom of a face that can tell its own noise."""
@@ -150,13 +150,13 @@ def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = 
 
 
 def _smooth(r: Array, faces: Labels) -> bool:
-    """Whether rows of a face that follow one another err alike: products of neighbours, each face's own size apart."""
-    products = [np.zeros(0)]
+    """Whether rows of some face that follow one another err alike: products of neighbours, of unit size each."""
     for rows in faces.rows().values():
         own = r[rows] / max(float(np.sqrt((r[rows] ** 2).mean())), 1e-300)
-        products.append((own[1:] * own[:-1]).ravel())
-    found = np.concatenate(products)
-    return float(found.sum()) > SMOOTH * math.sqrt(max(found.size, 1))
+        products = own[1:] * own[:-1]
+        if float(products.sum()) > SMOOTH * math.sqrt(max(products.size, 1)):
+            return True
+    return False
 
 
 def _bartlett(total: Array, freedom: Array) -> float:
