@@ -19,8 +19,8 @@ BETTER = 0.25
 """An undone fault must shrink the misfit to this part to be believed."""
 ALIKE = 1.5
 """Within this factor a fault and its absence cannot be told apart."""
-PROMISING = 4
-"""Single faults that are tried together with others."""
+PROMISING = 3
+"""Single faults, beside the usual ones, that are tried together with others."""
 RIVALS = 3
 """Faults that would explain it as well and are named."""
 
@@ -84,8 +84,10 @@ def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
 
 
 def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
-    """The most promising single faults, each with what is commonly done wrong beside it."""
-    first = sorted(tried, key=lambda trial: trial.size)[:PROMISING]
+    """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
+    usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
+    best = sorted(tried, key=lambda trial: trial.size)
+    first = [trial for k, trial in enumerate(best) if k < PROMISING or trial.faults[0].about in usual]
     found: list[_Trial] = []
     for trial in first:
         for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, trial.undone.samples)):

@@ -88,7 +88,7 @@ def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem) -> l
     told = {finding.about for finding in outside(undone.problem, undone.samples)}
     kept = [finding for finding in findings if finding.severity == "error" or "joint" not in finding.about]
     kept += [finding for finding in findings if finding not in kept and finding.about in told]
-    signs = [finding for finding in sign_before_fit(bound) if finding.about in cause.finding.about]
+    signs = [finding for finding in sign_before_fit(bound) if finding.about == cause.finding.about]
     weak = setup_findings(bind(undone.problem, undone.samples))
     return [cause.finding, *kept, *signs, *(finding for finding in weak if finding.about != "few rows")]
 

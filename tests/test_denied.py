@@ -1,0 +1,115 @@
+"""What must not be used has no figure of accuracy, and is not exported or compensated by mistake."""
+
+import csv
+import dataclasses
+import json
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+import casacal
+from casacal import CasacalError, calibrate
+from casacal.cli.main import main
+from casacal.export.forms import export
+from casacal.samples.write import write_samples
+from studies.cell_mistakes import PROBLEMS, simulated
+
+ACCURACY = re.compile(r"tip error of|expected tip error|error of the (flange|tip) to expect", re.IGNORECASE)
+FORMS = {"zeros": "zeros.csv", "c": "arm.c"}
+ARM = PROBLEMS / "adept_cobra600"
+
+
+@pytest.fixture(scope="module")
+def denied(tmp_path_factory):
+    """A folder of a SCARA whose dial was read the wrong way on one face, and its samples."""
+    folder = tmp_path_factory.mktemp("denied")
+    source = casacal.load_problem(ARM)
+    _, problem, samples = simulated(source.problem, source.cell, "sign on one face", 60, 0)
+    write_samples(folder / "samples.csv", problem.layout(), samples, [])
+    assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--out", str(folder / "out")]) == 1
+    found = calibrate(source, folder / "samples.csv", reference=False)
+    return folder, found
+
+
+def test_no_file_holds_a_figure_of_accuracy(denied, capsys):
+    folder, _ = denied
+    document = json.loads((folder / "out" / "result.json").read_text())
+    assert document["verdict"]["level"] == "do not use"
+    assert document["tip"] is None
+    assert document["covariance"] is None
+    assert document["cures"] == []
+    assert {row["std"] for row in document["parameters"] if row["note"] != "held at nominal"} == {None}
+    with (folder / "out" / "parameters.csv").open() as file:
+        assert {row["std"] for row in csv.DictReader(file) if row["note"] != "held at nominal"} == {""}
+    page = re.sub(r"<[^>]*>", " ", (folder / "out" / "report.html").read_text().split("<body")[1])
+    assert not ACCURACY.search(re.sub(r"Expected tip error\s+not stated", "", page))
+    for options in ([], ["--verbose"], ["--json"]):
+        assert main(["calibrate", str(ARM), str(folder / "samples.csv"), *options]) == 1
+        assert not ACCURACY.search(capsys.readouterr().out)
+
+
+def test_nor_does_the_object(denied):
+    _, found = denied
+    assert found.parameters["std"][found.parameters["note"] != "held at nominal"].isna().all()
+    assert "tip error" not in repr(found)
+    with pytest.raises(CasacalError, match="no standard deviations"):
+        found.predict(np.zeros(4), std=True)
+    with pytest.raises(CasacalError, match=r"Do not use.*force"):
+        found.compensate(np.zeros((1, 4)))
+    assert np.isnan(found.compensate(np.full((1, 4), 0.3), force=True).expected_mm).all()
+    with pytest.raises(CasacalError, match=r"Do not use.*force"):
+        found.export("zeros")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
+    folder, _ = denied
+    command = ["export", str(folder / "out" / "result.json"), "--to", form, "--out", str(tmp_path / FORMS[form])]
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert main([*command, "--force"]) == 0
+    written = (tmp_path / FORMS[form]).read_text()
+    assert "Do not use this result" in written
+    assert not ACCURACY.search(written)
+
+
+@pytest.mark.parametrize("form", ["urdf", "dh"])
+def test_forced_files_that_keep_their_form_say_so_in_a_comment(form, tmp_path):
+    from robots_of_others import UR5_CSV, UR5_URDF
+
+    place = tmp_path / f"ur5.{'urdf' if form == 'urdf' else 'csv'}"
+    place.write_text(UR5_URDF if form == "urdf" else UR5_CSV)
+    given = ["--urdf", str(place), "--tip", "tool0"] if form == "urdf" else ["--dh", str(place)]
+    assert main(["new", "mine", *given, "--out", str(tmp_path)]) == 0
+    source = casacal.load_problem(tmp_path / "mine")
+    found = calibrate(source, casacal.simulate(source.problem, samples=60, seed=0).samples, reference=False)
+    words = {"level": "do not use", "words": "Do not use this result: it -- is a test.", "reasons": []}
+    arm = dataclasses.replace(found.arm, document={**found.arm.document, "verdict": words})
+    with pytest.raises(CasacalError, match=r"Do not use.*force"):
+        export(arm, form)
+    text = export(arm, form, force=True)
+    assert "Do not use this result" in text.split("<link" if form == "urdf" else "joint,")[0]
+    if form == "urdf":
+        assert ET.fromstring(text.encode()).tag == "robot"
+
+
+def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
+    folder, _ = denied
+    result, targets = str(folder / "out" / "result.json"), tmp_path / "targets.csv"
+    targets.write_text("q1_deg,q2_deg,q3_mm,q4_deg\n10,-80,70,20\n")
+    for form in ("csv",):
+        command = ["compensate", result, str(targets), "--out", str(tmp_path / form), "--format", form]
+        assert main(command) == 2
+        assert not (tmp_path / form).exists()
+        assert main([*command, "--force"]) == 0
+        written = (tmp_path / form).read_text()
+        assert "WARNING, forced against the verdict: Do not use" in written
+        assert not ACCURACY.search(written)
+    assert (tmp_path / "csv").read_text().splitlines()[-1].endswith(",")  # nothing is expected
+    capsys.readouterr()
+    assert main(["predict", result, str(targets), "--out", str(tmp_path / "p.csv")]) == 0
+    assert "Do not use" in capsys.readouterr().out
+    assert main(["verify", result, str(folder / "samples.csv")]) == 2
