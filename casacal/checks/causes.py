@@ -19,6 +19,8 @@ BETTER = 0.25
 """An undone fault must shrink the misfit to this part to be believed."""
 ALIKE = 1.5
 """Within this factor a fault and its absence cannot be told apart."""
+OF_TWO = 20.0
+"""Misfit below which two mistakes at once are not looked for: each alone would cause more."""
 PROMISING = 3
 """Single faults, beside the usual ones, that are tried together with others."""
 RIVALS = 3
@@ -60,7 +62,7 @@ def explained(problem: Problem, samples: Samples, base: float) -> Cause | None:
     best = _simplest(tried)
     if best is None:
         return None
-    if best.size > max(BETTER * base, SUSPICIOUS):
+    if best.size > max(BETTER * base, SUSPICIOUS) and base > OF_TWO:
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < BETTER * min(best.size, base):
