@@ -19,8 +19,6 @@ BETTER = 0.25
 """An undone fault must shrink the misfit to this part to be believed."""
 ALIKE = 1.5
 """Within this factor a fault and its absence cannot be told apart."""
-OF_TWO = 20.0
-"""Misfit below which two mistakes at once are not looked for: each alone would cause more."""
 PROMISING = 3
 """Single faults, beside the usual ones, that are tried together with others."""
 RIVALS = 3
@@ -49,20 +47,21 @@ class _Trial:
         return sum(fault.freedom for fault in self.faults)
 
 
-def explained(problem: Problem, samples: Samples, base: float) -> Cause | None:
+def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> Cause | None:
     """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
 
     Args:
         problem: with one instrument.
         samples: its rows, some hundred.
         base: their misfit as they are.
+        gross: whether it is so large that two mistakes at once are looked for.
 
     """
     tried = list(_tried(problem, samples))
     best = _simplest(tried)
     if best is None:
         return None
-    if best.size > max(BETTER * base, SUSPICIOUS) and base > OF_TWO:
+    if best.size > max(BETTER * base, SUSPICIOUS) and gross:
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < BETTER * min(best.size, base):

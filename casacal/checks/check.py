@@ -36,6 +36,9 @@ SPREAD = 20_000
 MOST_STRAYS = 0.3
 """Beyond this fraction of the rows, it is not single rows that are wrong."""
 
+OF_TWO = 3.0
+"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+
 ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
@@ -51,11 +54,13 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     except CasacalError as error:
         return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
-    bad, stray = strays(problem, samples, prior_scatter(some).rms)
+    scatter = prior_scatter(some).rms
+    bad, stray = strays(problem, samples, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)
-    cause = explained(problem, few, base) if base > SUSPICIOUS else None
+    gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
+    cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
         return _in_order(_with_cause(findings, cause, some))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
