@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from casacal import Method, Problem, Result, Run, Simulated, Study, lm, load_problem
+from casacal.calibration.warnings import NOISE_BAND
 from casacal.least_squares.losses import huber
 from casacal.problem.cell import flatness_din_876
 from casacal.study.simulated import SimulatedTrial
@@ -94,7 +95,9 @@ def report(run: Run) -> list[str]:
         "",
         f"Simulated HSR-JR680 on three faces, 85 touches fitted, 35 held out, {run.study.trials} trials per",
         "setting. Tip error over 400 workspace poses, apart from where the base stands, mm RMS. *Noticed*: share of",
-        "trials in which the 95 % interval of found over stated noise does not contain 1, which casacal warns about.",
+        "trials in which the 95 % interval of found over stated noise lies outside "
+        f"{NOISE_BAND[0]} to {NOISE_BAND[1]}, where",
+        "`casacal calibrate` warns of the noise; its other warnings and `casacal check` are not counted.",
         "*Coverage*: share of tip errors inside their 95 % intervals. Intervals are from the bootstrap; for rates they",
         "are Clopper and Pearson's.",
         "",
@@ -116,9 +119,9 @@ def over_right(run: Run, setting: str, method: str) -> tuple[np.ndarray, np.ndar
 
 
 def noticed(run: Run, setting: str, method: str) -> np.ndarray:
-    """Trials (trials,) in which the residuals disagree with the stated noise."""
+    """Trials (trials,) in which the residuals disagree with the stated noise by so much that casacal warns."""
     low, high = (run.values(setting, method, f"noise_{end}") for end in ("low", "high"))
-    return (low > 1) | (high < 1)
+    return (low > NOISE_BAND[1]) | (high < NOISE_BAND[0])
 
 
 def in_short(run: Run) -> list[str]:
