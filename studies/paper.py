@@ -66,7 +66,10 @@ def report(run: Run) -> list[str]:
     paper_pictures.over_budget(run, run.out / "cost_over_budget.png")
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
-    lines += ["What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians):", ""]
+    lines += [
+        "What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians, a row of the"
+    ]
+    lines += [f"Jacobian counted as {paper_tables.jacobian_price(run):.2g} rows of residuals):", ""]
     lines += [
         *paper_tables.headline(run, shown, (ONE, THREE)),
         "",
@@ -161,7 +164,7 @@ def answers(run: Run) -> list[str]:
         f"million in {percent(equal)} of {pairs} trials; in {better} SCKF+LM is better, in {worse} worse.",
         f"**In steps?** LM takes {steps[THREE]} times as many steps after the filter as from the drawing in the good "
         f"cell and {steps[ONE]} in the paper's, {steps[FAR]} with errors x{FACTOR}; the filter's own pass makes it "
-        f"{rows[THREE]}, {rows[ONE]} and {rows[FAR]} times the rows of residuals in all.",
+        f"{rows[THREE]}, {rows[ONE]} and {rows[FAR]} times the rows of residuals in all, Jacobians not counted.",
         "**In finding the minimum at all?** Over all settings LM finds the minimum in "
         f"{percent(rates[rivals.LM])} of trials, SCKF+LM in {percent(rates[rivals.BOTH])}; {only[0]} "
         f"minima are found by SCKF+LM alone and {only[1]} by LM alone (exact p {p:.2g}): {verdict}. "
