@@ -67,9 +67,10 @@ def report(run: Run) -> list[str]:
     lines = ["# The paper's experiment, repeated", "", *introduction(run), ""]
     lines += ["## In short", "", *in_short(run, budget), ""]
     lines += [
-        "What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians, a row of the"
+        "What a user sees and what a user wants (means with 95 % intervals), and what it costs (medians, a row of the",
+        f"Jacobian counted as {paper_tables.jacobian_price(run):.2g} rows of residuals):",
+        "",
     ]
-    lines += [f"Jacobian counted as {paper_tables.jacobian_price(run):.2g} rows of residuals):", ""]
     lines += [
         *paper_tables.headline(run, shown, (ONE, THREE)),
         "",
