@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -112,6 +113,27 @@ def test_an_arm_far_outside_its_priors_is_refused(hsr):
     assert "prior standard deviations" in verdict.words
 
 
+@pytest.mark.parametrize(
+    ("now", "far", "level"),
+    [(1.6, 4.5, "do not use"), (1.4, 4.5, "use with care"), (2.6, 3.5, "use with care"), (1.4, 3.5, "calibrated")],
+)
+def test_priors_that_are_contradicted_must_not_decide_where_the_tip_is(clean, now, far, level):
+    """Refused where a parameter moved more than four prior deviations and over half of the tip's error is the prior's."""
+    other = dataclasses.replace(clean, result=moved_to(clean, far))
+    vars(other).update(tip_std=(3.0, now), data_errors=())
+    verdict = verdict_of(other)
+    assert verdict.level == level or (level == "calibrated" and far < 4 and "far beyond" not in verdict.words)
+    assert ("these priors do not fit this arm" in verdict.words) == (level == "do not use")
+
+
+def moved_to(calibration, far):
+    """The result with its best known parameter moved to so many prior standard deviations."""
+    x, prior = calibration.x.copy(), calibration.fit.prior_std
+    x[np.abs(x / prior) > far] *= 0.0
+    x[int(np.argmin(calibration.result.std / prior))] = far * prior[int(np.argmin(calibration.result.std / prior))]
+    return dataclasses.replace(calibration.result, x=x)
+
+
 def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
     trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
     assert "at least" in verdict_of(trusted).words
@@ -193,7 +215,8 @@ def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
     exact = dataclasses.replace(reference, cost=2.1e-10, relative_gap=2.3e-6)
     assert exact.agrees
     assert exact.gap == pytest.approx(4.83e-16)
-    assert not dataclasses.replace(reference, cost=38.0, relative_gap=1e-6).agrees
+    for gap in (1e-6, -1e-6, -1e-3):  # lower than the reference is no agreement either
+        assert not dataclasses.replace(reference, cost=38.0, relative_gap=gap).agrees
     assert not dataclasses.replace(reference, cost=2.1e-10, relative_gap=1e5).agrees
     assert dataclasses.replace(reference, cost=5e6, relative_gap=0.9e-8).agrees
     assert dataclasses.replace(reference, cost=0.0, relative_gap=0.0).agrees
@@ -213,8 +236,21 @@ def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
     assert lm(calibration.fit).converged
 
 
+def calibrated_once(monkeypatch):
+    """Let commands on the same samples share one calibration, and with it the data check: what is said is tested."""
+    module, made = sys.modules["casacal.calibration.calibrate"], {}
+
+    def once(source, samples, **options):
+        if samples.sha256 not in made:
+            made[samples.sha256] = calibrate(source, samples, **options)
+        return made[samples.sha256]
+
+    monkeypatch.setattr(module, "calibrate", once)
+
+
 def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
+    calibrated_once(monkeypatch)
     cases = {
         "calibrated": (lambda _, s: s, 0),
         "use with care": (lambda h, _: in_cell(h, repeatability=0.016), 0),
@@ -254,18 +290,19 @@ MANY = {
 
 
 @pytest.mark.parametrize("name", MANY)
-@pytest.mark.parametrize("width", [80, 100, 120])
-def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(width))
+def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, tmp_path, capsys, monkeypatch):
     file = tmp_path / "s.csv"
     write_samples(file, hsr.problem.layout(), MANY[name](hsr, corner_simulation.samples), [])
-    kept = ["--out", str(tmp_path / "out")] if width == 80 else []  # the page takes longer than the answer
-    main(["calibrate", str(hsr.path), str(file), "--box", "1000:1700,-400:400,400:1000", *kept])
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= MOST_LINES
-    assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
-    assert [line for line in lines if line.startswith("Next: ")]
-    assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
+    calibrated_once(monkeypatch)
+    for width in (80, 100, 120):
+        monkeypatch.setenv("COLUMNS", str(width))
+        kept = ["--out", str(tmp_path / "out")] if width == 80 else []  # the page takes longer than the answer
+        main(["calibrate", str(hsr.path), str(file), "--box", "1000:1700,-400:400,400:1000", *kept])
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) <= MOST_LINES
+        assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
+        assert [line for line in lines if line.startswith("Next: ")]
+        assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
 
 
 @pytest.mark.parametrize("reasons", [1, 2, 5])
