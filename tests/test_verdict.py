@@ -19,6 +19,7 @@ from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.reference import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
+from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
@@ -123,6 +124,33 @@ def test_priors_that_are_contradicted_must_not_decide_where_the_tip_is(clean, no
     verdict = verdict_of(other)
     assert (verdict.level == "do not use") is refused
     assert ("these priors do not fit this arm" in verdict.words) is refused
+
+
+@pytest.mark.parametrize(
+    ("low", "after", "far", "refused"),
+    [(2.1, 0.55, 1.0, True), (1.9, 0.55, 1.0, False), (2.1, 0.45, 1.0, False), (2.1, 0.45, 4.5, True)],
+)
+def test_residuals_that_nothing_explains_are_refused(clean, low, after, far, refused):
+    """Twice the stated noise for certain, and the fit kept half of what it found, or bent the arm for it."""
+    other = dataclasses.replace(clean, result=moved_to(clean, far))
+    metrics = {when: {"fit": {"rmse_mm": size}, "heldout": None} for when, size in (("before", 1.0), ("after", after))}
+    noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
+    vars(other).update(tip_std=(3.0, 0.5), data_errors=(), noise=noise, metrics=metrics)
+    verdict = verdict_of(other)
+    assert (verdict.level == "do not use") is refused
+    assert ("2.5 times what the stated noise explains" in verdict.words) is refused
+
+
+@pytest.mark.parametrize(
+    ("low", "level"), [(2.1, "do not use"), (1.9, "use with care")]
+)
+def test_the_data_check_is_asked_where_the_residuals_call_for_it(clean, low, level):
+    other = dataclasses.replace(clean)
+    wrong = Finding("error", "joint 2 flipped", "joint 2 seems to be counted in the other direction", "Turn it")
+    noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
+    vars(other).update(data_errors=(wrong,), noise=noise)
+    assert verdict_of(other).level == level
+    assert ("joint 2 flipped" in verdict_of(other).words) is (level == "do not use")
 
 
 def moved_to(calibration, far):
