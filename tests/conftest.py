@@ -9,18 +9,20 @@ from pathlib import Path
 import pytest
 
 from casacal import BoundProblem, ProblemFile, Simulation, bind, load_problem, simulate
+from casacal.threads import one_thread_each
 
 ROOT = Path(__file__).parent.parent
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give matplotlib a folder of its own, which workers and commands inherit.
+    """Give matplotlib a folder of its own, and linear algebra one thread, which workers and commands inherit.
 
     The user's may hold settings, or a list of fonts that an interrupted installation left half empty: matplotlib then
     complains on standard error, and tests that say what stands there fail for no fault of this project.
     """
     if hasattr(config, "workerinput"):
         return
+    one_thread_each()  # workers and commands share the processors as it is: threads would wait for one another
     folder = tempfile.TemporaryDirectory(prefix="casacal-matplotlib-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
     os.environ["MPLCONFIGDIR"] = folder.name

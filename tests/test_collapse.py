@@ -48,7 +48,9 @@ def test_without_a_prior_the_planes_look_perfect_and_the_arm_is_lost(hsr):
 
 
 def test_the_default_prior_prevents_it(hsr):
-    residual, size, error, nominal = fit_one_plane(hsr, prior=True)
-    assert residual < 0.015
-    assert abs(size - 1) < 0.002
-    assert error < 1.2 * nominal
+    fits = [fit_one_plane(hsr, prior=True, seed=seed) for seed in range(6)]
+    residuals, sizes, errors, nominals = map(np.array, zip(*fits, strict=True))
+    assert residuals.max() < 0.015
+    assert (np.abs(sizes - 1) < 0.002).all()
+    assert (errors < nominals).all()
+    assert np.sqrt(np.mean((errors / nominals) ** 2)) < 0.65

@@ -116,6 +116,19 @@ def test_one_face_and_a_tool_normal_to_it_need_another_face(one_face):
     assert kinds["inclined"] < kinds["tilt"] < kinds["step"] < one_face.tip_std[1]
 
 
+def test_cures_are_recommended_that_gain_more_than_a_few_per_cent(one_face, three_faces):
+    """More of the same against none; any other against as many touches of the same kind."""
+    for found, worth in ((three_faces, {"step", "noise", "same"}), (one_face, {"face", "inclined", "tilt"})):
+        kinds = by_kind(found.cures)
+        chosen = {kind for kind, cure in zip(kinds, found.cures, strict=True) if cure.recommended}
+        assert chosen == worth
+        for kind, error in kinds.items():
+            assert (error < 0.95 * (found.tip_std[1] if kind == "same" else kinds["same"])) == (kind in worth)
+    kinds = by_kind(three_faces.cures)  # the figures lie on both sides, near enough to tell a wrong limit
+    assert 0.95 < kinds["face"] / kinds["same"] < 0.98
+    assert 0.92 < kinds["same"] / three_faces.tip_std[1] < 0.95
+
+
 def test_a_level_plate_under_a_scara_is_inclined_and_what_it_cannot_reach_is_left_out(scara):
     now, found = found_on(scara, Cell(faces=plate((450.0, 0.0, 250.0), size=300.0), tilt=math.radians(1)))
     kinds = by_kind(found)

@@ -224,8 +224,11 @@ def test_the_references_hessian_is_that_of_its_gradient(pair):
         np.testing.assert_allclose(found[:, j], slope, atol=1e-5 * np.abs(slope).max())
 
 
-def test_the_data_check_finds_its_causes_among_many_faces(hsr, samples, monkeypatch):
+def test_the_data_check_finds_its_causes_among_many_faces(hsr, monkeypatch):
+    """Among 15, taken for many: each of some hundred faults is tried with all of them."""
     monkeypatch.setattr(sums, "MANY", 10)
+    samples = by_face(simulate(hsr.problem, hsr.cell, samples=7 * 15, seed=3).samples, 7)
+    assert bind(hsr.problem, samples).groups is not None
     ((name, values),) = samples.columns.items()
     turned = dataclasses.replace(samples, columns={name: -np.asarray(values)})
     assert "wrong dial sign" in {finding.about for finding in check(hsr.problem, turned)}

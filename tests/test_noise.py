@@ -203,7 +203,7 @@ def repeated(hsr, seed, *, times, shared, own):
 def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
     """As much is known as from one touch of each posture with the noise of a mean, which a fit of these says."""
     found, told = [], []
-    for seed in range(4):
+    for seed in range(2):
         simulation, samples = repeated(hsr, seed, times=3, shared=0.03, own=0.01)
         calibration = calibrate(hsr.problem, samples, reference=False)
         again = calibration.noise.repeats

@@ -159,11 +159,13 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
         found = calibrate(hsr.problem.fix(*names.split(",")), hsr.problem.read(hsr.samples), method=method)
         assert found.fit.unknowns == 0
         assert found.result.method == method
-        assert verdict_of(found).level == "do not use"  # the arm as drawn misses its planes by far
-        assert "tip error" not in verdict_of(found).words
         assert "nothing was estimated" in found.message
-        assert found.summary()
         assert math.isfinite(found.cost)
+        if method in ("sckf-lm", "swarm"):  # the verdict of all is that of the arm as drawn, and takes many fits
+            verdict = verdict_of(found)
+            assert verdict.level == "do not use"  # it misses its planes by far
+            assert "tip error" not in verdict.words
+            assert found.summary()
     assert main(["calibrate", str(hsr.path), "--fix", names, "--out", str(tmp_path)]) in (0, 1)
     assert json.loads((tmp_path / "result.json").read_text())["identifiability"]["unknowns"] == 0
     capsys.readouterr()

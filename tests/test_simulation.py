@@ -86,6 +86,17 @@ def test_what_the_model_lacks_leaves_a_residual_of_its_size(hsr):
         assert low < size < high, (change, size)
 
 
+def test_the_tip_sags_down_by_as_much_as_asked(hsr):
+    """What is recorded are joints without sag: with these the tip stands above where it touched."""
+    touched = simulate(hsr.problem, exact(hsr.cell), seed=10)
+    recorded = simulate(hsr.problem, exact(hsr.cell, compliance=0.2), seed=10)
+    readings = touched.samples.columns["reading"]
+    np.testing.assert_array_equal(recorded.samples.columns["reading"], readings)
+    (low, _), (high, _) = (true_tips(made, made.samples.joints, readings) for made in (touched, recorded))
+    assert ((high - low)[:, 2] > 0).all()
+    assert math.sqrt(((high - low) ** 2).sum(axis=1).mean()) == pytest.approx(0.2, rel=0.01)
+
+
 def test_backlash_lags_half_of_itself_behind_the_last_move(hsr):
     play = 40e-6
     straight = simulate(hsr.problem, exact(hsr.cell), samples=30, seed=8).samples

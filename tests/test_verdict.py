@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.reference import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
+from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
@@ -112,6 +114,53 @@ def test_an_arm_far_outside_its_priors_is_refused(hsr):
     assert "prior standard deviations" in verdict.words
 
 
+@pytest.mark.parametrize(
+    ("now", "far", "refused"), [(1.6, 4.5, True), (1.4, 4.5, False), (2.6, 3.5, False), (2.6, 4.1, True)]
+)
+def test_priors_that_are_contradicted_must_not_decide_where_the_tip_is(clean, now, far, refused):
+    """Refused where a parameter moved by more than four deviations, and the tip error is over half of the prior's."""
+    other = dataclasses.replace(clean, result=moved_to(clean, far))
+    vars(other).update(tip_std=(3.0, now), data_errors=(), noise=clean.noise)
+    verdict = verdict_of(other)
+    assert (verdict.level == "do not use") is refused
+    assert ("these priors do not fit this arm" in verdict.words) is refused
+
+
+@pytest.mark.parametrize(
+    ("low", "after", "far", "refused"),
+    [(2.1, 0.55, 1.0, True), (1.9, 0.55, 1.0, False), (2.1, 0.45, 1.0, False), (2.1, 0.45, 4.5, True)],
+)
+def test_residuals_that_nothing_explains_are_refused(clean, low, after, far, refused):
+    """Twice the stated noise for certain, and the fit kept half of what it found, or bent the arm for it."""
+    other = dataclasses.replace(clean, result=moved_to(clean, far))
+    metrics = {when: {"fit": {"rmse_mm": size}, "heldout": None} for when, size in (("before", 1.0), ("after", after))}
+    noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
+    vars(other).update(tip_std=(3.0, 0.5), data_errors=(), noise=noise, metrics=metrics)
+    verdict = verdict_of(other)
+    assert (verdict.level == "do not use") is refused
+    assert ("2.5 times what the stated noise explains" in verdict.words) is refused
+
+
+@pytest.mark.parametrize(
+    ("low", "level"), [(2.1, "do not use"), (1.9, "use with care")]
+)
+def test_the_data_check_is_asked_where_the_residuals_call_for_it(clean, low, level):
+    other = dataclasses.replace(clean)
+    wrong = Finding("error", "joint 2 flipped", "joint 2 seems to be counted in the other direction", "Turn it")
+    noise = dataclasses.replace(clean.noise, ratio=2.5, low=low, high=3.0)
+    vars(other).update(data_errors=(wrong,), noise=noise)
+    assert verdict_of(other).level == level
+    assert ("joint 2 flipped" in verdict_of(other).words) is (level == "do not use")
+
+
+def moved_to(calibration, far):
+    """The result with its best known parameter moved to so many prior standard deviations."""
+    x, prior = calibration.x.copy(), calibration.fit.prior_std
+    known = np.where(np.isfinite(prior), calibration.result.std / prior, np.inf)
+    x[int(np.argmin(known))] = far * prior[int(np.argmin(known))]
+    return dataclasses.replace(calibration.result, x=x)
+
+
 def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
     trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
     assert "at least" in verdict_of(trusted).words
@@ -193,7 +242,8 @@ def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
     exact = dataclasses.replace(reference, cost=2.1e-10, relative_gap=2.3e-6)
     assert exact.agrees
     assert exact.gap == pytest.approx(4.83e-16)
-    assert not dataclasses.replace(reference, cost=38.0, relative_gap=1e-6).agrees
+    for gap in (1e-6, -1e-6, -1e-3):  # lower than the reference is no agreement either
+        assert not dataclasses.replace(reference, cost=38.0, relative_gap=gap).agrees
     assert not dataclasses.replace(reference, cost=2.1e-10, relative_gap=1e5).agrees
     assert dataclasses.replace(reference, cost=5e6, relative_gap=0.9e-8).agrees
     assert dataclasses.replace(reference, cost=0.0, relative_gap=0.0).agrees
@@ -213,8 +263,21 @@ def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
     assert lm(calibration.fit).converged
 
 
+def calibrated_once(monkeypatch):
+    """Let commands on the same samples share one calibration, and with it the data check: what is said is tested."""
+    module, made = sys.modules["casacal.calibration.calibrate"], {}
+
+    def once(source, samples, **options):
+        if samples.sha256 not in made:
+            made[samples.sha256] = calibrate(source, samples, **options)
+        return made[samples.sha256]
+
+    monkeypatch.setattr(module, "calibrate", once)
+
+
 def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
+    calibrated_once(monkeypatch)
     cases = {
         "calibrated": (lambda _, s: s, 0),
         "use with care": (lambda h, _: in_cell(h, repeatability=0.016), 0),
@@ -254,18 +317,19 @@ MANY = {
 
 
 @pytest.mark.parametrize("name", MANY)
-@pytest.mark.parametrize("width", [80, 100, 120])
-def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, width, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(width))
+def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, tmp_path, capsys, monkeypatch):
     file = tmp_path / "s.csv"
     write_samples(file, hsr.problem.layout(), MANY[name](hsr, corner_simulation.samples), [])
-    kept = ["--out", str(tmp_path / "out")] if width == 80 else []  # the page takes longer than the answer
-    main(["calibrate", str(hsr.path), str(file), "--box", "1000:1700,-400:400,400:1000", *kept])
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= MOST_LINES
-    assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
-    assert [line for line in lines if line.startswith("Next: ")]
-    assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
+    calibrated_once(monkeypatch)
+    for width in (80, 100, 120):
+        monkeypatch.setenv("COLUMNS", str(width))
+        kept = ["--out", str(tmp_path / "out")] if width == 80 else []  # the page takes longer than the answer
+        main(["calibrate", str(hsr.path), str(file), "--box", "1000:1700,-400:400,400:1000", *kept])
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) <= MOST_LINES
+        assert max(len(line) for line in lines if str(tmp_path) not in line) <= width
+        assert [line for line in lines if line.startswith("Next: ")]
+        assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
 
 
 @pytest.mark.parametrize("reasons", [1, 2, 5])

@@ -38,7 +38,8 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
     if not problem.unknowns:
         return nothing_unknown(problem, "null-step")
     best = lm(problem)
-    _, values, right = np.linalg.svd(problem.jacobian(best.x) * problem.start_std, full_matrices=True)
+    rows = problem.jacobian(best.x) * problem.start_std
+    _, values, right = np.linalg.svd(rows, full_matrices=len(rows) < problem.unknowns)
     values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])
     unseen = right[values < UNSEEN]
     step = problem.start_std * (np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen)

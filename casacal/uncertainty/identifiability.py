@@ -176,7 +176,7 @@ def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tupl
     taken, parts = np.zeros((null.shape[1], 0)), []
     stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
     for kind, seen in stages:
-        _, sizes, right = np.linalg.svd(seen, full_matrices=True)
+        _, sizes, right = np.linalg.svd(seen, full_matrices=len(seen) < seen.shape[1])
         sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
         kernel = right[sizes < size].T
         parts.append((kind, _beyond(kernel, taken)))
