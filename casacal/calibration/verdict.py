@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.warnings import FAR, NOISE_BAND, Doubt, doubts, moves
 from casacal.checks import Finding
@@ -20,6 +22,9 @@ EXPLAINED = 0.5
 
 LACK_OF_FIT = 2.0
 """Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
+
+BENT = 10.0
+"""Prior standard deviations by which no arm differs from its drawing; who knows better states wider priors."""
 
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""
@@ -141,6 +146,12 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     if not calibration.fit.unknowns:
         return []
     (before, now), far = calibration.tip_std, float(moves(calibration).max(initial=0.0))
+    if far > BENT:
+        worst = calibration.fit.names[int(np.argmax(moves(calibration)))]
+        return [
+            f"{worst} moved by {far:.3g} prior standard deviations; where an arm is really so far from its drawing, "
+            "state wider priors (--accuracy, --prior)"
+        ]
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return []
     return [

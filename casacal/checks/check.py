@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
-from casacal.checks.dial_sign import sign_before_fit
+from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import exchanged_labels, gross_rows, single_rows
@@ -54,7 +56,7 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     except CasacalError as error:
         return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
-    scatter = prior_scatter(some).rms
+    scatter = prior_scatter(some, flat_counts=True).rms
     bad, stray = strays(problem, samples, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
@@ -88,14 +90,16 @@ def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[
 
 
 def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem) -> list[Finding]:
-    """A cause, what the sign says where that is the cause, and what is wrong with the rows apart from it."""
+    """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
     undone = cause.undone
     told = {finding.about for finding in outside(undone.problem, undone.samples)}
     kept = [finding for finding in findings if finding.severity == "error" or "joint" not in finding.about]
     kept += [finding for finding in findings if finding not in kept and finding.about in told]
-    signs = [finding for finding in sign_before_fit(bound) if finding.about == cause.finding.about]
+    found = cause.finding
+    if found.about == WRONG_SIGN:
+        found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
     weak = setup_findings(bind(undone.problem, undone.samples))
-    return [cause.finding, *kept, *signs, *(finding for finding in weak if finding.about != "few rows")]
+    return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
 
 
 def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:

@@ -70,7 +70,7 @@ def _bindable(bound: BoundProblem, bad: NDArray[np.bool_]) -> bool:
 
 def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:
     """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly."""
-    scatter = prior_scatter(bound).rms
+    scatter = prior_scatter(bound, flat_counts=True).rms
     worst = float(np.abs(bound.plain_residual(bound.x0)).max(initial=0.0))
     if not worst > GROSS * scatter:
         return np.zeros(len(samples), dtype=bool), []

@@ -15,6 +15,9 @@ from casacal.uncertainty.prior_moves import chance_of_move
 CHANCE = 1e-3
 """Chance that a tool as stated moves so far, all its components together."""
 
+FAR = 2.0
+"""Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
+
 
 def tool_moved(problem: Problem, samples: Samples) -> list[Finding]:
     """A warning where the tool moved far beyond its prior in a quick fit."""
@@ -36,7 +39,8 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
         if unit == "mm" and np.isfinite(bound.prior_std[j])
     }
     own = np.array(list(named.values()), dtype=np.intp)
-    if not own.size or chance_of_move(bound, x, covariance, own) > CHANCE:
+    far = (np.abs(x[own]) > FAR * bound.prior_std[own]).any()
+    if not far or chance_of_move(bound, x, covariance, own) > CHANCE:
         return []
     moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
     return [

@@ -31,26 +31,28 @@ class PriorScatter:
         return float(gammainc(self.freedom / 2, self.freedom * (rms / self.rms) ** 2 / 2))
 
 
-def prior_scatter(bound: BoundProblem) -> PriorScatter:
+def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
     """The scatter at the nominal; a flat prior of the arm counts as none, so that it is never overstated.
+
+    Where it must not be understated, `flat_counts`, a flat prior counts as wide as filters start it.
 
     The mean square residual is a sum of squares of independent normal numbers, weighted with eigenvalues; two moments
     of it are matched (Satterthwaite).
     """
-    samples = bound.block.samples
+    samples, stds = bound.block.samples, bound.start_std if flat_counts else bound.prior_std
     if bound.groups is not None:
-        return _of_many_faces(bound)
+        return _of_many_faces(bound, stds)
     if len(samples) > MOST_ROWS:
         bound = bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
     noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
     slopes = bound.jacobian(bound.x0) * noise[:, None]
-    arm = ~bound.datum & np.isfinite(bound.prior_std)
-    moved, planes = slopes[:, arm] * bound.prior_std[arm], slopes[:, bound.datum]
+    arm = ~bound.datum & np.isfinite(stds)
+    moved, planes = slopes[:, arm] * stds[arm], slopes[:, bound.datum]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
     return _matched(left.T @ left / len(noise), noise)
 
 
-def _of_many_faces(bound: BoundProblem) -> PriorScatter:
+def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
     """The same, faces taken out one by one."""
     noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
     parts = []
@@ -59,8 +61,8 @@ def _of_many_faces(bound: BoundProblem) -> PriorScatter:
         parts.append(taken_out(plain).rows)
     assert bound.groups is not None
     shared = bound.groups.shared
-    arm = np.isfinite(bound.prior_std[shared]) & ~bound.datum[shared]
-    moved = triangle(parts, shared.size)[:, arm] * bound.prior_std[shared][arm]
+    arm = np.isfinite(stds[shared]) & ~bound.datum[shared]
+    moved = triangle(parts, shared.size)[:, arm] * stds[shared][arm]
     return _matched(moved.T @ moved / len(noise), noise)
 
 
