@@ -141,9 +141,7 @@ def test_residuals_that_nothing_explains_are_refused(clean, low, after, far, ref
     assert ("2.5 times what the stated noise explains" in verdict.words) is refused
 
 
-@pytest.mark.parametrize(
-    ("low", "level"), [(2.1, "do not use"), (1.9, "use with care")]
-)
+@pytest.mark.parametrize(("low", "level"), [(2.1, "do not use"), (1.9, "use with care")])
 def test_the_data_check_is_asked_where_the_residuals_call_for_it(clean, low, level):
     other = dataclasses.replace(clean)
     wrong = Finding("error", "joint 2 flipped", "joint 2 seems to be counted in the other direction", "Turn it")
