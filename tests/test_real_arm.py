@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from conftest import ROOT
-
 from test_noise import stating
 
 from casacal import Problem, TrackedPoint, bind, calibrate, ipopt, lm, load_problem, sckf_lm
