@@ -1,5 +1,6 @@
 """Many seeds of the three-face corner: agreement, efficiency against the bound, consistency of the covariances."""
 
+import dataclasses
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -9,7 +10,9 @@ import pytest
 from monte_carlo import METHODS, trial
 from scipy.stats import chi2
 
-TRIALS, COMPARED = 200, 100
+from casacal import Plane, Problem, bind, ekf, plate, sckf, simulate
+
+TRIALS, COMPARED = 160, 60
 COST, ERROR, BOUND, NEES, NIS, CONVERGED, COVERED = range(7)
 
 
@@ -57,7 +60,24 @@ def test_innovations_are_as_large_as_predicted(trials, name, low):
     assert low < np.mean(trials[name][:COMPARED, NIS]) < 1.06
 
 
+@pytest.mark.parametrize("method", [ekf, sckf])
+def test_innovations_are_chi_square_where_the_model_says_all(hsr, method):
+    """A plate that stands where it is declared, an arm drawn from the prior: every innovation, from the first on."""
+    centre = (1350.0, 0.0, 500.0)
+    plane = Plane(normal=(0, 0, 1), point=centre, free=False)
+    problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instrument, plane=plane))
+    cell = dataclasses.replace(hsr.cell, faces=plate(centre), resolution=0.0)
+    total, count = 0.0, 0
+    for seed in range(12):
+        bound = bind(problem, simulate(problem, cell, seed=seed).samples)
+        trace = method(bound).trace
+        total += float(((trace["innovation"] / trace["innovation_std"]) ** 2).sum())
+        count += bound.rows
+    low, high = chi2.ppf([0.0005, 0.9995], count)
+    assert low < total < high
+
+
 def test_predicted_tip_deviations_cover(trials):
-    # tip errors of one trial go together, so 200 trials say about as much as 200 draws: 0.95 +- 0.015;
+    # tip errors of one trial go together, so 160 trials say about as much as 160 draws: 0.95 +- 0.017;
     # studies/efficiency.py does a thousand
     assert 0.905 < trials["lm"][:, COVERED].mean() < 0.985

@@ -405,3 +405,22 @@ def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, meth
         true.append(tip_rms(without_rigid((tips - right).ravel(), right)))
         told.append(found.tip_std[1])
     assert math.hypot(*told) == pytest.approx(math.hypot(*true), rel=0.35)
+
+
+def test_a_result_that_is_denied_is_used_only_by_force(hsr, corner_simulation, tmp_path, capsys):
+    """compensate and export obey the verdict of the file, in words, and write nothing; --force uses it all the same."""
+    samples, out = tmp_path / "s.csv", tmp_path / "out"
+    write_samples(samples, hsr.problem.layout(), corner_simulation.samples, [])
+    typed = ["calibrate", str(hsr.path), str(samples), "--method", "plane-only", "--out", str(out)]
+    assert main(typed) == 1
+    capsys.readouterr()
+    result, targets, made = str(out / "result.json"), tmp_path / "t.csv", tmp_path / "made.csv"
+    targets.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n20,-30,40,10,25,5\n", encoding="utf-8")
+    for command in (["compensate", result, str(targets)], ["export", result, "--to", "dh"]):
+        assert main([*command, "--out", str(made)]) == 2
+        assert "Do not use this result" in capsys.readouterr().err
+        assert not made.exists()
+        assert main([*command, "--out", str(made), "--force"]) == 0
+        assert made.exists()
+        made.unlink()
+        capsys.readouterr()

@@ -44,11 +44,12 @@ class Arrow:
         """Add a matrix (z, z) over some unknowns, of which at most one group has a part; while one is summed up."""
         kind, group, position = (each[columns] for each in self.groups.place)
         shared, own = np.flatnonzero(kind < 0), np.flatnonzero(kind >= 0)
-        self.corner[np.ix_(position[shared], position[shared])] += matrix[np.ix_(shared, shared)]
+        there, rows = position[shared], shared[:, None]
+        self.corner[there[:, None], there] += matrix[rows, shared]
         if own.size:
-            c, g = kind[own[0]], group[own[0]]
-            self.borders[c][g][np.ix_(position[own], position[shared])] += matrix[np.ix_(own, shared)]
-            self.blocks[c][g][np.ix_(position[own], position[own])] += matrix[np.ix_(own, own)]
+            c, g, here = kind[own[0]], group[own[0]], position[own][:, None]
+            self.borders[c][g][here, there] += matrix[own[:, None], shared]
+            self.blocks[c][g][here, here[:, 0]] += matrix[own[:, None], own]
 
     def diagonal(self) -> Array:
         """Its diagonal (n,)."""
