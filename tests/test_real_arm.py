@@ -10,7 +10,6 @@ from test_noise import stating
 
 from casacal import Problem, TrackedPoint, bind, calibrate, ipopt, lm, load_problem, sckf_lm
 from casacal.calibration.verdict import verdict_of
-from casacal.uncertainty.noise import found_noise
 
 SETS = ("tracker_free.csv", "tracker_wall.csv")
 
@@ -70,12 +69,13 @@ def test_the_stated_noise_does_not_decide_how_much_better(motoman, motoman_data,
     """What is stated is the least; what the contacts show is used: the tracker sees the same arm."""
     before = [tracker_rms(held(motoman.robot), motoman_data / name) for name in SETS]
     ratios = []
-    for noise_std in (0.01, 0.05, 0.2):
-        bound = bind(stating(motoman, noise_std), contacts)
-        robot = moved(motoman.robot, lm(bound.with_noise(found_noise(bound).scale)))
+    for noise_std in (0.01, 0.05, 0.2, 0.45):
+        found = calibrate(stating(motoman, noise_std), contacts, method="lm", reference=False)
+        robot = arm_of(motoman, found)
         ratios.append([tracker_rms(robot, motoman_data / name) / old for name, old in zip(SETS, before, strict=True)])
-    assert np.max(ratios) < 0.85
-    assert np.ptp(ratios, axis=0).max() < 0.05
+    assert np.max(ratios) <= 0.78
+    assert np.ptp(ratios[:3], axis=0).max() < 0.01
+    assert np.ptp(ratios, axis=0).max() < 0.04  # with 0.45 some faces are stated rougher than they are
 
 
 def test_a_prior_of_any_arm_with_a_tenth_of_the_noise_is_refused(motoman, motoman_data, contacts):
