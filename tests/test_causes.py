@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from casacal import DialOnPlane, Problem, check, deg, load_problem, simulate, tool_point
-from casacal.checks.causes import explained
+from casacal.checks.causes import _simplest, _Trial, explained
 from casacal.checks.fitted_faults import tool_elsewhere
-from casacal.checks.undone import misfit
+from casacal.checks.suspects import Fault
+from casacal.checks.undone import Undone, misfit
 from casacal.problem.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 
@@ -138,3 +139,26 @@ def test_touches_without_a_dial_are_searched_too(hsr):
     swapped = REPLACE(samples, joints=samples.joints[:, [0, 1, 2, 4, 3, 5]])
     assert only(contact, swapped).about == "joints 4 and 5 swapped"
     assert math.isfinite(misfit(contact, samples))
+
+
+def test_of_two_that_explain_alike_the_simpler_is_believed(scara):
+    problem, samples = touched(scara)
+    undone = Undone(problem, samples)
+    found = [
+        _Trial((Fault("free", "", "", None, freedom),), undone, size)
+        for freedom, size in ((3, 1.0), (0, 1.3), (1, 1.1), (0, 9.0))
+    ]
+    assert _simplest(found).size == 1.3
+    assert _simplest(found[:1] + found[2:]).size == 1.1
+    assert _simplest([]) is None
+
+
+def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
+    samples = simulate(hsr.problem, hsr.cell, seed=3).samples
+    for row, by in ((7, 1.0), (7, -2.0), (50, 0.5)):
+        reading = samples.columns["reading"].copy()
+        reading[row] += by
+        (found,) = (f for f in check(hsr.problem, REPLACE(samples, columns={"reading": reading})) if "lost" in f.about)
+        assert found.lines == (samples.lines[row],)
+        assert f"read {-by:+.3g} mm" in found.cause
+        assert f"{round(abs(by) / (1.0 if abs(by) >= 1 else 0.5))} turn" in found.cause
