@@ -18,7 +18,7 @@ from casacal.calibration.brief import MOST_LINES, brief
 from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.reference import Reference
 from casacal.calibration.verdict import verdict_of
-from casacal.calibration.warnings import warnings
+from casacal.calibration.warnings import moves, warnings
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
@@ -424,3 +424,15 @@ def test_a_result_that_is_denied_is_used_only_by_force(hsr, corner_simulation, t
         assert made.exists()
         made.unlink()
         capsys.readouterr()
+
+
+def test_a_parameter_absurdly_far_beyond_its_prior_is_refused_by_name(hsr):
+    found = calibrate(hsr.problem, in_cell(hsr, 2, error_scale=8.0), reference=False)
+    far = moves(found)
+    assert far.max() > 10
+    assert found.noise.low < 2  # the residuals alone would not refuse it
+    vars(found)["data_errors"] = ()
+    verdict = verdict_of(found)
+    assert verdict.level == "do not use"
+    assert f"{found.fit.names[int(far.argmax())]} moved by {far.max():.3g} prior" in verdict.words
+    assert "state wider priors" in verdict.words
