@@ -256,3 +256,18 @@ def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):
         named.append(set(found_noise(bind(hsr.problem, rough)).scale))
     assert len(named[0]) == 3
     assert named[1] == {""}
+
+
+def test_moves_against_priors_are_as_large_as_these_allow(hsr):
+    """Over drawn arms their root mean square is one, and chances are uniform; of arms beyond them it says by how much."""
+    found = [calibrate(hsr.problem, simulate(hsr.problem, hsr.cell, seed=seed).samples, method="lm", reference=False)
+             for seed in range(24)]  # fmt: skip
+    moved = [each.prior_moves for each in found]
+    assert math.sqrt(np.mean([each.factor**2 for each in moved])) == pytest.approx(1.0, abs=0.09)
+    ranks = np.sort([each.chance for each in moved]) - (np.arange(24) + 0.5) / 24
+    assert np.abs(ranks).max() < 1.63 / math.sqrt(24)  # Kolmogorov and Smirnov, 1 %
+    far = dataclasses.replace(hsr.cell, error_scale=3.0)
+    beyond = [calibrate(hsr.problem, simulate(hsr.problem, far, seed=seed).samples, method="lm", reference=False)
+              for seed in range(6)]  # fmt: skip
+    assert math.sqrt(np.mean([each.prior_moves.factor**2 for each in beyond])) == pytest.approx(3.0, rel=0.25)
+    assert max(each.prior_moves.chance for each in beyond) < 1e-4
