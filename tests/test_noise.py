@@ -259,7 +259,7 @@ def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):
 
 
 def test_moves_against_priors_are_as_large_as_these_allow(hsr):
-    """Over drawn arms their root mean square is one, and chances are uniform; of arms beyond them it says by how much."""
+    """Over drawn arms their root mean square is one, and chances are uniform; of others it says how far they are."""
     found = [calibrate(hsr.problem, simulate(hsr.problem, hsr.cell, seed=seed).samples, method="lm", reference=False)
              for seed in range(24)]  # fmt: skip
     moved = [each.prior_moves for each in found]
