@@ -12,7 +12,7 @@ from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
 from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
-from casacal.checks.outliers import exchanged_labels, gross_rows, single_rows
+from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
 from casacal.checks.suspects import flips
@@ -20,7 +20,6 @@ from casacal.checks.tool import tool_moved
 from casacal.checks.undone import misfit
 from casacal.errors import CasacalError
 from casacal.estimators import lm
-from casacal.least_squares.losses import huber
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
@@ -159,11 +158,11 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
 
 def _rows(bound: BoundProblem) -> list[Finding]:
     """Outliers, else a noise that is not as stated."""
-    result = lm(bound, loss=huber())
-    outliers = single_rows(bound, result)
+    fitted = robust_fit(bound)
+    outliers = [] if fitted is None else single_rows(*fitted)
     if outliers:
         return outliers
-    plain = lm(bound, start=result.x)
+    plain = lm(bound)
     ratio, low, high = noise_interval(plain)
     if low <= 1.1 and high >= 0.9:
         return []

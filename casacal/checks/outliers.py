@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS
 from casacal.binding.slots import nominal_tips
 from casacal.checks.finding import Finding, counted
 from casacal.checks.revolutions import lost_turns
+from casacal.estimators import lm
+from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -28,6 +31,8 @@ GROSS = 8.0
 """Times the robust scatter beyond which a nominal tip is not on its plane at all."""
 FEWEST_OF_A_FACE = 12
 """Rows of a face that can tell how rough it is."""
+WORTH_A_LOOK = 0.05
+"""Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
 CHANCE = 1e-4
 """Chance that a clean set has any row called an outlier (Bonferroni)."""
 
@@ -98,6 +103,22 @@ class Outliers:
     """Robust noise over what was used, of all rows."""
 
 
+def robust_fit(bound: BoundProblem) -> tuple[BoundProblem, Result] | None:
+    """A fit that gross rows hardly pull, with the noise that the others show; None where no row is worth a look.
+
+    Huber's bends come with the noise: with a stated one that is far too small, the fit would hang on to some rows and
+    call the others gross.
+    """
+    from scipy.special import ndtri
+
+    size = np.abs(bound.residual(lm(bound).x))
+    noise = 1.4826 * float(np.median(size))
+    if not float(size.max(initial=0.0)) > -float(ndtri(WORTH_A_LOOK / (2 * bound.rows))) * noise:
+        return None
+    used = bound.with_noise({OTHERS: max(noise, 1.0)})
+    return used, lm(used, loss=huber())
+
+
 def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     """Rows whose deleted residual is larger than chance allows, at a robust fit.
 
@@ -141,7 +162,7 @@ def single_rows(bound: BoundProblem, result: Result) -> list[Finding]:
             "lost revolution",
             f"read {by:+.3g} mm, {'this row fits' if len(rows) == 1 else 'these rows fit'}: "
             f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm",
-            "Correct the reading, or measure there again",
+            "Measure there again, or correct the reading where the pointer was misread",
             tuple(sorted(samples.lines[k] for k in rows)),
         )
         for (by, turned), rows in turns.items()

@@ -11,7 +11,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.least_squares.result import Result
 
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
-"""What one turn of a pointer shows, by the dials that are sold."""
+"""What one turn of a pointer shows, by the dials that are sold; several turns are only looked for of the first."""
 
 SHORT_TRAVEL = 2.0
 """Travel (mm) up to which a dial has turns of less than half a millimetre."""
@@ -51,7 +51,8 @@ def lost_turns(
         for turn in TURNS_MM:
             count = round(missing / turn)
             sharp = spread < turn / 8 and (turn >= 0.5 or probe.travel <= SHORT_TRAVEL)
-            if sharp and 1 <= abs(count) <= MOST_TURNS and math.isclose(missing, count * turn, abs_tol=spread):
+            most = MOST_TURNS if turn == TURNS_MM[0] else 1
+            if sharp and 1 <= abs(count) <= most and math.isclose(missing, count * turn, abs_tol=spread):
                 found[count * turn, count].append(k)
                 break
     return found

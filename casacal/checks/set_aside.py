@@ -6,13 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.noise_scale import OTHERS
 from casacal.checks.check import strays
 from casacal.checks.finding import Finding
-from casacal.checks.outliers import GROSS, single_rows, studentised_outliers
+from casacal.checks.outliers import GROSS, robust_fit, single_rows, studentised_outliers
 from casacal.errors import CasacalError
-from casacal.estimators import lm
-from casacal.least_squares.losses import huber
 from casacal.samples.samples import Samples
 from casacal.uncertainty.prior_scatter import prior_scatter
 
@@ -21,9 +18,6 @@ MOST = 0.1
 
 ROUNDS = 3
 """Fits without the rows found before: large outliers hide small ones."""
-
-WORTH_A_LOOK = 0.05
-"""Chance of the largest residual, were all normal, below which a robust fit looks for outliers."""
 
 
 def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
@@ -43,10 +37,9 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
             return none, ()
         kept = np.flatnonzero(~bad)
         rest = bound if not bad.any() else bind(bound.problem, samples.take(kept))
-        if rest.rows <= rest.unknowns or (noise := _noise_worth_a_look(rest)) is None:
+        if rest.rows <= rest.unknowns or (fitted := robust_fit(rest)) is None:
             break
-        rest = rest.with_noise({OTHERS: max(noise, 1.0)})  # so that what is found does not depend on what was stated
-        result = lm(rest, loss=huber())
+        rest, result = fitted
         found = studentised_outliers(rest, result).rows if result.converged else ()
         if not found:
             break
@@ -75,13 +68,3 @@ def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.b
     if not worst > GROSS * scatter:
         return np.zeros(len(samples), dtype=bool), []
     return strays(bound.problem, samples, scatter)
-
-
-def _noise_worth_a_look(bound: BoundProblem) -> float | None:
-    """Robust noise over stated where the largest residual of a plain fit is too large for its like; else None."""
-    from scipy.special import ndtri
-
-    size = np.abs(bound.residual(lm(bound).x))
-    scale = 1.4826 * float(np.median(size))
-    unlikely = float(size.max(initial=0.0)) > -float(ndtri(WORTH_A_LOOK / (2 * bound.rows))) * scale
-    return scale if unlikely else None
