@@ -8,7 +8,7 @@ from itertools import chain
 
 from casacal.checks.finding import Finding, times
 from casacal.checks.suspects import Fault, columns_and_joints, parts_of_the_cell
-from casacal.checks.undone import Undone, misfit
+from casacal.checks.undone import FIRST_STEPS, Undone, misfit
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -19,7 +19,9 @@ BETTER = 0.25
 """An undone fault must shrink the misfit to this part to be believed."""
 ALIKE = 1.5
 """Within this factor a fault and its absence cannot be told apart."""
-PROMISING = 3
+PROMISING = 12
+"""Faults, or pairs of them, that a first look finds best and that are fitted to the end."""
+PAIRED = 3
 """Single faults, beside the usual ones, that are tried together with others."""
 RIVALS = 3
 """Faults that would explain it as well and are named."""
@@ -57,7 +59,7 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         gross: whether it is so large that two mistakes at once are looked for.
 
     """
-    tried = list(_tried(problem, samples))
+    tried = _looked_at_closely(list(_tried(problem, samples)))
     best = _simplest(tried)
     if best is None:
         return None
@@ -81,20 +83,29 @@ def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
     except CasacalError:  # such as a tool of an instrument that holds it
         return
     undone = replace(undone, found=before.undone.found + undone.found)
-    yield _Trial((*before.faults, fault), undone, misfit(undone.problem, undone.samples))
+    yield _Trial((*before.faults, fault), undone, misfit(undone.problem, undone.samples, steps=FIRST_STEPS))
+
+
+def _looked_at_closely(tried: list[_Trial]) -> list[_Trial]:
+    """The same trials, the most promising of them fitted to the end."""
+    closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
+    return [
+        replace(trial, size=misfit(trial.undone.problem, trial.undone.samples)) if id(trial) in closer else trial
+        for trial in tried
+    ]
 
 
 def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
     """Wrong units and signs of the dial, and what promises most, each with what is commonly done wrong beside it."""
     usual = {"unit of the joints", *(suspect.about for suspect in problem.instrument.suspects)}
     best = sorted(tried, key=lambda trial: trial.size)
-    first = [trial for k, trial in enumerate(best) if k < PROMISING or trial.faults[0].about in usual]
+    first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
     found: list[_Trial] = []
     for trial in first:
         for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, trial.undone.samples)):
             if fault.about != trial.faults[0].about and fault.common:
                 found += _one(fault, trial)
-    return found
+    return _looked_at_closely(found)
 
 
 def _simplest(tried: list[_Trial]) -> _Trial | None:

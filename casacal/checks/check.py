@@ -12,7 +12,7 @@ from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
 from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
-from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows
+from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
 from casacal.checks.suspects import flips
@@ -159,7 +159,7 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
 def _rows(bound: BoundProblem) -> list[Finding]:
     """Outliers, else a noise that is not as stated."""
     fitted = robust_fit(bound)
-    outliers = [] if fitted is None else single_rows(*fitted)
+    outliers = [] if fitted is None else single_rows(*fitted, studentised_outliers(*fitted))
     if outliers:
         return outliers
     plain = lm(bound)

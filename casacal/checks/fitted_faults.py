@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.binding.slots import ENOUGH
-from casacal.checks.undone import Undone, misfit, quick_fit
+from casacal.checks.undone import FIRST_STEPS, Undone, misfit, quick_fit
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels
@@ -82,7 +82,7 @@ def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
     def best_of(places: Sequence[int]) -> int:
         for place in places:
             if place not in tried and (later := _relabelled(problem, samples, place)) is not None:
-                tried[place] = misfit(problem, later)
+                tried[place] = misfit(problem, later, steps=FIRST_STEPS)
         return min(tried, key=tried.__getitem__, default=0)
 
     rough = best_of(range(step, len(samples), step))

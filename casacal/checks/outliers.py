@@ -125,19 +125,24 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     Externally studentised: r_k over its own standard deviation with the row's leverage taken out, the noise from the
     other rows (Cook and Weisberg 1982). The robust scale keeps several outliers from hiding each other.
     """
-    from scipy.special import stdtrit  # Student's quantile, without the half second that importing scipy.stats takes
-
     r = bound.residual(result.x)
     leverage = np.minimum(leverages(bound, result), 0.999)
     free = max(float(bound.rows - leverage.sum()), 1.0)
     alike = np.abs(r) / np.sqrt(1 - leverage)  # of the same spread, also where faces of few rows take much of it
     scale = max(1.4826 * float(np.median(alike)), 1e-12)
     size = alike / _scale_of_rows(bound, alike, scale)
-    limit = float(stdtrit(free, 1 - CHANCE / (2 * bound.rows)))
+    limit = most_by_chance(bound.rows, free)
     bad = np.flatnonzero(size > limit)
     per_row = bound.rows // len(bound.block.samples)
     rows = tuple(dict.fromkeys(int(k) // per_row for k in bad[np.argsort(-size[bad])]))
     return Outliers(rows, float(size.max()), limit, scale)
+
+
+def most_by_chance(rows: int, free: float) -> float:
+    """Size (standard deviations) of the largest of so many residuals that chance explains, the noise from `free`."""
+    from scipy.special import stdtrit  # Student's quantile, without the half second that importing scipy.stats takes
+
+    return float(stdtrit(max(free, 1.0), 1 - CHANCE / (2 * rows)))
 
 
 def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
@@ -150,9 +155,16 @@ def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
     return np.repeat(own[faces.codes], per_row)
 
 
-def single_rows(bound: BoundProblem, result: Result) -> list[Finding]:
-    """Errors on rows that chance does not explain at a robust fit: lost turns of the pointer, and what is left."""
-    found, samples = studentised_outliers(bound, result), bound.block.samples
+def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Finding]:
+    """Errors on rows that chance does not explain: lost turns of the pointer, and what is left.
+
+    Args:
+        bound: with all rows.
+        result: a fit that these rows hardly pull.
+        found: the rows.
+
+    """
+    samples = bound.block.samples
     if not found.rows:
         return []
     turns = lost_turns(bound, result, found.rows, found.scale)

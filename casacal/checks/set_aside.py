@@ -6,10 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.noise_scale import OTHERS
 from casacal.checks.check import strays
 from casacal.checks.finding import Finding
-from casacal.checks.outliers import GROSS, robust_fit, single_rows, studentised_outliers
+from casacal.checks.outliers import (
+    GROSS,
+    Outliers,
+    most_by_chance,
+    robust_fit,
+    single_rows,
+    studentised_outliers,
+)
 from casacal.errors import CasacalError
+from casacal.estimators import lm
+from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.uncertainty.prior_scatter import prior_scatter
 
@@ -18,6 +28,9 @@ MOST = 0.1
 
 ROUNDS = 3
 """Fits without the rows found before: large outliers hide small ones."""
+
+WORTH_ANOTHER_LOOK = 10.0
+"""Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
 
 
 def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
@@ -31,34 +44,73 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
 
     """
     samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
-    bad, findings = _off_their_face(bound, samples)
+    stray, findings = _off_their_face(bound, samples)
+    bad = stray.copy()
     for _ in range(ROUNDS):
-        if bad.sum() > MOST * len(samples) or not _bindable(bound, bad):
+        rest = _without(bound, bad)
+        if rest is None:
             return none, ()
-        kept = np.flatnonzero(~bad)
-        rest = bound if not bad.any() else bind(bound.problem, samples.take(kept))
-        if rest.rows <= rest.unknowns or (fitted := robust_fit(rest)) is None:
+        found = _outliers(rest)
+        if not found.any():
             break
-        rest, result = fitted
-        found = studentised_outliers(rest, result).rows if result.converged else ()
-        if not found:
-            break
-        findings += single_rows(rest, result)
-        bad[kept[list(found)]] = True
-    if bad.sum() > MOST * len(samples) or not _bindable(bound, bad):
+        bad[np.flatnonzero(~bad)[found]] = True
+    if (bad & ~stray).any():
+        bad = _taken_back(bound, bad, stray)
+    rest = _without(bound, bad)
+    if rest is None:
         return none, ()
+    if (bad & ~stray).any():
+        findings += _told(*_judged(rest, samples), np.flatnonzero(bad & ~stray))
     return bad, tuple(findings)
 
 
-def _bindable(bound: BoundProblem, bad: NDArray[np.bool_]) -> bool:
-    """Whether every face keeps as many rows as it needs for unknowns of its own."""
+def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None:
+    """The other rows; None where these are too few in all, or on a face for unknowns of its own."""
     if not bad.any():
-        return True
+        return bound
+    if bad.sum() > MOST * len(bad):
+        return None
     try:
-        bind(bound.problem, bound.block.samples.take(np.flatnonzero(~bad)))
+        return bind(bound.problem, bound.block.samples.take(np.flatnonzero(~bad)))
     except CasacalError:
-        return False
-    return True
+        return None
+
+
+def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
+    """Rows (N,) that a robust fit of them all cannot explain."""
+    found = np.zeros(len(bound.block.samples), dtype=bool)
+    if bound.rows > bound.unknowns and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
+        found[list(studentised_outliers(*fitted).rows)] = True
+    return found
+
+
+def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows (N,) that stay aside; what only looked odd beside a gross row comes back."""
+    rest = _without(bound, bad)
+    if rest is None:
+        return bad
+    judged, result = _judged(rest, bound.block.samples)
+    again = bad & ~stray & (np.abs(judged.residual(result.x)).reshape(len(bad), -1).max(axis=1) < WORTH_ANOTHER_LOOK)
+    more = _without(bound, bad & ~again)
+    if not again.any() or more is None:
+        return bad
+    held = bad & ~again
+    held[np.flatnonzero(~held)[_outliers(more)]] = True
+    return held & bad
+
+
+def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:
+    """What is wrong with rows that a fit has not seen."""
+    size = np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1)[rows]
+    limit = most_by_chance(judged.rows, judged.rows - judged.unknowns)
+    return single_rows(judged, result, Outliers(tuple(rows.tolist()), float(size.max()), limit, 1.0))
+
+
+def _judged(rest: BoundProblem, samples: Samples) -> tuple[BoundProblem, Result]:
+    """All rows with the noise that the rest shows, and a fit of the rest alone."""
+    result = lm(rest)
+    noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
+    return rest.on(samples).with_noise({OTHERS: max(noise, 1.0)}), result
 
 
 def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:

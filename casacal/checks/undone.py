@@ -23,6 +23,8 @@ OF_NORMAL = 0.62297
 """Mean square of that part of a standard normal distribution."""
 STEPS = 25
 """Steps of a quick robust fit."""
+FIRST_STEPS = 6
+"""Steps of a first look, which tells what is promising: with the cause undone, a fit needs few."""
 
 
 @dataclass(frozen=True)
@@ -37,25 +39,25 @@ class Undone:
 Undo: TypeAlias = Callable[[Problem, Samples], Undone]
 
 
-def quick_fit(problem: Problem, samples: Samples) -> tuple[BoundProblem, Result] | None:
+def quick_fit(problem: Problem, samples: Samples, *, steps: int = STEPS) -> tuple[BoundProblem, Result] | None:
     """A robust fit in few steps; None where it cannot be bound or the figures overflow."""
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             bound = bind(problem, samples)
-            result = lm(bound, loss=huber(), max_steps=STEPS)
+            result = lm(bound, loss=huber(), max_steps=steps)
     except CasacalError:
         return None
     return (bound, result) if math.isfinite(result.cost) else None
 
 
-def misfit(problem: Problem, samples: Samples) -> float:
+def misfit(problem: Problem, samples: Samples, *, steps: int = STEPS) -> float:
     """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
 
     Root mean square of the whitened residuals, the largest tenth left out (single rows are no systematic fault, a face
     of many is), plus the prior's cost per row: a fit that explains touches by bending the arm far beyond its prior is
     no fit. Infinite if it fails.
     """
-    fitted = quick_fit(problem, samples)
+    fitted = quick_fit(problem, samples, steps=steps)
     if fitted is None:
         return math.inf
     bound, result = fitted
