@@ -94,9 +94,10 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
         return bad
-    held = bad & ~again
+    held: NDArray[np.bool_] = bad & ~again
     held[np.flatnonzero(~held)[_outliers(more)]] = True
-    return held & bad
+    held &= bad
+    return held
 
 
 def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:
