@@ -190,8 +190,23 @@ def test_loose_priors_matter_only_where_the_samples_do_not_decide(hsr):
     corner = calibrate(loose, in_cell(hsr), reference=False)
     assert prior_scatter(corner.fit).chance_below(corner.metrics["before"]["fit"]["rmse_mm"]) < 0.01
     assert verdict_of(corner).level == "calibrated"
-    one = calibrate(loose, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False)
-    assert "the priors look too loose" in verdict_of(one).words
+    one = verdict_of(calibrate(loose, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False))
+    assert one.level == "do not use"  # the arm as drawn is the better one
+    assert "the priors are too loose for this arm" in one.words
+    little = hsr.problem.with_prior({"a": 5, "d": 5, "alpha": 0.005, "theta": 0.005})
+    doubted = verdict_of(calibrate(little, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False))
+    assert doubted.level == "use with care"
+    assert "the priors look too loose" in " ".join((doubted.words, *doubted.reasons))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
+    """Ten times better: whatever the samples add, the drawing is nearer to the truth than an estimate can promise."""
+    good = calibrate(hsr.problem, in_cell(hsr, seed, error_scale=0.1))
+    assert verdict_of(good).level == "do not use"
+    assert "too loose" in verdict_of(good).words
+    told = casacal.scaled_to_accuracy(hsr.problem, 0.3)
+    assert verdict_of(calibrate(told, in_cell(hsr, seed, error_scale=0.1))).level != "do not use"
 
 
 def test_the_prior_scatter_is_that_of_drawn_arms(hsr):
@@ -262,13 +277,12 @@ def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
 
 
 def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
-    exact = in_cell(hsr, error_scale=0.0, repeatability=0.0, resolution=0.0)
-    write_samples(tmp_path / "exact.csv", hsr.problem.layout(), exact, [])
+    write_samples(tmp_path / "exact.csv", hsr.problem.layout(), in_cell(hsr, repeatability=0.0, resolution=0.0), [])
     assert main(["calibrate", str(hsr.path), str(tmp_path / "exact.csv")]) == 0
     out = capsys.readouterr().out
     assert "ipopt agrees" in out
     assert "Use with care" in out  # nobody's noise is zero
-    calibration = calibrate(hsr.problem, exact)
+    calibration = calibrate(hsr.problem, in_cell(hsr, error_scale=0.0, repeatability=0.0, resolution=0.0))
     assert calibration.result.cost < 1e-3
     assert ipopt(calibration.fit).converged
     assert lm(calibration.fit).converged

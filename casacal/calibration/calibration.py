@@ -16,7 +16,9 @@ from casacal.binding.marginal import Seen, seen
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
 from casacal.checks.dial_sign import sign_before_fit
+from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, rounded
+from casacal.checks.tool import tool_elsewhere_at
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
@@ -147,9 +149,20 @@ class Calibration(Value):
 
     @cached_property
     def flange_std(self) -> tuple[float, float]:
-        """The same of the flange's origin, whatever tool it carries; NaN now where the estimate is not the minimum."""
+        """The same of the flange's origin, whatever tool it carries.
+
+        NaN now where the estimate is not the minimum, and where the tool stands elsewhere than the problem says: what
+        the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
+        """
         before, now = flange_accuracy(self.seen, self.seen_x)
-        return before, now if self.method in MINIMISERS else math.nan
+        return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
+
+    @cached_property
+    def tool_findings(self) -> tuple[Finding, ...]:
+        """That the tool stands elsewhere than the problem says, where it does."""
+        if self.fit.groups is not None or not self.fit.unknowns:  # thousands of faces are looked at face by face
+            return ()
+        return tuple(tool_elsewhere_at(self.fit, self.result.x, self.result.spread[0]))
 
     @cached_property
     def tip_from_minimum(self) -> float:
@@ -228,6 +241,8 @@ class Calibration(Value):
 
     @cached_property
     def plain_errors(self) -> tuple[Finding, ...]:
-        """Errors of the rows that need no further fit: travel, limits, rounding, the dial's sign."""
+        """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
         found = [*outside(self.fit.problem, self.fit.block.samples), *rounded(self.fit), *sign_before_fit(self.fit)]
+        if self.result.loss is None:
+            found += wrong_number(self.fit)
         return tuple(each for each in found if each.severity == "error")

@@ -11,6 +11,7 @@ import numpy as np
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.warnings import FAR, NOISE_BAND, Doubt, doubts, moves
 from casacal.checks import Finding
+from casacal.uncertainty.prior_scatter import prior_scatter
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
@@ -25,6 +26,9 @@ LACK_OF_FIT = 2.0
 
 BENT = 10.0
 """Prior standard deviations by which no arm differs from its drawing; who knows better states wider priors."""
+
+TOO_LOOSE = 1e-3
+"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""
@@ -61,12 +65,19 @@ def verdict_of(calibration: Calibration) -> Verdict:
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
-        return Verdict("use with care", words, tuple(doubt.sentence for doubt in found))
-    return Verdict("calibrated", f"Calibrated: {expected}.")
+        return Verdict("use with care", f"{words}{_unchecked(calibration)}", tuple(doubt.sentence for doubt in found))
+    return Verdict("calibrated", f"Calibrated: {expected}.{_unchecked(calibration)}")
+
+
+def _unchecked(calibration: Calibration) -> str:
+    """That nobody looked whether it is the minimum, where it was not asked for."""
+    if calibration.reference is not None or calibration.method not in MINIMISERS:
+        return ""
+    return " No second solver checked that this is the minimum."
 
 
 def _at_flange(calibration: Calibration) -> str:
-    """What is expected of the flange, in brackets; nothing where the estimate is not the minimum."""
+    """What is expected of the flange, in brackets; nothing where that is not known."""
     flange = calibration.flange_std[1]
     return f" ({flange:.3f} mm at the flange)" if math.isfinite(flange) else ""
 
@@ -151,6 +162,16 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
         return [
             f"{worst} moved by {far:.3g} prior standard deviations; where an arm is really so far from its drawing, "
             "state wider priors (--accuracy, --prior)"
+        ]
+    drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.fit)
+    assert drawn is not None
+    # were all priors so much narrower as the drawn arm contradicts them, this is what it would err by
+    as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
+    if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
+        return [
+            f"the priors are too loose for this arm: they expect its tip to be {before:.3g} mm off as drawn, its "
+            f"touches look like {as_drawn:.2g} mm, and calibrated with them it may be {now:.3g} mm off (--accuracy, "
+            "--prior)"
         ]
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return []

@@ -10,7 +10,6 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.checks.rows import repeated
-from casacal.checks.tool import tool_elsewhere_at
 from casacal.uncertainty.prior_scatter import prior_scatter
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
@@ -113,13 +112,13 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
 
 
 def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
-    if calibration.fit.groups is not None:  # thousands of faces are looked at face by face
+    if not calibration.tool_findings:
         return None
-    found = tool_elsewhere_at(calibration.fit, calibration.result.x, calibration.result.spread[0])
-    if not found:
-        return None
-    (finding,) = found
-    sentence = f"Tool elsewhere: {finding.cause}. {finding.fix}."
+    (finding,) = calibration.tool_findings
+    sentence = (
+        f"Tool elsewhere: {finding.cause}. {finding.fix}. Until then only the tip is promised, with this tool; of the "
+        "flange nothing is known, and compensate and predict need --frame tip."
+    )
     return Doubt("the tool stands elsewhere than the problem says", sentence)
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 from casacal.checks.finding import Finding, times
-from casacal.checks.suspects import Fault, columns_and_joints, parts_of_the_cell
-from casacal.checks.undone import FIRST_STEPS, Undone, misfit
+from casacal.checks.suspects import columns_and_joints, parts_of_the_cell
+from casacal.checks.undone import FIRST_STEPS, STEPS, Fault, Undone, misfit
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -17,6 +17,8 @@ SUSPICIOUS = 2.0
 """Misfit, in stated standard deviations, above which something systematic is looked for."""
 BETTER = 0.25
 """An undone fault must shrink the misfit to this part to be believed."""
+CHANCE = 1.3
+"""A misfit of this size is chance: whatever leaves no more explains it all."""
 ALIKE = 1.5
 """Within this factor a fault and its absence cannot be told apart."""
 PROMISING = 12
@@ -68,7 +70,7 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         both = _simplest(pairs)
         if both is not None and both.size < BETTER * min(best.size, base):
             return _told(both, base, pairs)
-    return _told(best, base, tried) if best.size <= BETTER * base else None
+    return _told(best, base, tried) if best.size <= max(BETTER * base, CHANCE) else None
 
 
 def _tried(problem: Problem, samples: Samples) -> Iterator[_Trial]:
@@ -83,16 +85,18 @@ def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
     except CasacalError:  # such as a tool of an instrument that holds it
         return
     undone = replace(undone, found=before.undone.found + undone.found)
-    yield _Trial((*before.faults, fault), undone, misfit(undone.problem, undone.samples, steps=FIRST_STEPS))
+    yield _Trial((*before.faults, fault), undone, _left(undone, FIRST_STEPS))
 
 
 def _looked_at_closely(tried: list[_Trial]) -> list[_Trial]:
     """The same trials, the most promising of them fitted to the end."""
     closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
-    return [
-        replace(trial, size=misfit(trial.undone.problem, trial.undone.samples)) if id(trial) in closer else trial
-        for trial in tried
-    ]
+    return [replace(trial, size=_left(trial.undone, STEPS)) if id(trial) in closer else trial for trial in tried]
+
+
+def _left(undone: Undone, steps: int) -> float:
+    """The misfit that is left."""
+    return misfit(undone.problem, undone.samples, steps=steps, start=undone.start)
 
 
 def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:

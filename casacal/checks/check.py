@@ -12,6 +12,7 @@ from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
 from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
 from casacal.checks.labels import odd_labels
+from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
@@ -162,6 +163,8 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     outliers = [] if fitted is None else single_rows(*fitted, studentised_outliers(*fitted))
     if outliers:
         return outliers
+    if wrong := wrong_number(bound):
+        return wrong
     plain = lm(bound)
     ratio, low, high = noise_interval(plain)
     if low <= 1.1 and high >= 0.9:

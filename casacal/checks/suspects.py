@@ -4,37 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere, tool_keys
-from casacal.checks.undone import Undo, Undone
+from casacal.checks.fitted_faults import (
+    drifting,
+    geared,
+    somewhere_moved,
+    tool_elsewhere,
+    tool_keys,
+)
+from casacal.checks.numbers import numbers
+from casacal.checks.undone import Fault, Undo, Undone
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
 ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A suspected fault: its name, what was done wrong, what to do, and what undoes it.
-
-    `freedom` counts what is fitted to undo it: of two that explain samples alike, the one of less freedom is believed.
-    What is `common` is also looked for beside another fault.
-    """
-
-    about: str
-    cause: str
-    fix: str
-    undo: Undo
-    freedom: int = 0
-    common: bool = True
 
 
 def columns_and_joints(problem: Problem) -> Iterator[Fault]:
@@ -75,6 +66,7 @@ def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:
         yield from _signs_of_faces(samples, probe.column, probe.label, probe.travel)
+    yield from numbers(problem)
     for i, j in permutations(range(len(turns)), 2):
         about = f"joint {j + 1} coupled to joint {i + 1}"
         if turns[i] == turns[j]:

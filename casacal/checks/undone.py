@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError
 from casacal.estimators import lm
@@ -29,35 +30,57 @@ FIRST_STEPS = 6
 
 @dataclass(frozen=True)
 class Undone:
-    """Problem and samples as they would be without a fault; `found` says its size where that was fitted."""
+    """Problem and samples as they would be without a fault.
+
+    `found` says its size where that was fitted; `start` (n,) is where such a fit ended, for further ones.
+    """
 
     problem: Problem
     samples: Samples
     found: str = ""
+    start: Array | None = None
 
 
 Undo: TypeAlias = Callable[[Problem, Samples], Undone]
 
 
-def quick_fit(problem: Problem, samples: Samples, *, steps: int = STEPS) -> tuple[BoundProblem, Result] | None:
+@dataclass(frozen=True)
+class Fault:
+    """A suspected fault: its name, what was done wrong, what to do, and what undoes it.
+
+    `freedom` counts what is fitted to undo it: of two that explain samples alike, the one of less freedom is believed.
+    What is `common` is also looked for beside another fault.
+    """
+
+    about: str
+    cause: str
+    fix: str
+    undo: Undo
+    freedom: int = 0
+    common: bool = True
+
+
+def quick_fit(
+    problem: Problem, samples: Samples, *, steps: int = STEPS, start: Array | None = None
+) -> tuple[BoundProblem, Result] | None:
     """A robust fit in few steps; None where it cannot be bound or the figures overflow."""
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             bound = bind(problem, samples)
-            result = lm(bound, loss=huber(), max_steps=steps)
+            result = lm(bound, start=start, loss=huber(), max_steps=steps)
     except CasacalError:
         return None
     return (bound, result) if math.isfinite(result.cost) else None
 
 
-def misfit(problem: Problem, samples: Samples, *, steps: int = STEPS) -> float:
+def misfit(problem: Problem, samples: Samples, *, steps: int = STEPS, start: Array | None = None) -> float:
     """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
 
     Root mean square of the whitened residuals, the largest tenth left out (single rows are no systematic fault, a face
     of many is), plus the prior's cost per row: a fit that explains touches by bending the arm far beyond its prior is
     no fit. Infinite if it fails.
     """
-    fitted = quick_fit(problem, samples, steps=steps)
+    fitted = quick_fit(problem, samples, steps=steps, start=start)
     if fitted is None:
         return math.inf
     bound, result = fitted
