@@ -27,6 +27,7 @@ from casacal.uncertainty.cures import Cure
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.left_out import LeftOut
+from casacal.uncertainty.prior_moves import PriorMoves
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,6 +96,11 @@ class Calibrated(Calibration, AsArm):
     def advice(self) -> tuple[str, ...]:
         """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
         return self.unjudged.advice
+
+    @cached_property
+    def prior_moves(self) -> PriorMoves:
+        """How far arm and tool moved beyond what their priors allow, all together."""
+        return self.unjudged.prior_moves
 
     @cached_property
     def identifiability(self) -> Identifiability:
