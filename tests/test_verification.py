@@ -645,7 +645,7 @@ def test_rows_that_were_pasted_count_once(spent, times):
     assert f"{(times - 1) * FRESH} rows of DataFrame repeat others to the last digit and count once." in often.summary()
     pasted = pd.concat([fresh, fresh.iloc[5:9]])
     some = verify(arm, pasted)
-    assert some.copied_lines == Samples.from_frame(pasted, arm.source.problem.layout()).lines[FRESH:]
+    assert some.copied_lines == tuple(Samples.from_frame(pasted, arm.source.problem.layout()).lines[FRESH:])
     assert some.rows == FRESH
 
 
