@@ -32,7 +32,7 @@ def whole_way(problem: BoundProblem) -> Result:
     found = calibrate(given.problem, given.block.samples, reference=False)
     verdict = verdict_of(found)
     said = np.array([verdict.words, *verdict.reasons])
-    level, promised = np.array([LEVELS.index(verdict.level)]), np.array([found.tip_std[1]])
+    level, promised = np.array([LEVELS.index(verdict.level)]), np.array([found.unjudged.tip_std[1]])
     return dataclasses.replace(found.result, trace={"said": said, "level": level, "promised": promised})
 
 

@@ -28,6 +28,7 @@ from unittest import mock
 import fuzz_arms
 import fuzz_seeds
 import numpy as np
+from seals import resealed_text
 
 from casacal.errors import CasacalError
 from casacal.samples.layout import Layout
@@ -120,6 +121,12 @@ def mutated_members(data: bytes, rng: random.Random, tokens: tuple[bytes, ...]) 
     return whole.getvalue()
 
 
+def mutated_result(data: bytes, rng: random.Random, tokens: tuple[bytes, ...]) -> bytes:
+    """Bytes with damages, most of them sealed anew, so that they come to what looks behind the seal."""
+    damaged = mutated(data, rng, tokens)
+    return resealed_text(damaged) if rng.random() < 0.8 else damaged
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of file: a maker of well-formed ones in a folder, a reader, what the format is made of, how it is damaged.
@@ -173,7 +180,7 @@ KINDS: Mapping[str, Kind] = {
     "npz": Kind(fuzz_seeds.npz_files, read_samples, fuzz_seeds.NPY_TOKENS, mutated_members, 100),
     "urdf": Kind(fuzz_arms.urdf_files, fuzz_arms.read_arm, fuzz_arms.URDF_TOKENS, quick=250),
     "dh": Kind(fuzz_arms.dh_files, fuzz_arms.read_arm, fuzz_arms.TABLE_TOKENS, mutated_lines, 200),
-    "result": Kind(fuzz_arms.result_files, fuzz_arms.use_result, fuzz_arms.RESULT_TOKENS, mutated, 60),
+    "result": Kind(fuzz_arms.result_files, fuzz_arms.use_result, fuzz_arms.RESULT_TOKENS, mutated_result, 60),
     "joints": Kind(fuzz_arms.joint_files, fuzz_arms.read_joint_values, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
     "targets": Kind(fuzz_arms.target_files, fuzz_arms.read_target_poses, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),
     "pendant": Kind(fuzz_arms.pendant_files, fuzz_arms.read_pendant, fuzz_seeds.CSV_TOKENS, mutated_lines, 100),

@@ -13,6 +13,7 @@ from conftest import ROOT
 from oracles import dh_chain
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
+from seals import resealed
 
 from casacal import DialOnPlane, Joint, Parameter, Problem, Robot, calibrate, deg, lm, load_problem, simulate
 from casacal.calibration.result_json import calibration_document, write_simulation
@@ -349,7 +350,7 @@ def test_results_that_nothing_holds_are_refused(hsr, tmp_path, cells):
     write_json(tmp_path / "flat.json", document)
     with pytest.raises(CasacalError, match=r"neither samples nor prior hold d1, theta1.*--prior d1=0.7"):
         compensate(read_result(tmp_path / "flat.json"), targets_of([deg(1, 2, 3, 4, 5, 6)]))
-    write_json(tmp_path / "stuck.json", {**json.loads(cells[0][0].read_text()), "converged": False})
+    write_json(tmp_path / "stuck.json", resealed({**json.loads(cells[0][0].read_text()), "converged": False}))
     with pytest.raises(CasacalError, match="did not converge"):
         compensate(read_result(tmp_path / "stuck.json"), targets_of([deg(1, 2, 3, 4, 5, 6)]))
 

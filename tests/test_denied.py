@@ -5,15 +5,21 @@ import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ET
+from functools import cached_property
 
 import numpy as np
 import pytest
 
 import casacal
-from casacal import CasacalError, calibrate
+from casacal import BoundProblem, CasacalError, calibrate
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.result_json import calibration_document
+from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.export.forms import export
+from casacal.files import jsonable
 from casacal.samples.write import write_samples
+from casacal.values import alike
 from studies.cell_mistakes import PROBLEMS, simulated
 
 ACCURACY = re.compile(r"tip error of|expected tip error|error of the (flange|tip) to expect", re.IGNORECASE)
@@ -48,6 +54,122 @@ def test_no_file_holds_a_figure_of_accuracy(denied, capsys):
     for options in ([], ["--verbose"], ["--json"]):
         assert main(["calibrate", str(ARM), str(folder / "samples.csv"), *options]) == 1
         assert not ACCURACY.search(capsys.readouterr().out)
+
+
+def numbers_in(item):
+    """All numbers of a document, at any depth."""
+    if isinstance(item, dict):
+        item = list(item.values())
+    if isinstance(item, list):
+        return [number for each in item for number in numbers_in(each)]
+    return [item] if isinstance(item, (int, float)) and not isinstance(item, bool) else []
+
+
+def forced(found):
+    """Figures of accuracy that would be told were the result not denied, to six digits, each with what it is."""
+    bare = found.unjudged
+    directions = (*bare.identifiability.null, *bare.identifiability.weak)
+    kinds = {
+        "tip": (*bare.tip_std, bare.tip_std_without_prior[0]),
+        "flange": bare.flange_std,
+        "std": bare.result.std,
+        "covariance": bare.covariance.ravel(),
+        "cure": [cure.expected_rms_mm for cure in bare.cures],
+        "direction": [each.tip_mm for each in directions],
+        "face": [number for each in bare.left_out for number in (each.predicted_mm, each.ratio)],
+    }
+    told = {}
+    for kind, figures in kinds.items():
+        # short ones, as of a prior of 0.7 mm, stand elsewhere by their own right
+        some = [f"{figure:.6g}" for figure in figures if np.isfinite(figure)]
+        some = [text for text in some if len(text.partition("e")[0].strip("-0.").replace(".", "")) >= 5]
+        assert some or kind == "flange", kind
+        told.update(dict.fromkeys(some, kind))
+    return told
+
+
+def test_no_figure_of_accuracy_stands_anywhere_in_the_result(denied, capsys):
+    """The whole document is walked: a part that somebody adds later is looked at too."""
+    folder, found = denied
+    told = forced(found)
+    assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--json"]) == 1
+    printed = json.loads(capsys.readouterr().out)
+    written = json.loads((folder / "out" / "result.json").read_text())
+    for document in (written, printed, found.to_dict()):
+        leaks = {text: told[text] for text in (f"{number:.6g}" for number in numbers_in(document)) if text in told}
+        assert not leaks
+    good = json.loads(json.dumps(jsonable(calibration_document(sound(found)))))
+    assert {told[text] for text in (f"{number:.6g}" for number in numbers_in(good)) if text in told} >= {
+        *("tip", "std", "covariance", "cure", "direction", "face")
+    }, "this would not see them"
+
+
+def sound(found):
+    """The same calibration with a verdict that denies nothing."""
+    bare = dataclasses.replace(found).unjudged
+    vars(bare)["plain_errors"] = vars(bare)["data_errors"] = ()
+    vars(bare)["noise"] = dataclasses.replace(bare.noise, low=1.0)
+    return bare
+
+
+def test_nor_in_the_report_or_at_length(denied, capsys):
+    folder, found = denied
+    page = (folder / "out" / "report.html").read_text()
+    left_out = page.partition('id="left-out"')[2].partition("</table>")[0]
+    assert "Found, mm RMS" in left_out
+    assert "redicted" not in left_out.partition("</caption>")[2]
+    directions = page.partition('id="directions"')[2].partition("</table>")[0]
+    assert directions
+    assert not re.search(r"<td[^>]*>[0-9.e-]+</td>", directions)
+    assert 'id="correlations"' not in page
+    assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--verbose"]) == 1
+    said = capsys.readouterr().out
+    assert "each face by the others" in said
+    for words in ("predicted", "at the tip under the prior", "correlated above"):
+        assert words not in said
+    found.report(folder / "again.html")
+    assert "Not stated: a figure would be worth nothing" in (folder / "again.html").read_text()
+
+
+def test_nor_does_any_attribute(denied):
+    """Public figures of the object: NaN, nothing, or a sentence; the verdict itself still rests on the real ones."""
+    folder, found = denied
+    assert not found.success
+    assert not found.passed
+    assert found.unjudged.passed
+    assert not casacal.load(folder / "out").success
+    assert np.isnan(found.tip_std).all()
+    assert np.isnan(found.flange_std).all()
+    assert np.isnan(found.tip_std_without_prior[0])
+    assert np.isnan(found.tip_from_minimum)
+    assert np.isnan(found.covariance).all()
+    assert found.cures == ()
+    assert np.isnan([each.tip_mm for each in (*found.identifiability.null, *found.identifiability.weak)]).all()
+    assert np.isnan([each.predicted_mm for each in found.left_out]).all()
+    with pytest.raises(CasacalError, match=r"Do not use this result.*; so nothing is known of how uncertain"):
+        found.plot_tip_std()
+    again = dataclasses.replace(found)
+    said = verdict_of(again)
+    assert again.tip_std is not None  # asked for before and after: the same verdict
+    assert verdict_of(again) == said == verdict_of(found.unjudged)
+    assert not any("no bound" in reason for reason in said.reasons)
+
+
+WITHHELD = {
+    *("passed", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
+    *("identifiability", "left_out"),
+}
+
+
+def test_all_else_is_what_it_was(denied):
+    """No further figure is worked out from what is withheld: such a one would be quietly wrong."""
+    _, found = denied
+    names = {name for name, item in vars(Calibration).items() if isinstance(item, (property, cached_property))}
+    assert names > WITHHELD
+    for name in sorted(names):
+        told, real = getattr(found, name), getattr(found.unjudged, name)
+        same = told == real if isinstance(told, BoundProblem) else alike(told, real)
+        assert same is (name not in WITHHELD), name
 
 
 def test_nor_does_the_object(denied):

@@ -6,17 +6,21 @@ import json
 import os
 import random
 import shutil
+from typing import get_args
 
 import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
+from seals import resealed
 from test_export import PLAIN
 from test_own_instrument import written
 
 import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
+from casacal.calibration.verdict import Level
 from casacal.cli.main import main
+from casacal.compensation.document import LEVELS
 from casacal.compensation.result_file import SCHEMA, read_result
 from casacal.graphs import graph_data, graph_from
 from casacal.problem.as_data import problem_data, problem_from
@@ -204,7 +208,7 @@ def test_no_code_is_run(tmp_path):
     with pytest.raises(CasacalError, match="has changed since"):
         load(place / "out")
     document = json.loads((place / "out" / "result.json").read_text())
-    older = {key: item for key, item in document.items() if key not in ("schema", "arm")}
+    older = {key: item for key, item in document.items() if key not in ("schema", "arm", "seal")}
     older["problem"] = {"name": "own", "path": str(place / "problem.py"), "sha256": source.sha256}
     (tmp_path / "older.json").write_text(json.dumps(older))
     with pytest.raises(CasacalError, match="has changed since"):
@@ -233,9 +237,86 @@ def test_an_arm_that_was_changed_in_the_file_is_refused(made, tmp_path):
     text = (made / "dh" / "out" / "result.json").read_text()
     document = json.loads(text)
     document["arm"]["arm"]["a"][1] += 1.0
+    for changed in (document, resealed(document)):
+        (tmp_path / "r.json").write_text(json.dumps(changed))
+        with pytest.raises(CasacalError, match="changed after it was written"):
+            read_result(tmp_path / "r.json")
+
+
+EDITED = {
+    "the level": lambda d: d["verdict"].update(level="use with care"),
+    "the words": lambda d: d["verdict"].update(words="Calibrated: expect a tip error of 0.001 mm."),
+    "the tip": lambda d: d["tip"].update(expected_rms_mm=0.01),
+    "the covariance, scaled": lambda d: d.update(covariance=(1e-4 * np.array(d["covariance"])).tolist()),
+    "no convergence": lambda d: d.update(converged=False),
+    "the method": lambda d: d.update(method="truth"),
+    "the noise": lambda d: next(iter(d["noise"]["by_face"].values())).update(used_mm=0.5),
+    "the hash of the rows": lambda d: d["data"].update(sha256="0" * 64),
+    "the rows": lambda d: d["data"]["fitted"]["values"].reverse(),
+    "no rows": lambda d: d["data"].pop("fitted"),
+    "no noise": lambda d: d.pop("noise"),
+    "metrics": lambda d: d["metrics"]["after"]["fit"].update(rmse_mm=0.0),
+    "a null": lambda d: d.update(covariance=None),
+    "the seal's keys": lambda d: d["seal"]["of"].remove("verdict"),
+    "the seal's keys and what they name": lambda d: (d["seal"]["of"].remove("noise"), d.pop("noise")),
+    "the seal": lambda d: d["seal"].update(sha256="0" * 64),
+    "no seal": lambda d: d.pop("seal"),
+    "an empty seal": lambda d: d.update(seal=None),
+    "a seal of nothing": lambda d: d.update(seal={"of": [], "sha256": d["seal"]["sha256"]}),
+    "a seal of numbers": lambda d: d.update(seal={"of": [3, {}], "sha256": d["seal"]["sha256"]}),
+    "an older schema": lambda d: d.update(schema=0),
+}
+
+
+@pytest.mark.parametrize("edit", EDITED)
+def test_whatever_was_edited_by_hand_is_noticed(made, tmp_path, edit):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    assert document == resealed(document), "the seal is what its words say"
+    EDITED[edit](document)
     (tmp_path / "r.json").write_text(json.dumps(document))
+    with pytest.raises(CasacalError, match=r"changed after it was written. Restore it, or calibrate again"):
+        load(tmp_path / "r.json")
+
+
+@pytest.mark.parametrize("level", [None, "DO NOT USE", "calibrated!", 3, "", ["calibrated"]])
+def test_a_verdict_that_says_nothing_known_is_refused(made, tmp_path, level):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    document["verdict"]["level"] = level
+    (tmp_path / "r.json").write_text(json.dumps(resealed(document)))
+    with pytest.raises(CasacalError, match="its 'verdict' is"):
+        load(tmp_path / "r.json")
+    for missing in (lambda d: d.pop("verdict"), lambda d: d.update(verdict=None)):
+        missing(document)
+        (tmp_path / "r.json").write_text(json.dumps(resealed(document)))
+        with pytest.raises(CasacalError, match="it holds no verdict"):
+            load(tmp_path / "r.json")
+        document["verdict"] = {}
+
+
+def test_what_others_add_layout_and_seconds_break_no_seal(made, tmp_path):
+    file = made / "dh" / "out" / "result.json"
+    document = json.loads(file.read_text())
+    document["seconds"]["total"] = 0.0
+    changed = {"remark": "cell 4", **dict(reversed(document.items()))}
+    (tmp_path / "r.json").write_text(json.dumps(changed, indent=7))
+    q = np.full((1, 3), 0.3)
+    found, first = load(tmp_path / "r.json").predict(q, std=True), load(file).predict(q, std=True)
+    np.testing.assert_array_equal(found.std, first.std)
+
+
+def test_a_truth_has_a_seal_and_needs_no_verdict(made, tmp_path):
+    document = json.loads((made / "dh" / "samples.truth.json").read_text())
+    assert "verdict" not in document
+    assert document == resealed(document)
+    load(made / "dh" / "samples.truth.json")
+    document["seed"] += 1
+    (tmp_path / "t.json").write_text(json.dumps(document))
     with pytest.raises(CasacalError, match="changed after it was written"):
-        read_result(tmp_path / "r.json")
+        load(tmp_path / "t.json")
+
+
+def test_the_levels_of_a_file_are_those_of_a_verdict():
+    assert get_args(Level) == LEVELS
 
 
 def mutated(document, rng):
@@ -260,10 +341,14 @@ def mutated(document, rng):
 def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
     """Whatever one changes: an answer or a sentence, in all that is asked of a result."""
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
-    del document["cures"]  # nothing that is asked here reads them, so that damage to them is no damage
+    del (
+        document["cures"],
+        document["data"]["fitted"],
+    )  # nothing that is asked here reads them, so that damage to them is no damage
     rng, q, said = random.Random(0), np.zeros((1, 3)), []
     for _ in range(90):
-        (tmp_path / "r.json").write_text(json.dumps(mutated(document, rng)))
+        changed = mutated(document, rng)
+        (tmp_path / "r.json").write_text(json.dumps(resealed(changed) if "seal" in changed else changed))
         try:
             saved = load(tmp_path / "r.json")
             _ = repr(saved), saved.success, saved.message, saved.cost, saved.parameters, saved.metrics
@@ -275,13 +360,13 @@ def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
     assert not [sentence for sentence in said if "\n" in sentence]
 
 
-def resealed(document, edit):
+def with_arm_edited(document, edit):
     """A copy with an edited arm whose hash was made anew: what somebody who knows how may write."""
     changed = copy.deepcopy(document)
     edit(changed["arm"])
     kept = {key: item for key, item in changed["arm"].items() if key != "sha256"}
     changed["arm"]["sha256"] = hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
-    return changed
+    return resealed(changed)
 
 
 @pytest.mark.parametrize(
@@ -298,14 +383,14 @@ def resealed(document, edit):
 )
 def test_an_arm_of_the_wrong_kind_is_refused(made, tmp_path, edit):
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
-    (tmp_path / "r.json").write_text(json.dumps(resealed(document, edit)))
+    (tmp_path / "r.json").write_text(json.dumps(with_arm_edited(document, edit)))
     with pytest.raises(CasacalError):
         load(tmp_path / "r.json")
 
 
 def test_a_result_that_says_two_things_is_refused(made, tmp_path):
     text = (made / "dh" / "out" / "result.json").read_text()
-    for edit in ("parameters", "unknowns", "covariance", "huge"):
+    for edit in ("parameters", "unknowns", "covariance", "huge", "negative"):
         document = json.loads(text)
         if edit == "parameters":
             document["parameters"][0]["estimate"] += 0.01
@@ -313,10 +398,12 @@ def test_a_result_that_says_two_things_is_refused(made, tmp_path):
             document["unknowns"][0]["value"] += 0.01
         elif edit == "covariance":
             document["covariance"][0][1] *= 1.01
-        else:
+        elif edit == "huge":
             document["covariance"][0][1] = 1e200
-        (tmp_path / "r.json").write_text(json.dumps(document))
-        with pytest.raises(CasacalError, match=r"two things|symmetric"):
+        else:
+            document["covariance"] = (-np.array(document["covariance"])).tolist()
+        (tmp_path / "r.json").write_text(json.dumps(resealed(document)))
+        with pytest.raises(CasacalError, match=r"two things|symmetric|negative"):
             load(tmp_path / "r.json")
     for edit in ({"covariance_of": ["a1"]}, {"covariance_of": [1]}, {"covariance_of": "a1"}, {"covariance_of": ["z9"]}):
         (tmp_path / "r.json").write_text(json.dumps(json.loads(text) | edit))
@@ -332,5 +419,5 @@ def test_files_that_a_result_names_are_read_only_if_they_are_files(made, tmp_pat
     os.mkfifo(tmp_path / "pipe")
     for path in ("/dev/zero", str(tmp_path / "pipe")):
         document["problem"]["files"][0]["path"] = path
-        (tmp_path / "r.json").write_text(json.dumps(document))
+        (tmp_path / "r.json").write_text(json.dumps(resealed(document)))
         assert load(tmp_path / "r.json").predict(np.zeros((1, 3))).positions.shape == (1, 3)

@@ -6,11 +6,13 @@ import pickle
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, kstest
+from seals import resealed
 
 from casacal import (
     CasacalError,
@@ -32,6 +34,9 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.files import jsonable, write_json
+from casacal.samples.copies import MOST, copies, fitted_among, is_listing, listing
+from casacal.samples.layout import Layout
+from casacal.samples.samples import joined
 from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
 from casacal.verification.figures import LEVEL
 
@@ -486,6 +491,178 @@ def test_refusals(good, hsr):
         verify(held, fresh)
 
 
+# ------------------------------------------------------------------------------------------ rows that are not fresh
+
+
+@pytest.fixture(scope="module")
+def spent(hsr):
+    """A calibration as it is saved, its samples, and fresh touches of the same arm, in memory."""
+    _, bound, *_ = drawn("hsr_jr680")
+    rng = np.random.default_rng(31)
+    x = true_arm(bound, rng)
+    some, fresh = halves(touched("hsr_jr680", x, rng))
+    return calibrate(hsr, some, method="lm", reference=False, outliers="keep").arm, some, fresh, x
+
+
+def frame_of(samples):
+    """Rows as they stand in a file: degrees, all digits."""
+    columns = {f"q{i + 1}_deg": np.degrees(q) for i, q in enumerate(samples.joints.T)}
+    return pd.DataFrame({**columns, "reading_mm": samples.columns["reading"], "plane": list(samples.labels["plane"])})
+
+
+def in_radians(frame):
+    joints = [name for name in frame if name.endswith("_deg")]
+    rest = frame.drop(columns=joints)
+    return pd.concat([pd.DataFrame({f"{name[:2]}_rad": np.radians(frame[name]) for name in joints}), rest], axis=1)
+
+
+def with_shift(frame, columns, by):
+    return frame.assign(**{name: frame[name] + by for name in columns})
+
+
+JOINTS = tuple(f"q{i}_deg" for i in range(1, 7))
+DISGUISES = {
+    "none": lambda f: f,
+    "shuffled": lambda f: f.sample(frac=1, random_state=0),
+    "halved": lambda f: f.iloc[::2],
+    "reversed": lambda f: f.iloc[::-1],
+    "one row less": lambda f: f.iloc[1:],
+    "one row": lambda f: f.iloc[[7]],
+    "decimals cut": lambda f: f.round(dict.fromkeys(JOINTS, 2)),
+    "decimals of all cut": lambda f: f.round(dict.fromkeys(JOINTS, 3) | {"reading_mm": 3}),
+    "radians": in_radians,
+    "labels renamed": lambda f: f.assign(plane=f["plane"] + " 2"),
+    "joints moved": lambda f: with_shift(f, JOINTS, 1e-3),
+    "one joint moved": lambda f: with_shift(f, ["q1_deg"], -1e-6),
+    "readings moved": lambda f: with_shift(f, ["reading_mm"], -1e-3),
+    "columns in another order": lambda f: f[list(f)[::-1]],
+    "twice": lambda f: pd.concat([f, f]),
+    "a remark added": lambda f: f.assign(day="Monday"),
+}
+
+
+@pytest.mark.parametrize("disguise", DISGUISES)
+def test_fitted_rows_are_known_whatever_they_wear(spent, disguise):
+    arm, some, _, _ = spent
+    with pytest.raises(SamplesError, match=r"the arm was calibrated from, which verifies nothing.*other postures"):
+        verify(arm, DISGUISES[disguise](frame_of(some)))
+
+
+def test_fresh_rows_among_fitted_ones_are_judged_alone(spent):
+    arm, some, fresh, _ = spent
+    new, old = frame_of(fresh), frame_of(some)
+    found, alone = verify(arm, pd.concat([new, old.iloc[:20]])), verify(arm, new)
+    assert (found.rows, len(found.fitted_lines), alone.fitted_lines) == (FRESH, 20, ())
+    assert found.chi_square == pytest.approx(alone.chi_square, rel=1e-9)
+    assert "20 rows of DataFrame are among those that the arm was calibrated from and do not count." in found.summary()
+    assert len(found.to_dict()["fitted_lines"]) == 20
+    assert verify(arm, pd.concat([new, old.iloc[: FRESH - 1]])).rows == FRESH
+    with pytest.raises(SamplesError, match="half of the rows or more are those that the arm was calibrated from"):
+        verify(arm, pd.concat([new, old.iloc[:FRESH]]))
+
+
+def test_the_same_postures_touched_again_are_fresh(spent):
+    """With readings of their own: of noise alone on the same faces, or on faces that moved."""
+    arm, some, _, _ = spent
+    rng = np.random.default_rng(32)
+    old = frame_of(some)
+    again = verify(arm, old.assign(reading_mm=old["reading_mm"] + rng.normal(size=len(old)) * 0.01))
+    assert again.rows > 0.7 * len(old)  # a reading may be the old one by chance
+    moved = verify(arm, old.assign(reading_mm=old["reading_mm"] + 0.2 + rng.normal(size=len(old)) * 0.01))
+    assert moved.rows == len(old)
+    assert moved.fitted_lines == ()
+
+
+def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
+    """What is simulated in memory is called by its seed: content decides, not the name."""
+    some, fresh = (simulate(hsr.problem, hsr.cell, samples=rows, seed=5).samples for rows in (90, 60))
+    assert some.sha256 == fresh.sha256
+    found = calibrate(hsr, some, method="lm", reference=False)
+    same = verify(found, dataclasses.replace(fresh, columns={"reading": fresh.columns["reading"] + 1.0}))
+    assert same.rows == 60
+    with pytest.raises(SamplesError, match="verifies nothing"):
+        verify(found, some)
+    held = calibrate(hsr, some, method="lm", reference=False, holdout=0.3)
+    assert verify(held, held.heldout.block.samples).rows == len(held.heldout.block.samples)
+
+
+def test_of_very_many_rows_a_spread_is_kept():
+    rng = np.random.default_rng(33)
+    layout = Layout(("angle", "length"), {"reading": "length"})
+
+    def rows(count):
+        joints = np.column_stack([rng.uniform(-3, 3, count), rng.uniform(0, 500, count)])
+        return Samples(joints, {"reading": rng.uniform(0, 9, count)}, {}, range(1, count + 1), {}, "f", "s")
+
+    many, other = rows(5 * MOST), rows(500)
+    listed = json.loads(json.dumps(listing(many, layout)))
+    assert len(listed["values"]) == MOST
+    assert is_listing(listed)
+    for part in (many, many.take(np.arange(0, len(many), 2)), many.take(rng.permutation(len(many))[:3000])):
+        assert fitted_among(part, layout, listed)[1] == pytest.approx(1.0, abs=0.15)
+    both = joined(many, other)
+    same, share = fitted_among(both, layout, listed)
+    assert share == pytest.approx(len(many) / len(both), rel=0.01)
+    assert not same[len(many) :].any()
+    assert fitted_among(other, layout, listed) == (pytest.approx(np.zeros(500)), 0.0)
+    elsewhere = Layout(("angle", "length"), {"x": "length"})
+    watched = dataclasses.replace(many, columns={"x": many.columns["reading"]})
+    assert not fitted_among(watched, elsewhere, listed)[0].any()  # another instrument
+
+
+def test_where_nothing_is_read_the_joints_are_the_reading():
+    layout, joints = Layout(("angle", "angle"), {}), np.random.default_rng(34).uniform(-2, 2, (30, 2))
+    listed = listing(Samples(joints, {}, {}, range(30), {}, "f", "s"), layout)
+    for by, same in ((0.0, 1.0), (1e-6, 1.0), (1e-5, 0.0)):  # touched again, joints differ by the noise
+        assert fitted_among(Samples(joints + by, {}, {}, range(30), {}, "f", "s"), layout, listed)[1] == same
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"rows": 1}, {"rows": "9"}, {"rows": True}, {"columns": "reading"}, {"columns": [1]}, {"values": []},
+        {"values": ["1 2", "1"]}, {"values": ["1 x", "1 2"]}, {"values": ["1 " + "9" * 400, "1 2"]}, {"values": [1, 2]},
+        {"values": ["1 -", "1 2"]}, {"values": ["1 --2", "1 2"]}, {"values": ["1 ²", "1 2"]}, {"rows": 10**40},
+    ],
+)  # fmt: skip
+def test_a_list_of_rows_that_is_none_is_refused(damage):
+    good = {"rows": 2, "columns": ["reading"], "values": ["1 2", "-3 4"]}
+    assert is_listing(good)
+    assert not is_listing(good | damage)
+
+
+@pytest.mark.parametrize("times", [2, 5])
+def test_rows_that_were_pasted_count_once(spent, times):
+    arm, _, _, x = spent
+    rng, kept = np.random.default_rng(35), 0
+    for _ in range(10):
+        fresh = frame_of(halves(touched("hsr_jr680", x, rng))[1])
+        once, often = verify(arm, fresh), verify(arm, pd.concat([fresh] * times))
+        assert len(often.copied_lines) == (times - 1) * FRESH
+        assert (often.rows, often.chi_square) == (once.rows, pytest.approx(once.chi_square, rel=1e-9))
+        kept += often.kept
+    assert kept >= binom.ppf(1e-3, 10, 1 - LEVEL)
+    assert f"{(times - 1) * FRESH} rows of DataFrame repeat others to the last digit and count once." in often.summary()
+    pasted = pd.concat([fresh, fresh.iloc[5:9]])
+    some = verify(arm, pasted)
+    assert some.copied_lines == tuple(Samples.from_frame(pasted, arm.source.problem.layout()).lines[FRESH:])
+    assert some.rows == FRESH
+
+
+def test_touches_made_again_on_a_coarse_dial_all_count():
+    """Ten postures touched six times each, read to whole hundredths: equal readings are no copies."""
+    rng = np.random.default_rng(36)
+    joints = np.repeat(rng.uniform(-2, 2, (10, 3)), 6, axis=0)
+    reading = np.round(3 + rng.normal(size=60) * 0.01, 2)
+    rows = Samples(joints, {"reading": reading}, {}, range(60), {}, "f", "s")
+    assert len(np.unique(np.column_stack([joints, reading]), axis=0)) < 45
+    assert not copies(rows).any()
+    assert copies(joined(rows, rows)).tolist() == [False] * 60 + [True] * 60
+    assert copies(rows.take(np.repeat(np.arange(60), 3))).sum() == 120
+    once = rows.take(np.arange(0, 60, 6))  # each posture once: whatever stands there again is a copy
+    assert copies(once.take([*range(10), 2, 2, 7])).tolist() == [False] * 10 + [True] * 3
+
+
 # ------------------------------------------------------------------------------------------------ files and commands
 
 
@@ -549,7 +726,7 @@ def test_a_result_that_must_not_be_used_says_so(by_command, capsys):
     document = json.loads((by_command / "result.json").read_text(encoding="utf-8"))
     document["verdict"] = {"level": "do not use", "words": "Do not use this result: it is spoiled.", "reasons": []}
     spoiled = by_command / "spoiled.json"
-    spoiled.write_text(json.dumps(document), encoding="utf-8")
+    spoiled.write_text(json.dumps(resealed(document)), encoding="utf-8")
     assert main(["verify", str(spoiled), str(by_command / "fresh.csv")]) == 0
     out = capsys.readouterr().out
     assert "The result's own verdict: Do not use this result" in out
@@ -564,7 +741,7 @@ def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
     document["noise"] = {"ratio": 3.0, "low": 2.6, "high": 3.5, "by_face": sizes}
     document["covariance"] = (9 * np.array(document["covariance"])).tolist()
     louder = by_command / "louder.json"
-    louder.write_text(json.dumps(document), encoding="utf-8")
+    louder.write_text(json.dumps(resealed(document)), encoding="utf-8")
     plain, found = (verify(by_command / name, by_command / "fresh.csv") for name in ("result.json", "louder.json"))
     assert found.predicted_mm == pytest.approx(3 * plain.predicted_mm, rel=0.1)
     assert found.chi_square < plain.chi_square / 5
@@ -574,7 +751,7 @@ def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
     rows = tracked(bound, bound.x0, np.array([20.0, 10.0, 60.0]), np.random.default_rng(17))
     everywhere = verify(louder, rows, problem=problem)
     document["noise"]["by_face"]["side"]["used_mm"] = 0.01
-    louder.write_text(json.dumps(document), encoding="utf-8")
+    louder.write_text(json.dumps(resealed(document)), encoding="utf-8")
     one = verify(louder, rows, problem=problem)
     assert everywhere.predicted_mm**2 - one.predicted_mm**2 == pytest.approx(3 * 0.0008, rel=0.1)
     for damaged in (
@@ -584,6 +761,6 @@ def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
         {"by_face": {"floor": 3}},
     ):
         document["noise"] = damaged
-        louder.write_text(json.dumps(document), encoding="utf-8")
+        louder.write_text(json.dumps(resealed(document)), encoding="utf-8")
         assert main(["verify", str(louder), str(by_command / "fresh.csv")]) == 2
         assert "its 'noise' is" in capsys.readouterr().err

@@ -35,6 +35,7 @@ def brief(
         room: lines there are.
 
     """
+    calibration = calibration.unjudged
     denied = verdict.level == "do not use"
     head = [_subject(calibration), verdict.words]
     tail = [] if denied else [*expected, _residual(calibration)]

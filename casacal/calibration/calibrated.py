@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import html
+import math
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
@@ -15,16 +19,100 @@ from casacal.calibration.result_json import calibration_document, write_calibrat
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
+from casacal.calibration.withheld import without_predictions, without_tips
 from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
+from casacal.uncertainty.cures import Cure
 from casacal.uncertainty.expectation import Box
+from casacal.uncertainty.identifiability import Identifiability
+from casacal.uncertainty.left_out import LeftOut
+from casacal.uncertainty.prior_moves import PriorMoves
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 class Calibrated(Calibration, AsArm):
-    """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures."""
+    """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures.
+
+    Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`
+    is the estimator's own, and no verdict governs it; `unjudged` has the figures all the same.
+    """
+
+    @cached_property
+    def unjudged(self) -> Calibration:
+        """The same calibration with its figures whatever the verdict: what the verdict itself is made of."""
+        bare = Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
+        vars(bare).update(vars(self))  # what was worked out already goes with it
+        return bare
+
+    @cached_property
+    def denied(self) -> bool:
+        """Whether the verdict is not to use this result; it may take the whole data check to know."""
+        return verdict_of(self).level == "do not use"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the method converged, the reference agrees where there must be a minimum, and nothing denies it."""
+        return self.unjudged.passed and not self.denied
+
+    @cached_property
+    def tip_std(self) -> tuple[float, float]:
+        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now.
+
+        NaN where the verdict is not to use this result.
+        """
+        return (math.nan, math.nan) if self.denied else self.unjudged.tip_std
+
+    @cached_property
+    def flange_std(self) -> tuple[float, float]:
+        """The same of the flange's origin, whatever tool it carries."""
+        return (math.nan, math.nan) if self.denied else self.unjudged.flange_std
+
+    @cached_property
+    def tip_std_without_prior(self) -> tuple[float, int]:
+        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+        alone, unseen = self.unjudged.tip_std_without_prior
+        return (math.nan if self.denied else alone), unseen
+
+    @cached_property
+    def tip_from_minimum(self) -> float:
+        """How far the tip stands from where the minimum puts it, mm RMS over the workspace; NaN as for `tip_std`."""
+        return math.nan if self.denied else self.unjudged.tip_from_minimum
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (s, s) of the unknowns of `seen`, mm and rad; NaN where the verdict denies it."""
+        known = self.unjudged.covariance
+        return np.full_like(known, math.nan) if self.denied else known
+
+    @cached_property
+    def cures(self) -> tuple[Cure, ...]:
+        """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
+        return () if self.denied else self.unjudged.cures
+
+    @cached_property
+    def advice(self) -> tuple[str, ...]:
+        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+        return self.unjudged.advice
+
+    @cached_property
+    def prior_moves(self) -> PriorMoves:
+        """How far arm and tool moved beyond what their priors allow, all together."""
+        return self.unjudged.prior_moves
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
+        found = self.unjudged.identifiability
+        return without_tips(found) if self.denied else found
+
+    @cached_property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
+        found = self.unjudged.left_out
+        return without_predictions(found) if self.denied else found
 
     @property
     def x(self) -> Array:
@@ -38,7 +126,7 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def success(self) -> bool:
-        """Whether the method did all it promises and, where it promises the minimum, the reference agrees."""
+        """Whether the method did all it promises, the reference agrees, and the verdict is not "do not use"."""
         return self.passed
 
     @property
@@ -64,8 +152,7 @@ class Calibrated(Calibration, AsArm):
         """
         import pandas as pd
 
-        denied = verdict_of(self).level == "do not use"
-        rows = parameter_rows(self.fit, self.result.x, self.result.std, denied=denied)
+        rows = parameter_rows(self.fit, self.result.x, self.result.std, denied=self.denied)
         table = pd.DataFrame(rows).set_index("name")
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})
@@ -95,7 +182,7 @@ class Calibrated(Calibration, AsArm):
         """
         from casacal.calibration.page import report_page
 
-        write_text(path, report_page(self, self.arm.document, box=box))
+        write_text(path, report_page(self.unjudged, calibration_document(self), box=box))
         return Path(path)
 
     def summary(self) -> str:
@@ -116,12 +203,20 @@ class Calibrated(Calibration, AsArm):
         return self._drawn(plot_convergence, ax, (6.0, 4.0))
 
     def plot_tip_std(self, ax: Any = None) -> Any:
-        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`."""
+        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`.
+
+        Raises CasacalError where the verdict is not to use this result.
+        """
+        if self.denied:
+            raise CasacalError(
+                f"{verdict_of(self).words.removesuffix('.')}; so nothing is known of how uncertain the tip is",
+                "Mend what the verdict names, and calibrate again",
+            )
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:
         (before, now), level = self.tip_std, verdict_of(self).level
-        shown = "" if level == "do not use" else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
+        shown = "" if self.denied else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
         name = self.fit.problem.robot.name
         return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
 

@@ -23,7 +23,7 @@ def next_step(
     """
     check = f"casacal check {about}"
     if verdict.level == "do not use":
-        return _repair(calibration, check)
+        return _repair(calibration.unjudged, check)
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         return f"settle the doubt; {check} looks closer at the samples{kept}."

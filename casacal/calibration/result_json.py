@@ -29,11 +29,14 @@ from casacal.calibration.result_parts import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
+from casacal.calibration.withheld import without_predictions
+from casacal.compensation.seal import sealed
 from casacal.errors import CasacalError
 from casacal.file_sets import side_by_side, together
 from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
+from casacal.samples.copies import listing
 from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
@@ -50,11 +53,13 @@ def calibration_document(
     calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
+    calibration = calibration.unjudged
     result, fit = calibration.result, calibration.fit
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
     pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
-    return {
+    left_out = without_predictions(calibration.left_out) if denied else calibration.left_out
+    document = {
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
         "data": {
@@ -63,15 +68,16 @@ def calibration_document(
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
             "heldout_by": calibration.heldout_by,
+            "fitted": listing(fit.block.samples, fit.problem.layout()),
         },
         "cost": result.cost,
         "parameters": parameter_rows(fit, result.x, result.std, denied=denied),
         **geometry(fit, result),
         "metrics": calibration.metrics,
-        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in calibration.left_out],
+        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
         "tip": None if denied else tip_part(calibration),
         "noise": noise_part(calibration),
-        "identifiability": what_is_seen(calibration),
+        "identifiability": what_is_seen(calibration, denied=denied),
         "cures": [] if denied else cures_part(calibration),
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
@@ -82,12 +88,13 @@ def calibration_document(
         "reference": reference_part(calibration.reference),
         **closing(result, calibration.seconds),
     }
+    return sealed(document)
 
 
 def truth_document(
     bound: BoundProblem, truth: Result, source: ProblemFile, seed: int, *, folder: Path | None = None
 ) -> dict[str, Any]:
-    """The truth behind simulated samples, in the shape of result.json."""
+    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
     samples = bound.block.samples
     known = parameter_rows(bound, truth.x, np.zeros(bound.unknowns))
     rows = [{**row, "note": "true value of the simulated arm"} for row in known]
@@ -132,6 +139,7 @@ def write_calibration(
     from casacal.calibration.page import report_page
     from casacal.calibration.pictures import save_plots
 
+    calibration = calibration.unjudged
     document = calibration_document(calibration, folder=folder)
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
@@ -173,7 +181,7 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
         written = replace(source.problem.read(rows), file=str(path))
         document = _truth_of(simulation, source, bind(source.problem, written), path.parent)
         document["data"]["file"] = path.name
-        write_json(answer, document)
+        write_json(answer, sealed(document))
     return [path, truth_path]
 
 

@@ -15,6 +15,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.reference import Reference
+from casacal.calibration.withheld import without_tips
 from casacal.least_squares.result import Result
 from casacal.uncertainty.identifiability import verdict
 from casacal.version import __version__
@@ -77,9 +78,10 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def what_is_seen(calibration: Calibration) -> dict[str, Any]:
-    """Rank, null and weak directions, each with its cure."""
+def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:
+    """Rank, null and weak directions, each with its cure; without tip errors where the verdict denies them."""
     found, cures = calibration.identifiability, iter(calibration.advice)
+    found = without_tips(found) if denied else found
     return {
         "unknowns": found.unknowns,
         "rank": found.rank,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.calibration.as_arm import AsArm
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, denial
 from casacal.compensation.result_file import read_result
 from casacal.problem.problem import Problem
 from casacal.values import Value
@@ -33,8 +33,8 @@ class SavedCalibration(Value, AsArm):
 
     @property
     def success(self) -> bool:
-        """Whether the method did all it promises, as the result says."""
-        return bool(self.found.document.get("converged", False))
+        """Whether the method did all it promises, as the result says, and its verdict is not "do not use"."""
+        return bool(self.found.document.get("converged", False)) and denial(self.found) is None
 
     @property
     def message(self) -> str:

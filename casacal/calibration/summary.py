@@ -22,16 +22,17 @@ SHOWN_PAIRS = 4
 
 def summary(calibration: Calibration, name: str) -> str:
     """Plain text of many lines; figures of accuracy are left out when the verdict denies them."""
-    verdict = verdict_of(calibration)
+    calibration, verdict = calibration.unjudged, verdict_of(calibration)
+    denied = verdict.level == "do not use"
     parts = [
         _opening(calibration, name),
         "\n".join([verdict.words, *(f"- {reason}" for reason in verdict.reasons)]),
         _residuals(calibration),
-        _left_out(calibration),
-        "" if verdict.level == "do not use" else _accuracy(calibration),
+        _left_out(calibration, denied),
+        "" if denied else _accuracy(calibration),
         parameter_table(calibration),
-        _blind_spots(calibration),
-        "" if verdict.level == "do not use" else _cures(calibration),
+        _blind_spots(calibration, denied),
+        "" if denied else _cures(calibration),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -93,14 +94,15 @@ def _residuals(calibration: Calibration) -> str:
     return "\n".join(lines)
 
 
-def _left_out(calibration: Calibration) -> str:
+def _left_out(calibration: Calibration, denied: bool) -> str:
     faces = calibration.left_out
     if not faces:
         return ""
     title = f"each face by the others, {calibration.fit.problem.instrument.words.unit} RMS"
-    lines = [f"{title:<41}{'found':>9}{'predicted':>11}{'ratio':>8}"]
+    lines = [f"{title:<41}{'found':>9}" + ("" if denied else f"{'predicted':>11}{'ratio':>8}")]
     for face in faces:
-        lines.append(f"  {face.face:<39}{face.actual_mm:>9.4f}{face.predicted_mm:>11.4f}{face.ratio:>8.2f}")
+        predicted = "" if denied else f"{face.predicted_mm:>11.4f}{face.ratio:>8.2f}"
+        lines.append(f"  {face.face:<39}{face.actual_mm:>9.4f}{predicted}")
     return "\n".join(lines)
 
 
@@ -124,7 +126,7 @@ def _accuracy(calibration: Calibration) -> str:
     )
 
 
-def _blind_spots(calibration: Calibration) -> str:
+def _blind_spots(calibration: Calibration, denied: bool) -> str:
     found = calibration.identifiability
     lines = [
         f"What these samples can tell: rank {found.rank} of {found.unknowns} unknowns "
@@ -136,7 +138,8 @@ def _blind_spots(calibration: Calibration) -> str:
         kind = direction.kind if isinstance(direction, NullDirection) else "weak"
         text = f"  {kind + ':':<11}{direction.words}"
         if cure != NOT_NEEDED:
-            text += f"\n{'':<13}{direction.tip_mm:.2g} mm at the tip under the prior; cure: {cure}"
+            costs = "" if denied else f"{direction.tip_mm:.2g} mm at the tip under the prior; "
+            text += f"\n{'':<13}{costs}cure: {cure}"
         named.append((direction.tip_mm, text))
     named.sort(key=lambda entry: -entry[0])  # the costly ones first
     lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
@@ -144,7 +147,7 @@ def _blind_spots(calibration: Calibration) -> str:
         lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight; result.json has them all")
     arm = np.flatnonzero(~calibration.seen.datum)  # planes are always correlated with each other and with the base
     names = [calibration.seen.names[j] for j in arm]
-    pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
+    pairs = [] if denied else correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
     if pairs:
         shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
         more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""

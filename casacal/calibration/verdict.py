@@ -45,6 +45,7 @@ class Verdict:
 
 def verdict_of(calibration: Calibration) -> Verdict:
     """Whether to use a result; what speaks against it decides, the weightiest first."""
+    calibration = calibration.unjudged
     against = _against(calibration)
     if against:
         return Verdict(

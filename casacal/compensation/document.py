@@ -8,8 +8,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from casacal.errors import CasacalError
+from casacal.samples.copies import is_listing
 from casacal.samples.layout import LARGEST
 
+LEVELS = ("calibrated", "use with care", "do not use")
+"""Of a verdict."""
 HUGE = 1e300
 """Numbers that no arm has; an integer may be too long for any float."""
 FIX = "Restore the file, or calibrate again"
@@ -41,6 +44,15 @@ def _is_size(value: Any) -> bool:
     return is_number(value) and value > 0
 
 
+def _is_verdict(value: Any) -> bool:
+    return isinstance(value, dict) and value.get("level") in LEVELS and is_text(value.get("words"))
+
+
+def _is_fitted(data: Mapping[str, Any]) -> bool:
+    fitted = data.get("fitted")
+    return fitted is None or (isinstance(fitted, dict) and is_listing(fitted))
+
+
 def _is_row(value: Any) -> bool:
     return isinstance(value, list) and all(map(is_number, value))
 
@@ -58,9 +70,9 @@ OPTIONAL: Mapping[str, Shape] = {
     "schema": lambda value: isinstance(value, int) and not isinstance(value, bool),
     "metrics": lambda value: isinstance(value, dict) and all(isinstance(each, dict) for each in value.values()),
     "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
-    "verdict": lambda value: isinstance(value, dict) and is_text(value.get("level")) and is_text(value.get("words")),
+    "verdict": _is_verdict,
     "arm": lambda value: isinstance(value, dict),
-    "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")),
+    "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")) and _is_fitted(value),
     "noise": lambda value: isinstance(value, dict) and _is_noise(value),
     "proposed": lambda value: isinstance(value, dict) and all(map(_is_row, value.values())),
     "versions": lambda value: isinstance(value, dict) and all(map(is_text, value.values())),
@@ -96,6 +108,8 @@ def check_document(file: str, document: Any) -> None:
     for key, fits in OPTIONAL.items():
         if document.get(key) is not None and not fits(document[key]):
             raise CasacalError(f"{file}: its '{key}' is {_short(document[key])}", FIX)
+    if document.get("verdict") is None and document.get("schema") and document.get("method") != "truth":
+        raise CasacalError(f"{file}: it holds no verdict", FIX)
     some = document.get("covariance_of", list(values))
     if not isinstance(some, list) or not all(map(is_text, some)) or not set(some) <= set(values):
         raise CasacalError(f"{file}: its 'covariance_of' is {_short(some)}", FIX)
@@ -128,6 +142,8 @@ def _check_covariance(file: str, rows: Any, count: int) -> None:
     numbers = lists and all(len(row) == count and all(map(is_number_or_null, row)) for row in rows)
     if not numbers or not all(_symmetric(rows, i, j) for i in range(count) for j in range(i)):
         raise CasacalError(f"{file}: its covariance is no symmetric table of {count} x {count} numbers", FIX)
+    if any((rows[i][i] or 0.0) < 0 for i in range(count)):
+        raise CasacalError(f"{file}: its covariance has negative variances", FIX)
 
 
 def _symmetric(rows: list[list[float | None]], i: int, j: int) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.document import check_document
+from casacal.compensation.seal import check_seal
 from casacal.errors import CasacalError
 from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
@@ -28,8 +29,11 @@ from casacal.robots.robot import Arm
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Parameter
 
-SCHEMA = 1
+SCHEMA = 2
 """Of the files that this version writes. Those without a number are older: they need their problem.py."""
+
+SEALED_FROM = 2
+"""Schema from which on a result has a seal."""
 
 LARGEST_SOURCE = 100_000_000
 """Bytes beyond which a file is none that an arm was made from."""
@@ -41,7 +45,8 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     The problem is the one that is given, else the one that the result holds. A result from before results held one
     runs the problem.py that it names, once its SHA-256 is that of the calibration.
 
-    Raises CasacalError when it is not one, is damaged or newer than this version, or its arm has changed since.
+    Raises CasacalError when it is not one, is damaged, was changed after it was written, is newer than this version, or
+    its arm has changed since.
     """
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     document = _read(place)
@@ -73,6 +78,8 @@ def _read(place: Path) -> dict[str, Any]:
             f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})", "Update casacal"
         )
     check_document(str(place), document)
+    if "seal" in document or (document.get("schema") or 0) >= SEALED_FROM:
+        check_seal(str(place), document)
     return document  # type: ignore[no-any-return]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from casacal.errors import counted
 from casacal.values import Value
 
 LEVEL = 0.05
@@ -49,6 +50,8 @@ class Figures(Value):
     promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
     base stands and how another instrument is mounted, and the part of it that rows like these would leave; infinite
     where nothing bounds it.
+    copied_lines, fitted_lines: rows that were left out: copies of others among them, and those that the arm was
+    calibrated from.
     accuracy: whether residuals are errors of the tip itself. thing: what was measured, as in "planes". unit: of it all.
     """
 
@@ -80,6 +83,20 @@ class Figures(Value):
     accuracy: bool
     things: str
     unit: str
+    copied_lines: tuple[int, ...] = ()
+    fitted_lines: tuple[int, ...] = ()
+
+    @property
+    def left_out(self) -> list[str]:
+        """Rows that were not judged, a sentence for each reason."""
+        said = []
+        for lines, why in (
+            (self.copied_lines, "of {} repeat others to the last digit and count once"),
+            (self.fitted_lines, "of {} are among those that the arm was calibrated from and do not count"),
+        ):
+            if lines:
+                said.append(f"{counted(len(lines), 'row')} {why.format(self.samples)}.")
+        return said
 
     @property
     def kept(self) -> bool:

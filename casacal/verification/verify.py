@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibrate import samples_from
@@ -19,6 +21,7 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
+from casacal.samples.copies import copies, fitted_among
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import fresh_rows
 from casacal.verification.judged import judged
@@ -26,6 +29,9 @@ from casacal.verification.verification import Verification
 
 SAME = 1e-6
 """Difference (mm; of a rotation's elements) of two poses below which arms are one."""
+
+SPENT = 0.5
+"""Part of the rows that are those of the calibration, from which on they verify nothing."""
 
 COMPARED = 8
 """Random joint values at which they are compared."""
@@ -45,7 +51,8 @@ def verify(
     instrument. What is left is compared with its predicted covariance: of what the calibration may err by, from the
     posterior in result.json, and of the noise as the calibration used it. The sum of squares is chi-square with rows
     less fitted unknowns degrees of freedom (F where the calibration itself found the noise), and the promise is kept
-    unless it is larger than 95 % of those of a good arm.
+    unless it is larger than 95 % of those of a good arm. Rows that were pasted again count once, and
+    rows that the arm was calibrated from do not count.
 
     Args:
         result: a calibration, what `load` or `read_result` returns, or the path of a result.json or its folder.
@@ -60,7 +67,7 @@ def verify(
         What was found; residuals in mm.
 
     Raises CasacalError for what is no result, another arm, or a tolerance that is none; UnknownNameError for something
-    else standing; SamplesError for rows that do not fit, are too few, or are those of the calibration.
+    else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the calibration.
 
     """
     if tolerance is not None and not (isinstance(tolerance, (int, float)) and 0 < tolerance < math.inf):
@@ -70,7 +77,7 @@ def verify(
     arm = _arm(result)
     source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
     rows = samples_from(samples, source)
-    _refuse_fitted(arm, rows)
+    rows, copied, fitted = _fresh_among(arm, rows, source.problem)
     unit = source.problem.instrument.words.unit
     if tolerance is not None and unit != "mm":
         raise CasacalError(f"A tolerance in mm came for residuals in {unit}", "Leave it out")
@@ -78,7 +85,8 @@ def verify(
         fresh = fresh_rows(arm, source.problem, rows, other=problem is not None, standing=standing)
         if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
             raise SamplesError(rows.file, "the residuals of some rows are not finite", "Check their values with check")
-    return judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance))
+    found = judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance))
+    return replace(found, copied_lines=copied, fitted_lines=fitted)
 
 
 def _arm(result: Any) -> CalibratedArm:
@@ -133,12 +141,29 @@ def _same_arm(one: Robot, two: Robot) -> bool:
     return True
 
 
-def _refuse_fitted(arm: CalibratedArm, rows: Samples) -> None:
-    """Refuse the very rows that the arm was fitted to."""
-    fitted = (arm.document.get("data") or {}).get("sha256")
-    if fitted and rows.sha256 == fitted and arm.document.get("method") != "truth":
+def _fresh_among(
+    arm: CalibratedArm, rows: Samples, problem: Problem
+) -> tuple[Samples, tuple[int, ...], tuple[int, ...]]:
+    """Rows that count, and the lines of those that do not: copies of others, and rows that the arm was calibrated from.
+
+    Raises SamplesError where half of the rows or more are those that were fitted.
+    """
+    again = copies(rows)
+    once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
+    seen, part = np.zeros(len(once), dtype=bool), 0.0
+    if data.get("fitted") is not None:
+        seen, part = fitted_among(once, problem.layout(), data["fitted"])
+    elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
+        part = 1.0  # a result from before results held their rows
+    if part >= SPENT:
+        said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
         raise SamplesError(
             rows.file,
-            "these are the rows that the arm was calibrated from, which verifies nothing",
+            f"{said} that the arm was calibrated from, which verifies nothing",
             "Take fresh rows, in other postures",
         )
+    return once.take(np.flatnonzero(~seen)), _lines(rows, again), _lines(once, seen)
+
+
+def _lines(rows: Samples, which: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(rows.lines[k]) for k in np.flatnonzero(which).tolist())

@@ -20,6 +20,7 @@ def told(found: Figures) -> list[str]:
     return [
         _answer(found),
         *_own_verdict(found),
+        *found.left_out,
         _residuals(found),
         _statistic(found),
         *(_face(found, face) for face in found.faces[:SHOWN]),

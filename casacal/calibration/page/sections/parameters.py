@@ -37,7 +37,7 @@ def parameters_section(calibration: Calibration, document: Mapping[str, Any]) ->
         ),
         table("parameter-table", "Parameters, nominal and calibrated", columns, rows, look="wide") if rows else None,
         paragraph(f"Held at nominal: {', '.join(held)}.", style="note") if held else None,
-        _correlations(calibration),
+        None if document["verdict"]["level"] == "do not use" else _correlations(calibration),
     )
 
 

@@ -28,7 +28,7 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
-        *_left_out(document["leave_one_face_out"]),
+        *_left_out(document),
         _noise(touches, document["noise"]),
         histograms(touches),
         row_plots(touches),
@@ -47,18 +47,20 @@ def _table(document: Mapping[str, Any]) -> Markup:
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
 
 
-def _left_out(faces: list[Mapping[str, Any]]) -> list[Markup]:
-    """Each face as the arm predicts it that the others give."""
+def _left_out(document: Mapping[str, Any]) -> list[Markup]:
+    """Each face as the arm predicts it that the others give; no prediction where the verdict denies it."""
+    faces = document["leave_one_face_out"]
     if not faces:
         return []
-    columns = [("Face", WORDS), ("Rows", NUMBER), ("Found, mm RMS", NUMBER), ("Predicted, mm RMS", NUMBER)]
-    columns += [("Found over predicted", NUMBER), ("Chance of so much", NUMBER)]
+    predicted = [("Predicted, mm RMS", "predicted_mm", 4), ("Found over predicted", "ratio", 2)]
+    shown = [("Found, mm RMS", "actual_mm", 4), *(predicted if document["verdict"]["level"] != "do not use" else [])]
+    columns = [("Face", WORDS), ("Rows", NUMBER), *((title, NUMBER) for title, _, _ in shown)]
+    columns += [("Chance of so much", NUMBER)]
     rows = [
         [
             shortened(face["face"], 60),
             f"{face['rows']:,}",
-            *(fixed(face[key], 4) for key in ("actual_mm", "predicted_mm")),
-            fixed(face["ratio"], 2),
+            *(fixed(face[key], digits) for _, key, digits in shown),
             f"{face['p']:.2g}",
         ]
         for face in faces

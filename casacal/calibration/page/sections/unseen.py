@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -58,7 +59,12 @@ def _next(document: Mapping[str, Any]) -> Markup:
 
 def _costly(directions: Sequence[Mapping[str, Any]]) -> Markup:
     rows = [
-        [each["words"], each["kind"], f"{each['tip_mm']:.2g}", each["cure"][:1].upper() + each["cure"][1:]]
+        [
+            each["words"],
+            each["kind"],
+            "–" if math.isnan(each["tip_mm"]) else f"{each['tip_mm']:.2g}",
+            each["cure"][:1].upper() + each["cure"][1:],
+        ]
         for each in directions[:SHOWN]
     ]
     columns = [("What moves unseen", WORDS), ("Kind", WORDS), ("At the tip, mm", NUMBER), ("Cure", WORDS)]
