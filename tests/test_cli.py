@@ -280,6 +280,22 @@ def test_too_few_rows_for_the_unknowns(run, tmp_path):
     code, _, err = run("calibrate", HSR, few)
     assert code == 2
     assert "20 rows are fitted for 33 unknowns" in err
+    assert "Take at least 33 samples" in err
+
+
+def test_rows_that_a_face_lacks_come_with_the_total(run, tmp_path):
+    """Who follows the advice on the face alone is not told at once that it was not enough."""
+    lines = (ROOT / "problems" / "hsr_jr680" / "samples.csv").read_text().splitlines()
+    header, *rows = [line for line in lines if not line.startswith("#")]
+    faces = {face: [row for row in rows if row.endswith(face)] for face in ("floor", "wall", "side")}
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join([header, *(row for some in faces.values() for row in some[:3])]) + "\n")
+    code, _, err = run("calibrate", HSR, few)
+    assert code == 2
+    assert "Take at least 4 rows there, and at least 33 in all for 33 unknowns" in err
+    few.write_text("\n".join([header, *(row for some in faces.values() for row in some[:11])]) + "\n")
+    code, _, err = run("calibrate", HSR, few, "--method", "lm", "--no-reference")
+    assert code != 2, err
 
 
 def test_a_problem_that_changed_since_is_noticed(run, tmp_path):

@@ -112,10 +112,11 @@ def calibrate(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
         if fit.rows < fit.unknowns:
+            least = -(-fit.unknowns * len(fit.block.samples) // fit.rows)
             raise SamplesError(
                 rows.file,
                 f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
-                "Take more samples, hold fewer out, or hold parameters with --fix",
+                f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix",
             )
         aside: tuple[Finding, ...] = ()
         if outliers == "set aside" and loss is None:

@@ -86,10 +86,20 @@ class Calibration(Value):
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
 
+    @property
+    def aside_lines(self) -> tuple[int, ...]:
+        """Lines of the rows that were set aside."""
+        return tuple(sorted({line for found in self.aside for line in found.lines}))
+
     @cached_property
     def noise(self) -> Noise:
         """Noise over what was stated, as this result's residuals show it, and the factors with which it was used."""
         return noise_over_stated(self.result)
+
+    @property
+    def noise_words(self) -> str:
+        """Which noise every figure uses: what was stated, or what the rows showed."""
+        return "noise as found" if self.noise.scale else "stated noise"
 
     @cached_property
     def heldout_x(self) -> tuple[Array, Array]:

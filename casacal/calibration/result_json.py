@@ -63,6 +63,7 @@ def calibration_document(
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
             "heldout_by": calibration.heldout_by,
+            "set_aside": len(calibration.aside_lines),
         },
         "cost": result.cost,
         "parameters": parameter_rows(fit, result.x, result.std, denied=denied),

@@ -106,7 +106,7 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
     found = calibration.aside
     if not found:
         return None
-    rows = sorted({line for each in found for line in each.lines})
+    rows = calibration.aside_lines
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
     each = " ".join(str(finding).removeprefix("error: ") for finding in found)
     return Doubt(said, f"{said}, and the others were fitted without {'it' if len(rows) == 1 else 'them'}: {each}")

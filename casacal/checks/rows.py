@@ -49,14 +49,13 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         reading = samples.columns[probe.column]
         bad = (reading < 0) | (reading > probe.travel)
         if bad.any():
-            longer = math.ceil(float(reading.max()))
             findings.append(
                 Finding(
                     "error",
                     "readings outside travel",
                     f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
                     f"(from {reading.min():g} to {reading.max():g} mm)",
-                    f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})",
+                    _within_travel(float(reading.min()), float(reading.max()), probe.travel),
                     _lines(samples, bad),
                 )
             )
@@ -73,6 +72,22 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
                 )
             )
     return findings
+
+
+def _within_travel(low: float, high: float, travel: float) -> str:
+    """What brings readings from low to high (mm) into a dial's travel, which begins at zero."""
+    if low >= 0:
+        return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={math.ceil(high)})"
+    longer = f", and declare the travel (--set travel={math.ceil(high - low)})" if high - low > travel else ""
+    if high < 0:
+        return (
+            "Check whether the sign of the column is reversed: readings count from zero up, so write them without the "
+            f"minus; or, where the dial's zero is off, add the same {-low:g} mm or more to all{longer}"
+        )
+    return (
+        f"Check the rows below zero and the column's unit; if they are right, the dial's zero is off by {-low:g} mm or "
+        f"more: readings must be zero or more, so add the same {-low:g} mm or more to all{longer}"
+    )
 
 
 def rounded(bound: BoundProblem) -> list[Finding]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.caution import caution
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
 from casacal.errors import CasacalError, UnknownNameError
@@ -130,6 +131,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     verb = "removes" if denial(result) is None else "changes"
     if (words := denial(result)) is not None:
         lines.append(f"WARNING, forced against the verdict: {words}")
+    if (care := caution(result)) is not None:
+        lines.append(f"the result's verdict: {care}")
     if reached.any():
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.caution import caution
 from casacal.version import __version__
 
 MARK = "casacal: "
@@ -22,6 +23,8 @@ def remark(result: CalibratedArm) -> list[str]:
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
     if (words := denial(result)) is not None:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
+    if (care := caution(result)) is not None:
+        lines.append(f"{MARK}the result's verdict: {care}")
     error = (document.get("tip") or {}).get("expected_rms_mm")
     shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [

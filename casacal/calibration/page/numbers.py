@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 
 def fixed(value: float | None, digits: int = 4, *, signed: bool = False) -> str:
@@ -27,6 +29,11 @@ def shown_unit(unit: str) -> tuple[str, float]:
 def count(number: int, word: str) -> str:
     """Number with its noun: 1 row, 2 rows, 1,000 rows."""
     return f"{number:,} {word}{'' if number == 1 else 's'}"
+
+
+def fitted_rows(data: Mapping[str, Any]) -> int:
+    """Rows that were fitted, of the `data` of a result.json."""
+    return int(data["samples"]) - int(data["heldout"]) - int(data["set_aside"])
 
 
 def shortened(words: str, longest: int) -> str:
