@@ -12,6 +12,7 @@ from conftest import ROOT
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
 from casacal.checks.dial_sign import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
+from casacal.checks.rows import outside
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.labels import Labels
@@ -264,9 +265,9 @@ def test_what_is_advised_on_readings_outside_travel_brings_them_inside(
     hsr, corner_simulation, low, high, travel, says, not_said
 ):
     """No travel helps against readings below zero; what is advised, followed to the letter, ends the error."""
-    samples, probe = corner_simulation.samples, hsr.problem.instrument
+    samples = corner_simulation.samples
     reading = np.linspace(low, high, len(samples))
-    problem = dataclasses.replace(hsr.problem, instruments=(dataclasses.replace(probe, travel=travel),))
+    problem = hsr.problem.with_settings({"travel": travel})
     (finding,) = outside(problem, with_reading(samples, reading))
     assert all(words in finding.fix for words in says)
     assert not_said not in finding.fix
@@ -282,9 +283,11 @@ def test_what_is_advised_on_readings_outside_travel_brings_them_inside(
 @pytest.mark.parametrize("count", [1, 3])
 def test_one_row_with_the_joints_of_another_may_be_that(hsr, corner_simulation, count):
     samples = corner_simulation.samples
-    joints = samples.joints.copy()
-    joints[:count] = joints[1 : 1 + 3 * count : 3]
-    (finding,) = (f for f in check(hsr.problem, moved(samples, joints)) if f.about == "labels exchanged")
+    joints, reading = samples.joints.copy(), samples.columns["reading"].copy()
+    floor, wall = (list(rows_of(samples, label, count)) for label in ("floor", "wall"))
+    joints[floor], reading[floor] = joints[wall], reading[wall]
+    found = check(hsr.problem, with_reading(moved(samples, lambda _: joints), reading))
+    (finding,) = (finding for finding in found if finding.about == "labels exchanged")
     assert ("or the joints, if they are another row's" in finding.fix) == (count == 1)
 
 

@@ -26,8 +26,8 @@ def histograms(touches: Touches) -> Markup:
     )
     caption = (
         "Histogram of the residuals, before (left or above) and after, each on its own scale; values beyond the axis "
-        f"stand in the outermost bars.{held} The dark line is what the {touches.calibration.noise_words} predicts; fitted rows lie a little "
-        "inside it."
+        f"stand in the outermost bars.{held} The dark line is what the {touches.calibration.noise_words} predicts; "
+        "fitted rows lie a little inside it."
     )
     return figure(caption, *(_histogram(touches, when) for when in TITLES))
 
