@@ -106,7 +106,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
             f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"
         )
     slots: list[Slot] = []
-    known = known or {}
+    fits_all, known = known is None, known or {}
 
     def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool) -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
@@ -122,7 +122,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
                 name = problem.prefix(i) + (key if label is None else f"{key}.{label}")
                 nominal = known.get(name, unknown.nominal)
                 if name not in known:
-                    check_rows(problem, i, key, unknown, label, rows, samples[i])
+                    check_rows(problem, i, key, unknown, label, rows, samples[i], fits_all=fits_all)
                 if nominal is None:
                     few = rows[:: -(-len(rows) // ENOUGH) or 1]
                     nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))

@@ -6,6 +6,7 @@ import math
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.verdict import Verdict, wrong_with_samples
+from casacal.calibration.warnings import VERIFY, doubts, suspicious
 from casacal.uncertainty.cures import Cure
 
 
@@ -26,6 +27,9 @@ def next_step(
         return _repair(calibration, check)
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
+        if suspicious(calibration):  # the data check has been asked, and names no cause
+            found = doubts(calibration)
+            return f"settle the doubt: {found[0].step if found else VERIFY}{kept}."
         return f"settle the doubt; {check} looks closer at the samples{kept}."
     if out is None:
         return "--out DIR keeps the result and its report, for casacal compensate, predict and export."

@@ -72,6 +72,8 @@ def _opening(calibration: Calibration, name: str) -> str:
     rows += "" if held is None else together(calibration)
     if calibration.aside:
         rows += f", {len(calibration.aside_lines)} set aside"
+    if calibration.copies:
+        rows += f", {calibration.copies} {'copy' if calibration.copies == 1 else 'copies'} left out"
     return (
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"

@@ -20,6 +20,9 @@ FAR = 4.0
 NOISE_BAND = (0.9, 1.1)
 """Found over stated noise: an interval outside this band is worth a warning."""
 
+LACK_OF_FIT = 2.0
+"""Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
+
 IMPROBABLE = 0.01
 """Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
 
@@ -32,12 +35,19 @@ SETTLED = 0.1
 SHOWN = 6
 
 
+VERIFY = "touch in other postures, and see with casacal verify whether the promise is kept there"
+
+
 @dataclass(frozen=True)
 class Doubt:
-    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence."""
+    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence.
+
+    step: what settles it, where the data check has been asked and names no cause.
+    """
 
     clause: str
     sentence: str
+    step: str = VERIFY
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -61,6 +71,21 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _ignored_rows,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
+
+
+def suspicious(calibration: Calibration) -> bool:
+    """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
+    # a robust fit has already set aside the rows that pull parameters far
+    far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
+    return far or not calibration.passed or calibration.noise.low > LACK_OF_FIT
+
+
+def _what_check_says(calibration: Calibration) -> str:
+    """What the data check says of the cause, or that nobody asked it."""
+    if not suspicious(calibration):
+        return "casacal check may tell"
+    named = [error.about for error in calibration.data_errors if error.about != "misfit"]
+    return f"the data check names {', '.join(named)}" if named else "the data check, which was asked, names no cause"
 
 
 def moves(calibration: Calibration) -> Array:
@@ -98,7 +123,9 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
     return Doubt(
         "parameters moved far beyond their priors",
         f"{said}. Either the priors are too tight for this arm by about as much (--accuracy, --prior), or the samples "
-        "pull them where they do not belong; casacal check may tell.",
+        f"pull them where they do not belong; {_what_check_says(calibration)}.",
+        "state wider priors if the arm may be so far from its drawing (--accuracy, --prior); if it may not, "
+        "touch again in other postures and see with casacal verify whether the promise is kept there",
     )
 
 
@@ -109,7 +136,9 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
     rows = calibration.aside_lines
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
     each = " ".join(str(finding).removeprefix("error: ") for finding in found)
-    return Doubt(said, f"{said}, and the others were fitted without {'it' if len(rows) == 1 else 'them'}: {each}")
+    it = "it" if len(rows) == 1 else "them"
+    step = f"measure {it} again, and calibrate with what is read then"
+    return Doubt(said, f"{said}, and the others were fitted without {it}: {each}", step)
 
 
 def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
@@ -120,7 +149,9 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
         return None
     (finding,) = found
     sentence = f"Tool elsewhere: {finding.cause}. {finding.fix}."
-    return Doubt("the tool stands elsewhere than the problem says", sentence)
+    return Doubt(
+        "the tool stands elsewhere than the problem says", sentence, f"{finding.fix[:1].lower()}{finding.fix[1:]}"
+    )
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
@@ -128,8 +159,8 @@ def _repeated_rows(calibration: Calibration) -> Doubt | None:
     if not again:
         return None
     (finding,) = again
-    sentence = f"{finding.cause[:1].upper()}{finding.cause[1:]}. {finding.fix}."
-    return Doubt("rows are repeated, so every standard deviation is too small", sentence)
+    sentence = f"{str(finding).removeprefix('warning: ').removesuffix('.')}; each was counted once."
+    return Doubt("some rows are copies of others", sentence, "remove the copies, or touch there again")
 
 
 def _lack_of_fit(calibration: Calibration) -> Doubt | None:
@@ -157,12 +188,14 @@ def _noise(calibration: Calibration) -> Doubt | None:
         return Doubt("the stated noise is too large", f"{said}: {advice}")
     if noise.scale:
         found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
-        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; casacal check may tell."
+        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; {_what_check_says(calibration)}."
     else:
         advice = "The standard deviations are too small by about as much. Raise noise_std, or find what is missing."
     return Doubt(
         "the residuals exceed the stated noise",
         f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. {advice}",
+        "touch some places three times each, which tells the scatter of touches from what the model leaves out, or "
+        "state the noise if it is known to be larger (--set noise_std=MM)",
     )
 
 

@@ -77,7 +77,8 @@ def exchanged_labels(
             lost.append(samples.lines[i])
     findings = [
         Finding(
-            "error", "labels exchanged", f"{counted(len(lines))} labelled '{label}' lie{'s' if len(lines) == 1 else ''} on '{fits}'",
+            "error", "labels exchanged",
+            f"{counted(len(lines))} labelled '{label}' lie{'s' if len(lines) == 1 else ''} on '{fits}'",
             "Correct the labels" + (", or the joints, if they are another row's" if len(lines) <= ONES_OWN else ""),
             tuple(lines),
         )

@@ -12,6 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.checks.finding import Finding, counted
 from casacal.problem.problem import Problem
+from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -21,22 +22,18 @@ ENOUGH_ROWS = 12
 
 
 def repeated(samples: Samples) -> list[Finding]:
-    """Rows that hold the same joints and columns as an earlier one."""
-    columns = [*samples.joints.T, *samples.columns.values()]
-    order = np.lexsort(columns)  # stable: of rows alike, the first comes first
-    alike = np.ones(len(order) - 1, dtype=bool)
-    for values in columns:
-        alike &= values[order[1:]] == values[order[:-1]]
-    again = sorted(samples.lines[i] for i in order[1:][alike].tolist())
-    if not again:
+    """Rows that hold the same joints, columns and labels as an earlier one."""
+    again = copies_of(samples)
+    if not again.any():
         return []
     return [
         Finding(
             "warning",
             "repeated rows",
-            f"{counted(len(again))} with the same joints and readings as an earlier row would count its noise again",
+            f"{counted(int(again.sum()))} with the same joints and readings as an earlier row would count its noise "
+            "again",
             "Remove them, unless the arm really went there twice and the dial read the same",
-            tuple(again),
+            _lines(samples, again),
         )
     ]
 

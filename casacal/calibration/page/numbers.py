@@ -31,9 +31,11 @@ def count(number: int, word: str) -> str:
     return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
-def fitted_rows(data: Mapping[str, Any]) -> int:
-    """Rows that were fitted, of the `data` of a result.json."""
-    return int(data["samples"]) - int(data["heldout"]) - int(data["set_aside"])
+def left_out_rows(data: Mapping[str, Any]) -> list[str]:
+    """Rows that were neither fitted nor held out, of the `data` of a result.json."""
+    copies = data["copies"]
+    found = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
+    return found + ([f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else [])
 
 
 def shortened(words: str, longest: int) -> str:
