@@ -7,7 +7,8 @@ from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, check_usable, denial
 from casacal.compensation.caution import caution
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.compensation.given import arm_from
+from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.c_code import c_text
 from casacal.export.dh import dh_text
 from casacal.export.remark import MARK, remark
@@ -43,8 +44,12 @@ def export(
     Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
 
     """
-    if form not in FORMS:
+    arm = arm_from(arm)
+    if not isinstance(form, str) or form not in FORMS:
         raise UnknownNameError("form", str(form), FORMS)
+    for place in (path, source):
+        if place is not None and not isinstance(place, (str, Path)):
+            raise CasacalError(f"{came(place)} came as a path", "Give a path, or nothing")
     if source is not None and form not in ("dh", "urdf"):
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, denial
 from casacal.compensation.caution import caution
+from casacal.compensation.given import arm_from
 from casacal.version import __version__
 
 MARK = "casacal: "
@@ -14,6 +15,7 @@ MARK = "casacal: "
 
 def remark(result: CalibratedArm) -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported."""
+    result = arm_from(result)
     document = result.document
     name = result.source.name
     if document.get("method") == "truth":

@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 from casacal.export.advice import other_forms
 from casacal.export.remark import MARK, remark
@@ -33,6 +34,7 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     Raises CasacalError for an arm that is no 6R arm with three parallel axes from the second on.
 
     """
+    result = arm_from(result)
     robot = result.source.problem.robot
     name, arm, fix = robot.name, robot.arm, other_forms(robot)
     if not isinstance(arm, (DHTable, UrdfChain)):

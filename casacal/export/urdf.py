@@ -11,6 +11,7 @@ from xml.parsers import expat
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 from casacal.export.advice import other_forms
 from casacal.export.rotations import roll_pitch_yaw
@@ -33,6 +34,7 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     Raises CasacalError for other robots, and for a source that is not the one the calibration began with.
 
     """
+    result = arm_from(result)
     arm = result.source.problem.robot.arm
     if not isinstance(arm, UrdfChain):
         raise CasacalError(

@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.export.remark import MARK, remark
 from casacal.robots.files.decimals import plain
 from casacal.uncertainty.workspace import workspace_joints
@@ -41,6 +42,7 @@ class ZeroCorrections:
 
 def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
     """Least-squares zero corrections of a calibration, whatever the robot is built from."""
+    result = arm_from(result)
     robot = result.source.problem.robot
     q = ca.SX.sym("q", len(robot.axes))
     drawn, true = (_points(ca.SX(robot.pose(arm_values(result, nominal=nominal), q))) for nominal in (True, False))
@@ -62,6 +64,7 @@ def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
 
 def zeros_text(result: CalibratedArm) -> str:
     """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
+    result = arm_from(result)
     found = zero_corrections(result)
     axes = result.source.problem.robot.axes
     slides = any(joint.kind == "prismatic" for joint in axes)
