@@ -257,6 +257,7 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
     [
         (-0.12, 7.84, 7.0, ["the dial's zero is off by 0.12 mm or more", "--set travel=8)"], "minus"),
         (-0.12, 7.84, 8.0, ["the dial's zero is off by 0.12 mm or more", "add the same 0.12 mm"], "travel"),
+        (-0.12, 7.84, 7.9, ["add the same 0.12 mm", "--set travel=8)"], "minus"),
         (-7.84, -0.12, 10.0, ["the sign of the column is reversed", "without the minus"], "travel"),
         (0.0, 12.3, 10.0, ["--set travel=13"], "minus"),
     ],

@@ -9,6 +9,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
+from casacal.calibration.next_step import next_step
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
@@ -251,6 +252,7 @@ def test_copied_rows_count_once(hsr, corner_simulation, rows):
     assert verdict.level == "use with care"
     if len(rows) == 124:
         assert "(lines 122, 123, 124, 125)" in reason
+        assert next_step(often, verdict).startswith("settle the doubt: remove the copies")
         assert "124 samples of" in summary(often, "")
         assert "120 fitted, none held out, 4 copies left out" in summary(often, "")
 
@@ -270,14 +272,17 @@ def test_repeats_that_do_not_scatter_tell_nothing_of_scatter(hsr, corner_simulat
     assert found_noise(bind(hsr.problem, copied)).repeats is None
 
 
-def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simulation):
+@pytest.mark.parametrize("collide", [False, True])
+def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simulation, collide, monkeypatch):
+    if collide:  # one number for all rows: then values alone tell, of copies of the first row
+        monkeypatch.setattr("casacal.samples.repeats._keys", lambda count, _: np.zeros(count, dtype=np.int64))
     samples = corner_simulation.samples.take([0, 1, 0, 0, 0, 1, 0])
     joints, reading = samples.joints.copy(), samples.columns["reading"].copy()
     joints[3, 5] = np.nextafter(joints[3, 5], 9)
     reading[4] = np.nextafter(reading[4], 9)
     faces = [*list(samples.labels["plane"])[:6], "elsewhere"]
     rows = dataclasses.replace(samples, joints=joints, columns={"reading": reading}, labels={"plane": Labels.of(faces)})
-    np.testing.assert_array_equal(copies_of(rows), [False, False, True, False, False, True, False])
+    np.testing.assert_array_equal(copies_of(rows), [False, False, True, False, False, not collide, False])
     joints, signed = np.zeros((2, 3)), -np.zeros((2, 3))
     np.testing.assert_array_equal(copies_of(Samples.of_joints(np.vstack([joints[:1], signed[:1]]))), [False, True])
 

@@ -123,7 +123,11 @@ def test_doubts_are_named(hsr, changes, says):
     [
         ({"error_scale": 3.0}, True, "settle the doubt: state wider priors"),
         ({"joint_std": 1e-4}, True, "settle the doubt: touch some places three times each"),
-        ({"repeatability": 0.016}, False, "looks closer at the samples"),
+        (
+            {"repeatability": 0.016},
+            False,
+            "settle the doubt; casacal check PROBLEM SAMPLES looks closer at the samples",
+        ),
     ],
 )
 def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, monkeypatch):
@@ -145,6 +149,8 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("the data check, which was asked, names no cause" in said) is asked
     assert step in said
     assert len(calls) == asked
+    monkeypatch.setattr("casacal.calibration.next_step.doubts", lambda _: [])  # one that says no step of its own
+    assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
 def test_an_arm_far_outside_its_priors_is_refused(hsr):

@@ -27,9 +27,10 @@ def next_step(
         return _repair(calibration, check)
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
-        if suspicious(calibration):  # the data check has been asked, and names no cause
-            found = doubts(calibration)
-            return f"settle the doubt: {found[0].step if found else VERIFY}{kept}."
+        step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
+        asked = suspicious(calibration)  # the data check, which named nothing, or the result would be denied
+        if step or asked:
+            return f"settle the doubt: {step or VERIFY}{kept}."
         return f"settle the doubt; {check} looks closer at the samples{kept}."
     if out is None:
         return "--out DIR keeps the result and its report, for casacal compensate, predict and export."

@@ -34,20 +34,25 @@ SETTLED = 0.1
 
 SHOWN = 6
 
-
 VERIFY = "touch in other postures, and see with casacal verify whether the promise is kept there"
+WIDEN = f"state wider priors if the arm may be so far from its drawing (--accuracy, --prior); if it may not, {VERIFY}"
+REPEAT = (
+    "touch some places three times each, which tells the scatter of touches from what the model leaves out, or state "
+    "the noise if it is known to be larger (--set noise_std=MM)"
+)
+"""What settles a doubt whose cause nobody knows."""
 
 
 @dataclass(frozen=True)
 class Doubt:
     """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence.
 
-    step: what settles it, where the data check has been asked and names no cause.
+    step: what settles it; empty where the data check, which has not been asked, may tell the cause.
     """
 
     clause: str
     sentence: str
-    step: str = VERIFY
+    step: str = ""
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -124,8 +129,7 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         "parameters moved far beyond their priors",
         f"{said}. Either the priors are too tight for this arm by about as much (--accuracy, --prior), or the samples "
         f"pull them where they do not belong; {_what_check_says(calibration)}.",
-        "state wider priors if the arm may be so far from its drawing (--accuracy, --prior); if it may not, "
-        "touch again in other postures and see with casacal verify whether the promise is kept there",
+        WIDEN if suspicious(calibration) else "",
     )
 
 
@@ -194,8 +198,7 @@ def _noise(calibration: Calibration) -> Doubt | None:
     return Doubt(
         "the residuals exceed the stated noise",
         f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. {advice}",
-        "touch some places three times each, which tells the scatter of touches from what the model leaves out, or "
-        "state the noise if it is known to be larger (--set noise_std=MM)",
+        REPEAT if suspicious(calibration) else "",
     )
 
 
