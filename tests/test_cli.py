@@ -251,6 +251,15 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
         (["calibrate", HSR, "--prior", "plane=0.001"], "components in mm and rad"),
         (["calibrate", HSR, "--fix", "aplha"], "Did you mean 'alpha'"),
         (["calibrate", HSR, "--prior", "a3=nan"], "NAME=STD"),
+        (["calibrate", HSR, "--fix", ""], "--fix is empty"),
+        (["calibrate", HSR, "--free", " , "], "--free is empty"),
+        (["calibrate", HSR, "--holdout", "0.3", "--holdout-by", ""], "--holdout-by is empty"),
+        (["calibrate", HSR, "--holdout-by", " "], "--holdout-by is empty"),
+        (["calibrate", HSR, "--set", "sign=1", "--set", "sign=-1"], "--set gives 'sign' twice"),
+        (["calibrate", HSR, "--prior", "a3=1", "--prior", "a3=2"], "--prior gives 'a3' twice"),
+        (["calibrate", HSR, "--fix", "a3", "--free", "a3"], "'a3' is to be freed (--free) and held (--fix)"),
+        (["calibrate", HSR, "--fix", "alpha", "--free", "alpha2"], "'alpha2' is to be freed (--free) and held (--fix)"),
+        (["check", HSR, "--fix", ""], "--fix is empty"),
         (["calibrate", HSR, "--method", "lm", "--loss", "cauchy"], "invalid choice"),
         (["calibrate", HSR, "--method", "ekf", "--loss", "huber"], "no robust loss"),
         (["calibrate", HSR, "--method", "sckf-lm", "--loss", "huber"], "leave the method out"),
@@ -280,6 +289,22 @@ def test_too_few_rows_for_the_unknowns(run, tmp_path):
     code, _, err = run("calibrate", HSR, few)
     assert code == 2
     assert "20 rows are fitted for 33 unknowns" in err
+    assert "Take at least 33 samples" in err
+
+
+def test_rows_that_a_face_lacks_come_with_the_total(run, tmp_path):
+    """Who follows the advice on the face alone is not told at once that it was not enough."""
+    lines = (ROOT / "problems" / "hsr_jr680" / "samples.csv").read_text().splitlines()
+    header, *rows = [line for line in lines if not line.startswith("#")]
+    faces = {face: [row for row in rows if row.endswith(face)] for face in ("floor", "wall", "side")}
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join([header, *(row for some in faces.values() for row in some[:3])]) + "\n")
+    code, _, err = run("calibrate", HSR, few)
+    assert code == 2
+    assert "Take at least 4 rows there, and at least 33 in all for 33 unknowns" in err
+    few.write_text("\n".join([header, *(row for some in faces.values() for row in some[:11])]) + "\n")
+    code, _, err = run("calibrate", HSR, few, "--method", "lm", "--no-reference")
+    assert code != 2, err
 
 
 def test_a_problem_that_changed_since_is_noticed(run, tmp_path):

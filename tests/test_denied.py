@@ -235,3 +235,67 @@ def test_compensated_targets_say_so_when_forced(denied, tmp_path, capsys):
     assert main(["predict", result, str(targets), "--out", str(tmp_path / "p.csv")]) == 0
     assert "Do not use" in capsys.readouterr().out
     assert main(["verify", result, str(folder / "samples.csv")]) == 2
+
+
+@pytest.fixture(scope="module")
+def with_care(tmp_path_factory):
+    """The result.json of a UR5 whose verdict is to use it with care, and what it says."""
+    from robots_of_others import UR5_CSV
+
+    folder = tmp_path_factory.mktemp("care")
+    (folder / "ur5.csv").write_text(UR5_CSV)
+    assert main(["new", "mine", "--dh", str(folder / "ur5.csv"), "--out", str(folder)]) == 0
+    assert main(["simulate", str(folder / "mine"), "--samples", "60", "--out", str(folder / "s.csv")]) == 0
+    assert main(["calibrate", str(folder / "mine"), str(folder / "s.csv"), "--out", str(folder / "out")]) == 0
+    result = folder / "out" / "result.json"
+    document = json.loads(result.read_text())
+    document["verdict"] = {
+        "level": "use with care",
+        "words": f"Use with care: it -- is {'so ' * 120}a test.",
+        "reasons": ["Why."],
+    }
+    result.write_text(json.dumps(document))
+    return result, document["verdict"]["words"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "form"),
+    [
+        (["compensate", "TARGETS"], "csv"),
+        (["compensate", "TARGETS", "--format", "rapid"], "mod"),
+        (["predict", "TARGETS"], None),
+        (["predict", "TARGETS", "--std"], None),
+        *((["export", "--to", to], to) for to in ("dh", "zeros", "ur", "c")),
+    ],
+)
+def test_what_is_used_with_care_says_so(with_care, arguments, form, tmp_path, capsys):
+    """On the terminal, for other programs, and in files that have comments."""
+    result, words = with_care
+    targets = tmp_path / "targets.csv"
+    targets.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,-80,70,20,30,40\n")
+    command, *rest = [str(targets) if each == "TARGETS" else each for each in arguments]
+    place = tmp_path / "written"
+    capsys.readouterr()
+    assert main([command, str(result), *rest, "--out", str(place)]) == 0
+    assert words in capsys.readouterr().out
+    assert form is None or words in re.sub(r"\s*\n\s*[#!;*]+ +", " ", place.read_text())
+    assert main([command, str(result), *rest, "--out", str(place), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == {"level": "use with care", "words": words}
+
+
+def test_a_urdf_of_a_result_to_be_used_with_care_says_so_once(tmp_path):
+    from robots_of_others import UR5_URDF
+
+    place = tmp_path / "ur5.urdf"
+    place.write_text(UR5_URDF)
+    assert main(["new", "mine", "--urdf", str(place), "--tip", "tool0", "--out", str(tmp_path)]) == 0
+    source = casacal.load_problem(tmp_path / "mine")
+    found = calibrate(source, casacal.simulate(source.problem, samples=60, seed=0).samples, reference=False)
+    words = {"level": "use with care", "words": "Use with care: it -- is a test.", "reasons": []}
+    arm = dataclasses.replace(found.arm, document={**found.arm.document, "verdict": words})
+    place.write_text(UR5_URDF.replace("<robot", "<!-- casacal: an older verdict\n of two lines -->\n<robot"))
+    for text in (export(arm, "urdf"), export(arm, "urdf", source=place)):
+        assert text.count("Use with care: it - - is a test.") == text.count("casacal: the result") == 1
+        assert "an older verdict" not in text
+    good = dataclasses.replace(found.arm, document={**found.arm.document, "verdict": {**words, "level": "calibrated"}})
+    assert "Use with care" not in export(good, "urdf")

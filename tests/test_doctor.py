@@ -12,6 +12,7 @@ from conftest import ROOT
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
 from casacal.checks.dial_sign import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
+from casacal.checks.rows import outside
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.labels import Labels
@@ -249,6 +250,46 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
     assert "lines 9, 52" in capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), str(file), "--keep-outliers"]) == 1
     assert main(["calibrate", str(hsr.path), str(file), "--loss", "huber"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "travel", "says", "not_said"),
+    [
+        (-0.12, 7.84, 7.0, ["the dial's zero is off by 0.12 mm or more", "--set travel=8)"], "minus"),
+        (-0.12, 7.84, 8.0, ["the dial's zero is off by 0.12 mm or more", "add the same 0.12 mm"], "travel"),
+        (-0.12, 7.84, 7.9, ["add the same 0.12 mm", "--set travel=8)"], "minus"),
+        (-7.84, -0.12, 10.0, ["the sign of the column is reversed", "without the minus"], "travel"),
+        (0.0, 12.3, 10.0, ["--set travel=13"], "minus"),
+    ],
+)
+def test_what_is_advised_on_readings_outside_travel_brings_them_inside(
+    hsr, corner_simulation, low, high, travel, says, not_said
+):
+    """No travel helps against readings below zero; what is advised, followed to the letter, ends the error."""
+    samples = corner_simulation.samples
+    reading = np.linspace(low, high, len(samples))
+    problem = hsr.problem.with_settings({"travel": travel})
+    (finding,) = outside(problem, with_reading(samples, reading))
+    assert all(words in finding.fix for words in says)
+    assert not_said not in finding.fix
+    if "minus" in finding.fix:
+        reading = -reading
+    elif found := re.search(r"add the same ([\d.]+) mm", finding.fix):
+        reading = reading + float(found[1])
+    if found := re.search(r"--set travel=(\d+)", finding.fix):
+        problem = problem.with_settings({"travel": float(found[1])})
+    assert outside(problem, with_reading(samples, reading)) == []
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_one_row_with_the_joints_of_another_may_be_that(hsr, corner_simulation, count):
+    samples = corner_simulation.samples
+    joints, reading = samples.joints.copy(), samples.columns["reading"].copy()
+    floor, wall = (list(rows_of(samples, label, count)) for label in ("floor", "wall"))
+    joints[floor], reading[floor] = joints[wall], reading[wall]
+    found = check(hsr.problem, with_reading(moved(samples, lambda _: joints), reading))
+    (finding,) = (finding for finding in found if finding.about == "labels exchanged")
+    assert ("or the joints, if they are another row's" in finding.fix) == (count == 1)
 
 
 def test_numbers_in_findings_agree_with_their_nouns(hsr, corner_simulation):

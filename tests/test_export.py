@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tomllib
 
+import casadi
 import numpy as np
 import pytest
 from oracles import rot_x, rot_z, shift
@@ -309,6 +310,54 @@ def test_what_zero_offsets_cannot_express_remains(place):
     assert f"{after:.3f} mm RMS remain" in text
 
 
+def corrections_of(text):
+    """Corrections in rad from the lines of a file, as somebody reads them."""
+    rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
+    return np.radians([float(row[1]) for row in rows[1:]])
+
+
+def test_who_follows_the_advice_on_zeros_brings_the_flange_nearer(place):
+    """Both ways, to the letter, on an arm that is not as drawn: nearer; with the wrong sign, farther."""
+    zeros = {"theta2": 3e-3, "theta3": -2e-3, "theta5": 2e-3}
+    result = made(place / "ur5", change={**zeros, "a2": 0.5, "d4": 0.3, "alpha1": 1e-3, "alpha5": -1e-3})
+    v, drawn = numbers(result), {row["name"]: row["nominal"] for row in result.document["parameters"]}
+    text = export.zeros_text(result)
+    assert "(1) subtract each correction from the joint values of every target" in text
+    assert "at rest, each joint shows its value + correction" in text
+    z = corrections_of(text)
+    targets = casacal.uncertainty.workspace.workspace_joints(result.source.problem.robot)[:100]
+
+    def sent(commands):
+        """Error of the flange (mm RMS) of an arm whose encoders go to these values."""
+        miss = [
+            dh_pose(v, q, (2, 3))[0][:3, 3] - dh_pose(drawn, t, (2, 3))[0][:3, 3]
+            for q, t in zip(commands, targets, strict=True)
+        ]
+        return math.sqrt((np.array(miss) ** 2).sum() / len(miss))
+
+    as_it_is, subtracted, added = sent(targets), sent(targets - z), sent(targets + z)
+    assert subtracted < 0.75 * as_it_is
+    assert added > 1.2 * as_it_is
+    # (2): what was shown was what the encoders say; now a zero is added, and the servo goes where the target is shown
+    at_rest = np.full(6, 0.3)
+    zeros = (at_rest + z) - at_rest
+    assert sent(targets - zeros) == pytest.approx(subtracted, rel=1e-9)
+
+
+def test_pure_zero_offsets_vanish_when_the_advice_is_followed(place):
+    """Also where the controller counts joints in its own way."""
+    offsets = np.radians([0.1, -0.05, 0.08, 0.02, -0.03, 0.06])
+    arm = made(place / "puma", change={f"theta{i}": o for i, o in enumerate(offsets, 1)})
+    targets = np.random.default_rng(0).uniform(-1, 1, (20, 6))
+    z, pose = corrections_of(export.zeros_text(arm)), arm.source.problem.robot.pose
+    there = [
+        np.array([np.array(casadi.DM(pose(arm_values(arm, nominal=nominal), casadi.DM(q)))) for q in sent])
+        for sent, nominal in ((targets - z, False), (targets, True), (targets, False))
+    ]
+    assert np.abs(there[0] - there[1]).max() < 1e-4
+    assert np.abs(there[2] - there[1]).max() > 0.1
+
+
 def test_sliding_joints_get_millimetres(place):
     text = export.zeros_text(made(place / "odd"))
     rows = [line for line in text.splitlines() if not line.startswith("#")]
@@ -394,6 +443,23 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
 def test_other_arms_are_no_ur(place, name, words):
     with pytest.raises(casacal.CasacalError, match=words):
         export.ur_kinematics_text(made(place / name))
+
+
+@pytest.mark.parametrize("name", ["puma", "iiwa", "odd", "kr16", "ur", "ur5"])
+def test_every_form_that_is_advised_works(place, name):
+    result = made(place / name)
+    forms = {"dh": export.dh_text, "urdf": export.urdf_text, "ur": export.ur_kinematics_text}
+    refusals = []
+    for function in forms.values():
+        try:
+            function(result)
+        except casacal.CasacalError as error:
+            refusals.append(error.fix)
+    assert refusals
+    forms |= {"zeros": export.zeros_text, "c": export.c_text}
+    for advice in refusals:
+        for form in re.split(r", | or ", advice.removeprefix("Export it as ")):
+            assert forms[form](result)
 
 
 # --- C
@@ -603,7 +669,7 @@ def test_an_arm_of_ones_own_exports_what_needs_no_form(tmp_path):
     assert "own_pose" in export.c_text(result, prefix="own")
     assert export.zero_corrections(result).after < export.zero_corrections(result).before
     for function in (export.dh_text, export.urdf_text, export.ur_kinematics_text):
-        with pytest.raises(casacal.CasacalError, match="was not built from"):
+        with pytest.raises(casacal.CasacalError, match=r"was not built from.*Export it as zeros or c"):
             function(result)
 
 

@@ -316,6 +316,31 @@ def test_gross_rows_are_named(hsr):
     assert lines <= set(re.findall(r"\d+", Page(page).text_of("outliers").partition("lines ")[2]))
 
 
+def test_rows_that_were_set_aside_are_counted_as_such(hsr):
+    """Counts are those of the rows that were changed; the noise is the one that the column is made of."""
+    samples = hsr.problem.read(HSR / "samples.csv")
+    readings = samples.columns["reading"].copy()
+    readings += np.random.default_rng(0).normal(0, 0.1, len(readings))
+    readings[7] += 6.9
+    bad = Samples(samples.joints, {"reading": readings}, dict(samples.labels), samples.lines, {}, "s.csv", "0" * 64)
+    calibration = calibrate(hsr.problem, bad, method="lm", reference=False)
+    page = of(calibration, hsr)
+    assert "120 rows, of which 119 were fitted and 0 held out to judge the fit; 1 set aside" in Page(page).text_of(
+        "measured"
+    )
+    assert facts(page, "subject")["Rows"] == "119 fitted, 0 held out, 1 set aside"
+    assert sum(int(cells[1]) for cells in tables(page)["faces"][1:]) == 119
+    listed = Page(page).text_of("outliers")
+    assert f"1 row was set aside before the fit, and not listed here: line {samples.lines[7]}." in listed
+    assert "times the noise as found off" in listed
+    assert "stated noise" not in listed
+    (head, *rows) = tables(page)["worst-rows"]
+    assert head[-1] == "Times noise as found"
+    size = float(rows[0][head.index("Residual, mm")]) / float(rows[0][-1])
+    assert abs(size) == pytest.approx(0.1, rel=0.15)  # what was added, ten times what was stated
+    assert "dark line is what the noise as found predicts" in Page(page).text_of("residuals")
+
+
 def test_many_rows_and_many_faces_do_not_make_a_large_page(hsr, page):
     samples = hsr.problem.read(HSR / "samples.csv")
     times = 200

@@ -29,6 +29,10 @@ from casacal import (
 )
 from casacal.calibration.calibrate import METHODS
 from casacal.cli.main import main
+from casacal.compensation.predict import predict
+from casacal.export import c_text, dh_text, remark, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
+from casacal.export.forms import export
+from casacal.export.functions import pose_function, tip_function, values_of
 
 Q = np.array([[0.1, -0.4, 0.3, 0.2, 0.9, 0.1], [0.3, -0.2, 0.1, -0.5, 0.7, -0.2]])
 
@@ -119,6 +123,43 @@ def test_the_doors_below_say_it_too(hsr):
         lambda: simulate(hsr.problem, "corner"),
     ):
         with pytest.raises(CasacalError, match="came as"):
+            call()
+
+
+def test_a_calibration_is_taken_where_its_arm_is(found):
+    """What people hand over first: the calibration itself, and joint values as numbers."""
+    joints = casacal.compensate(found, Q).joints
+    np.testing.assert_array_equal(joints, found.compensate(Q).joints)
+    np.testing.assert_array_equal(predict(found, Q).positions, found.predict(Q).positions)
+    assert export(found, "zeros") == found.export("zeros")
+    assert zeros_text(found) == found.export("zeros")
+
+
+@pytest.mark.parametrize("wrong", [None, 5, "nowhere", [1, 2], np.zeros((1, 6)), {}], ids=lambda wrong: repr(wrong)[:8])
+def test_wrong_types_are_refused_in_a_sentence(hsr, found, wrong):
+    """Every public function that takes a calibrated arm, targets, joints or a path."""
+    arm = found.arm
+    takes_an_arm = (
+        lambda: casacal.compensate(wrong, Q),
+        lambda: predict(wrong, Q),
+        lambda: export(wrong, "zeros"),
+        *(lambda write=write: write(wrong) for write in (zeros_text, zero_corrections, c_text, remark)),
+        *(lambda write=write: write(wrong) for write in (dh_text, urdf_text, ur_kinematics_text)),
+        *(lambda make=make: make(wrong) for make in (pose_function, tip_function, values_of)),
+    )
+    for call in takes_an_arm:
+        with pytest.raises(CasacalError, match="came as the calibrated arm"):
+            call()
+    others = [lambda: found.export(wrong), lambda: casacal.read_targets(hsr.samples, wrong)]
+    others += [lambda: casacal.check(wrong, Samples.of_joints(Q)), lambda: casacal.check(hsr.problem, wrong)]
+    if not isinstance(wrong, np.ndarray):
+        others += [lambda: casacal.compensate(arm, wrong), lambda: predict(arm, wrong)]
+        others += [lambda: casacal.compensate(arm, Q, largest=wrong)] if wrong != 5 else []
+    if not isinstance(wrong, str):
+        others += [lambda: load(wrong), lambda: load_problem(wrong), lambda: casacal.read_targets(wrong, hsr)]
+        others += [lambda: found.export("zeros", wrong)] if wrong is not None else []
+    for call in others:
+        with pytest.raises(CasacalError):
             call()
 
 

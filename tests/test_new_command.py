@@ -1,5 +1,7 @@
 """`casacal new`: a DH sheet or a URDF becomes a folder that runs and reads like those of problems/."""
 
+import json
+import math
 import subprocess
 import sys
 
@@ -106,12 +108,31 @@ def test_a_column_type_is_told_to_be_kind(place, capsys):
     assert "there is no field 'type'. Did you mean 'kind'?" in capsys.readouterr().err
 
 
-def test_a_scara_is_told_why_no_cell_was_found(place, capsys):
+def test_a_scara_goes_where_new_sends_it(place, capsys):
+    """It cannot tilt its tool, and yet every command that is advised works; each face is inclined against the tool."""
     rows = "1,0,350,200,0,R\n2,180,250,0,0,R\n3,0,0,0,0,P\n4,0,0,50,0,R\n"
     (place / "scara.csv").write_text("# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,kind\n" + rows)
     assert main(["new", "scara", "--dh", "scara.csv"]) == 0
-    assert main(["simulate", "scara", "--out", "s.csv"]) == 2
-    assert "No place was found where 'scara' can touch three faces" in capsys.readouterr().err
+    advised = capsys.readouterr().out.rsplit("casacal simulate ", 1)[1].split()
+    assert main(["simulate", *advised]) == 0
+    problem = load_problem("scara").problem
+    samples = problem.read(advised[-1])
+    assert len(set(samples.labels["plane"])) == 3
+    lower, upper = problem.robot.limits
+    assert (samples.joints >= lower - 1e-6).all()
+    assert (samples.joints <= upper + 1e-6).all()
+    assert main(["check", "scara", advised[-1]]) == 0
+    capsys.readouterr()
+    assert main(["calibrate", "scara", advised[-1], "--method", "lm", "--no-reference", "--json"]) == 0
+    for face in json.loads(capsys.readouterr().out)["planes"].values():
+        assert abs(face["normal"][2]) == pytest.approx(math.cos(math.radians(15)), abs=2e-3)
+
+
+def test_an_arm_that_touches_no_three_faces_is_told_why(place, capsys):
+    (place / "rail.csv").write_text("# convention: standard\njoint,alpha_deg,a_mm,d_mm,theta_deg,kind\n1,0,350,0,0,P\n")
+    assert main(["new", "rail", "--dh", "rail.csv"]) == 0
+    assert main(["simulate", "rail", "--out", "s.csv"]) == 2
+    assert "No place was found where 'rail' can touch three faces" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,15 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
+from casacal.calibration.next_step import next_step
+from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.least_squares.information import determined
+from casacal.samples.repeats import copies_of
+from casacal.samples.samples import Samples
 from casacal.samples.write import write_samples
+from casacal.tables.labels import Labels
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.leverage import effective_unknowns, leverages
 from casacal.uncertainty.noise import found_noise
@@ -231,13 +236,55 @@ def test_repeats_of_an_arm_that_is_as_modelled_count_in_full(hsr):
     assert np.abs(ranks).max() < 1.63 / math.sqrt(12)  # Kolmogorov and Smirnov, 1 %
 
 
-def test_copied_rows_count_once(hsr, corner_simulation):
-    rows = np.repeat(np.arange(120), 3)
-    copied = corner_simulation.samples.take(rows)
-    once, thrice = (calibrate(hsr.problem, some, reference=False) for some in (corner_simulation.samples, copied))
-    assert thrice.noise.repeats.shared == pytest.approx(1.0)
-    assert thrice.tip_std[1] == pytest.approx(once.tip_std[1], rel=0.05)
-    np.testing.assert_allclose(thrice.x, once.x, atol=1e-3)
+@pytest.mark.parametrize("rows", [np.repeat(np.arange(120), 3), np.append(np.arange(120), [5, 17, 17, 90])])
+def test_copied_rows_count_once(hsr, corner_simulation, rows):
+    """Nothing depends on how often rows were pasted, and they are no pure error: no F, and no cause of one."""
+    samples = corner_simulation.samples.take(rows)
+    copied = dataclasses.replace(samples, lines=tuple(range(2, 2 + len(rows))))
+    once, often = (calibrate(hsr.problem, some, reference=False) for some in (corner_simulation.samples, copied))
+    assert (once.copies, often.copies) == (0, len(rows) - 120)
+    np.testing.assert_array_equal(often.x, once.x)
+    assert often.tip_std == once.tip_std
+    assert (often.noise.ratio, often.noise.repeats) == (once.noise.ratio, None)
+    verdict = verdict_of(often)
+    (reason,) = verdict.reasons
+    assert "the same joints and readings" in reason
+    assert verdict.level == "use with care"
+    if len(rows) == 124:
+        assert "(lines 122, 123, 124, 125)" in reason
+        assert next_step(often, verdict).startswith("settle the doubt: remove the copies")
+        assert "124 samples of" in summary(often, "")
+        assert "120 fitted, none held out, 4 copies left out" in summary(often, "")
+
+
+def test_copies_of_repeats_are_no_pure_error(hsr):
+    """Touches that were repeated scatter as they do, however many of their rows were pasted besides."""
+    _, samples = repeated(hsr, 0, times=2, shared=0.03, own=0.01)
+    pasted = samples.take(np.append(np.arange(240), np.arange(0, 240, 3)))
+    pasted = dataclasses.replace(pasted, lines=tuple(range(2, 2 + len(pasted))))
+    told = [calibrate(hsr.problem, some, method="lm", reference=False).noise.repeats for some in (samples, pasted)]
+    assert told[0] == told[1]
+    assert told[0].low < 1 < told[0].high
+
+
+def test_repeats_that_do_not_scatter_tell_nothing_of_scatter(hsr, corner_simulation):
+    copied = corner_simulation.samples.take(np.repeat(np.arange(120), 2))
+    assert found_noise(bind(hsr.problem, copied)).repeats is None
+
+
+@pytest.mark.parametrize("collide", [False, True])
+def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simulation, collide, monkeypatch):
+    if collide:  # one number for all rows: then values alone tell, of copies of the first row
+        monkeypatch.setattr("casacal.samples.repeats._keys", lambda count, _: np.zeros(count, dtype=np.int64))
+    samples = corner_simulation.samples.take([0, 1, 0, 0, 0, 1, 0])
+    joints, reading = samples.joints.copy(), samples.columns["reading"].copy()
+    joints[3, 5] = np.nextafter(joints[3, 5], 9)
+    reading[4] = np.nextafter(reading[4], 9)
+    faces = [*list(samples.labels["plane"])[:6], "elsewhere"]
+    rows = dataclasses.replace(samples, joints=joints, columns={"reading": reading}, labels={"plane": Labels.of(faces)})
+    np.testing.assert_array_equal(copies_of(rows), [False, False, True, False, False, not collide, False])
+    joints, signed = np.zeros((2, 3)), -np.zeros((2, 3))
+    np.testing.assert_array_equal(copies_of(Samples.of_joints(np.vstack([joints[:1], signed[:1]]))), [False, True])
 
 
 def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):

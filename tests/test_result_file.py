@@ -252,8 +252,8 @@ EDITED = {
     "the method": lambda d: d.update(method="truth"),
     "the noise": lambda d: next(iter(d["noise"]["by_face"].values())).update(used_mm=0.5),
     "the hash of the rows": lambda d: d["data"].update(sha256="0" * 64),
-    "the rows": lambda d: d["data"]["fitted"]["values"].reverse(),
-    "no rows": lambda d: d["data"].pop("fitted"),
+    "the rows": lambda d: d["data"]["fitted_rows"]["values"].reverse(),
+    "no rows": lambda d: d["data"].pop("fitted_rows"),
     "no noise": lambda d: d.pop("noise"),
     "metrics": lambda d: d["metrics"]["after"]["fit"].update(rmse_mm=0.0),
     "a null": lambda d: d.update(covariance=None),
@@ -343,7 +343,7 @@ def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
     del (
         document["cures"],
-        document["data"]["fitted"],
+        document["data"]["fitted_rows"],
     )  # nothing that is asked here reads them, so that damage to them is no damage
     rng, q, said = random.Random(0), np.zeros((1, 3)), []
     for _ in range(90):

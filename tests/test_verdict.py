@@ -13,7 +13,7 @@ from page_reader import Page
 from test_doctor import PLANTED
 
 import casacal
-from casacal import DialOnPlane, Problem, bind, calibrate, ipopt, lm, simulate
+from casacal import DialOnPlane, Problem, bind, calibrate, check, ipopt, lm, simulate
 from casacal.calibration.brief import MOST_LINES, brief
 from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.reference import Reference
@@ -116,6 +116,41 @@ def test_doubts_are_named(hsr, changes, says):
     assert says in verdict.words
     assert "noise as found" in verdict.words or "exceed" not in verdict.words
     assert verdict.reasons
+
+
+@pytest.mark.parametrize(
+    ("changes", "asked", "step"),
+    [
+        ({"error_scale": 3.0}, True, "settle the doubt: state wider priors"),
+        ({"joint_std": 1e-4}, True, "settle the doubt: touch some places three times each"),
+        (
+            {"repeatability": 0.016},
+            False,
+            "settle the doubt; casacal check PROBLEM SAMPLES looks closer at the samples",
+        ),
+    ],
+)
+def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, monkeypatch):
+    calls = []
+
+    def counted(*given):
+        calls.append(given)
+        return check(*given)
+
+    monkeypatch.setattr("casacal.calibration.calibration.check", counted)
+    found = calibrate(hsr.problem, in_cell(hsr, **changes), reference=False)
+    verdict = verdict_of(found)
+    assert verdict.level == "use with care"
+    assert len(calls) == asked
+    said = " ".join([*verdict.reasons, brief(found, verdict, room=60)])
+    said = " ".join(said.split())
+    assert ("casacal check may tell" in said) is not asked
+    assert ("casacal check" in said) is not asked
+    assert ("the data check, which was asked, names no cause" in said) is asked
+    assert step in said
+    assert len(calls) == asked
+    monkeypatch.setattr("casacal.calibration.next_step.doubts", lambda _: [])  # one that says no step of its own
+    assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
 def test_an_arm_far_outside_its_priors_is_refused(hsr):

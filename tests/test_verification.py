@@ -666,6 +666,51 @@ def test_touches_made_again_on_a_coarse_dial_all_count():
 # ------------------------------------------------------------------------------------------------ files and commands
 
 
+# ------------------------------------------------------------------------------------------------ what to do next
+
+
+def test_a_promise_that_was_kept_calls_for_nothing(good):
+    arm, fresh, _, _ = good
+    assert "Next:" not in verify(arm, fresh).summary()
+
+
+def test_what_to_do_next_follows_from_what_is_off(good):
+    """One row, one face, the arm, or all of it: each was changed by hand, and the last sentence says what to do."""
+    arm, fresh, x, _ = good
+    _, bound, *_ = drawn("hsr_jr680")
+    rng = np.random.default_rng(10)
+
+    def elsewhere(**changes):
+        there = x.copy()
+        for name, by in changes.items():
+            there[bound.names.index(name.replace("__", "."))] += by
+        return halves(touched("hsr_jr680", there, rng))[1]
+
+    reading = fresh.columns["reading"].copy()
+    reading[4] += 0.4
+    on_wall = np.array([label == "wall" for label in fresh.labels["plane"]])
+    rough = fresh.columns["reading"] + on_wall * rng.normal(0, 0.05, len(fresh))
+    standing = ["floor", "wall", "side"]
+    wrong = {
+        "measure this row again": verify(arm, dataclasses.replace(fresh, columns={"reading": reading})),
+        "only 'wall' lies otherwise than promised: that face has moved": verify(
+            arm, elsewhere(plane__wall__offset=0.1), standing=standing
+        ),
+        "only 'wall' lies otherwise than promised: that face may have moved while": verify(
+            arm, dataclasses.replace(fresh, columns={"reading": rough})
+        ),
+        "looks for mistakes in these rows": verify(
+            arm, dataclasses.replace(fresh, columns={"reading": -fresh.columns["reading"]})
+        ),
+        "another arm than the calibrated one": dataclasses.replace(verify(arm, fresh), p=0.4, arm_p=1e-3),
+        "calibrate with the old rows and these together": verify(arm, fresh, tolerance=1e-3),
+    }
+    for words, found in wrong.items():
+        *_, last = found.summary().split("\n")
+        assert last.startswith("Next: "), words
+        assert words in last
+
+
 @pytest.fixture(scope="module")
 def by_command(tmp_path_factory):
     """A calibration, fresh rows of its arm, and rows of another arm, all in files."""

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError, came, counted
-from casacal.instruments import Instrument, Sight
+from casacal.binding.enough_rows import check_rows, instances
+from casacal.errors import ProblemError, came
+from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels, combinations, rows_by_code
+from casacal.tables.labels import combinations, rows_by_code
 from casacal.unknowns import Parameter, Unknown
 from casacal.values import Value, read_only
 
@@ -105,7 +106,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
             f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"
         )
     slots: list[Slot] = []
-    known = known or {}
+    fits_all, known = known is None, known or {}
 
     def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool) -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
@@ -117,11 +118,11 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
         add(key, unknown, None, unknown.nominal, False)
     for i, instrument in enumerate(problem.instruments):
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
-            for label, rows in _instances(instrument, key, unknown, samples[i]):
+            for label, rows in instances(instrument, key, unknown, samples[i]):
                 name = problem.prefix(i) + (key if label is None else f"{key}.{label}")
                 nominal = known.get(name, unknown.nominal)
                 if name not in known:
-                    _check_rows(problem, i, key, unknown, label, rows, samples[i])
+                    check_rows(problem, i, key, unknown, label, rows, samples[i], fits_all=fits_all)
                 if nominal is None:
                     few = rows[:: -(-len(rows) // ENOUGH) or 1]
                     nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))
@@ -193,17 +194,6 @@ def _columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:
     return columns
 
 
-def _instances(
-    instrument: Instrument, key: str, unknown: Unknown, samples: Samples
-) -> list[tuple[str | None, NDArray[np.intp]]]:
-    """Labels of an unknown's instances (None when there is one for all), with the rows of each."""
-    if unknown.per is None:
-        return [(None, np.arange(len(samples)))]
-    labels = samples.labels[unknown.per]
-    have = Labels.coded((instrument.instance(key, label) for label in labels.names), labels.codes)
-    return list(have.rows().items())
-
-
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
     flat = problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples))
@@ -234,17 +224,3 @@ def _nominal_inputs(problem: Problem, i: int, samples: Samples) -> tuple[Array, 
     ]
     data = np.column_stack([samples.joints, *_columns(problem, i, samples).values()])
     return z, np.concatenate(known or [np.zeros(0)]), data
-
-
-def _check_rows(
-    problem: Problem, i: int, key: str, unknown: Unknown, label: str | None, rows: NDArray[np.intp], samples: Samples
-) -> None:
-    flat = int((~np.isfinite(unknown.prior_stds)).sum())
-    seen = len(rows) * problem.models[i].components
-    if key in problem.instruments[i].datum and seen <= flat:
-        which = f"'{label}'" if label is not None else f"'{key}'"
-        had, wanted = len(rows), flat // problem.models[i].components + 1
-        raise ProblemError(
-            f"{samples.file}: {which} has {counted(had, 'row')} for {counted(flat, 'unknown')} of its own",
-            f"Take at least {wanted} rows there, and many more to learn about the arm",
-        )

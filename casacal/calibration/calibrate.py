@@ -26,6 +26,7 @@ from casacal.least_squares.result import Result, Status, as_result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
+from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Samples
 from casacal.tables.frames import is_frame
 from casacal.uncertainty.noise import found_noise
@@ -87,7 +88,7 @@ def calibrate(
         noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
             interval; "stated" trusts what was stated.
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
-            "keep" fits all. With a robust loss all are kept.
+            "keep" fits all. With a robust loss all are kept. Copies of a row always count once.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
@@ -108,24 +109,20 @@ def calibrate(
     if outliers not in ("set aside", "keep"):
         raise CasacalError(f"{came(outliers)} came for the outliers", "Give 'set aside' or 'keep'")
     began = time.perf_counter()
-    fitted, held = split(rows, holdout, seed, holdout_by, source.problem.instrument.groups)
+    single = without_copies(rows)
+    fitted, held = split(single, holdout, seed, holdout_by, source.problem.instrument.groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
-        fit = bind(source.problem, rows.take(fitted) if held.size else rows, backend=backend, threads=threads)
-        if fit.rows < fit.unknowns:
-            raise SamplesError(
-                rows.file,
-                f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
-                "Take more samples, hold fewer out, or hold parameters with --fix",
-            )
+        fit = bind(source.problem, single.take(fitted) if held.size else single, backend=backend, threads=threads)
+        _refuse_too_few(fit)
         aside: tuple[Finding, ...] = ()
         if outliers == "set aside" and loss is None:
             bad, aside = gross(fit)
             if bad.any():
-                fit = bind(source.problem, rows.take(fitted[~bad]), backend=backend, threads=threads)
+                fit = bind(source.problem, single.take(fitted[~bad]), backend=backend, threads=threads)
         scale = found_noise(fit, loss).scale if noise == "found" else {}
         if scale:
             fit = fit.with_noise(scale)
-        heldout = bind_further(fit, rows.take(held)) if held.size else None
+        heldout = bind_further(fit, single.take(held)) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
         result = _estimate(run, name, fit, seed, loss, progress)
@@ -135,6 +132,19 @@ def calibrate(
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by)
+
+
+def _refuse_too_few(fit: BoundProblem) -> None:
+    """Raise SamplesError where there are fewer rows than unknowns."""
+    if fit.rows >= fit.unknowns:
+        return
+    samples = fit.block.samples
+    least = -(-fit.unknowns * len(samples) // fit.rows)
+    raise SamplesError(
+        samples.file,
+        f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
+        f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix",
+    )
 
 
 def problem_from(given: Any) -> ProblemFile:

@@ -23,6 +23,7 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
+from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
@@ -93,10 +94,25 @@ class Calibration(Value):
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
 
+    @property
+    def aside_lines(self) -> tuple[int, ...]:
+        """Lines of the rows that were set aside."""
+        return tuple(sorted({line for found in self.aside for line in found.lines}))
+
     @cached_property
     def noise(self) -> Noise:
         """Noise over what was stated, as this result's residuals show it, and the factors with which it was used."""
         return noise_over_stated(self.result)
+
+    @cached_property
+    def copies(self) -> int:
+        """Rows that are copies of an earlier one, to the last digit, and so neither fitted nor held out."""
+        return int(copies_of(self.samples).sum())
+
+    @property
+    def noise_words(self) -> str:
+        """Which noise every figure uses: what was stated, or what the rows showed."""
+        return "noise as found" if self.noise.scale else "stated noise"
 
     @cached_property
     def heldout_x(self) -> tuple[Array, Array]:

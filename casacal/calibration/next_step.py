@@ -6,6 +6,7 @@ import math
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
 from casacal.calibration.verdict import Verdict, wrong_with_samples
+from casacal.calibration.warnings import VERIFY, doubts, suspicious
 from casacal.uncertainty.cures import Cure
 
 
@@ -26,6 +27,10 @@ def next_step(
         return _repair(calibration.unjudged, check)
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
+        step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
+        asked = suspicious(calibration)  # the data check, which named nothing, or the result would be denied
+        if step or asked:
+            return f"settle the doubt: {step or VERIFY}{kept}."
         return f"settle the doubt; {check} looks closer at the samples{kept}."
     if out is None:
         return "--out DIR keeps the result and its report, for casacal compensate, predict and export."

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from casacal.calibration.as_arm import AsArm
 from casacal.compensation.arm import CalibratedArm, denial
 from casacal.compensation.result_file import read_result
+from casacal.errors import CasacalError, came
 from casacal.problem.problem import Problem
 from casacal.values import Value
 
@@ -85,4 +86,6 @@ def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibratio
     Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
 
     """
+    if not isinstance(path, (str, Path)):
+        raise CasacalError(f"{came(path)} came as the path of a result", "Give a path")
     return SavedCalibration(read_result(path, problem=problem))

@@ -72,7 +72,9 @@ def _opening(calibration: Calibration, name: str) -> str:
     rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
     rows += "" if held is None else together(calibration)
     if calibration.aside:
-        rows += f", {len({line for found in calibration.aside for line in found.lines})} set aside"
+        rows += f", {len(calibration.aside_lines)} set aside"
+    if calibration.copies:
+        rows += f", {calibration.copies} {'copy' if calibration.copies == 1 else 'copies'} left out"
     return (
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.calibration.calibration import MINIMISERS, Calibration
-from casacal.calibration.warnings import FAR, NOISE_BAND, Doubt, doubts, moves
+from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, Doubt, doubts, moves, suspicious
 from casacal.checks import Finding
 from casacal.uncertainty.prior_scatter import prior_scatter
 
@@ -20,9 +20,6 @@ GAIN = 0.9
 
 EXPLAINED = 0.5
 """Residual after over before, above which a fit that does not reach the noise has explained nothing."""
-
-LACK_OF_FIT = 2.0
-"""Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
 
 BENT = 10.0
 """Prior standard deviations by which no arm differs from its drawing; who knows better states wider priors."""
@@ -106,13 +103,6 @@ def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if suspicious(calibration) else calibration.plain_errors
     return tuple(error for error in found if error.about != "misfit")
-
-
-def suspicious(calibration: Calibration) -> bool:
-    """Whether something about the fit calls for a look at the samples themselves."""
-    # a robust fit has already set aside the rows that pull parameters far
-    far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
-    return far or not calibration.passed or calibration.noise.low > LACK_OF_FIT
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:

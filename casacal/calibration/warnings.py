@@ -19,6 +19,9 @@ FAR = 4.0
 NOISE_BAND = (0.9, 1.1)
 """Found over stated noise: an interval outside this band is worth a warning."""
 
+LACK_OF_FIT = 2.0
+"""Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
+
 IMPROBABLE = 0.01
 """Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
 
@@ -30,13 +33,25 @@ SETTLED = 0.1
 
 SHOWN = 6
 
+VERIFY = "touch in other postures, and see with casacal verify whether the promise is kept there"
+WIDEN = f"state wider priors if the arm may be so far from its drawing (--accuracy, --prior); if it may not, {VERIFY}"
+REPEAT = (
+    "touch some places three times each, which tells the scatter of touches from what the model leaves out, or state "
+    "the noise if it is known to be larger (--set noise_std=MM)"
+)
+"""What settles a doubt whose cause nobody knows."""
+
 
 @dataclass(frozen=True)
 class Doubt:
-    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence."""
+    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence.
+
+    step: what settles it; empty where the data check, which has not been asked, may tell the cause.
+    """
 
     clause: str
     sentence: str
+    step: str = ""
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -60,6 +75,21 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _ignored_rows,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
+
+
+def suspicious(calibration: Calibration) -> bool:
+    """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
+    # a robust fit has already set aside the rows that pull parameters far
+    far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
+    return far or not calibration.passed or calibration.noise.low > LACK_OF_FIT
+
+
+def _what_check_says(calibration: Calibration) -> str:
+    """What the data check says of the cause, or that nobody asked it."""
+    if not suspicious(calibration):
+        return "casacal check may tell"
+    named = [error.about for error in calibration.data_errors if error.about != "misfit"]
+    return f"the data check names {', '.join(named)}" if named else "the data check, which was asked, names no cause"
 
 
 def moves(calibration: Calibration) -> Array:
@@ -97,7 +127,8 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
     return Doubt(
         "parameters moved far beyond their priors",
         f"{said}. Either the priors are too tight for this arm by about as much (--accuracy, --prior), or the samples "
-        "pull them where they do not belong; casacal check may tell.",
+        f"pull them where they do not belong; {_what_check_says(calibration)}.",
+        WIDEN if suspicious(calibration) else "",
     )
 
 
@@ -105,10 +136,12 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
     found = calibration.aside
     if not found:
         return None
-    rows = sorted({line for each in found for line in each.lines})
+    rows = calibration.aside_lines
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
     each = " ".join(str(finding).removeprefix("error: ") for finding in found)
-    return Doubt(said, f"{said}, and the others were fitted without {'it' if len(rows) == 1 else 'them'}: {each}")
+    it = "it" if len(rows) == 1 else "them"
+    step = f"measure {it} again, and calibrate with what is read then"
+    return Doubt(said, f"{said}, and the others were fitted without {it}: {each}", step)
 
 
 def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
@@ -119,7 +152,9 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
         f"Tool elsewhere: {finding.cause}. {finding.fix}. Until then only the tip is promised, with this tool; of the "
         "flange nothing is known, and compensate and predict need --frame tip."
     )
-    return Doubt("the tool stands elsewhere than the problem says", sentence)
+    return Doubt(
+        "the tool stands elsewhere than the problem says", sentence, f"{finding.fix[:1].lower()}{finding.fix[1:]}"
+    )
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
@@ -127,8 +162,8 @@ def _repeated_rows(calibration: Calibration) -> Doubt | None:
     if not again:
         return None
     (finding,) = again
-    sentence = f"{finding.cause[:1].upper()}{finding.cause[1:]}. {finding.fix}."
-    return Doubt("rows are repeated, so every standard deviation is too small", sentence)
+    sentence = f"{str(finding).removeprefix('warning: ').removesuffix('.')}; each was counted once."
+    return Doubt("some rows are copies of others", sentence, "remove the copies, or touch there again")
 
 
 def _lack_of_fit(calibration: Calibration) -> Doubt | None:
@@ -156,12 +191,13 @@ def _noise(calibration: Calibration) -> Doubt | None:
         return Doubt("the stated noise is too large", f"{said}: {advice}")
     if noise.scale:
         found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
-        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; casacal check may tell."
+        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; {_what_check_says(calibration)}."
     else:
         advice = "The standard deviations are too small by about as much. Raise noise_std, or find what is missing."
     return Doubt(
         "the residuals exceed the stated noise",
         f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. {advice}",
+        REPEAT if suspicious(calibration) else "",
     )
 
 

@@ -19,7 +19,7 @@ from casacal.checks.setup import setup_findings
 from casacal.checks.suspects import flips
 from casacal.checks.tool import tool_moved
 from casacal.checks.undone import misfit
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -49,7 +49,12 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
 
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
     each found by undoing it, then outliers and noise. What one cause explains is not reported again. Deterministic.
+    Raises CasacalError for what is no problem or no samples.
     """
+    if not isinstance(problem, Problem):
+        raise CasacalError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
+    if not isinstance(samples, Samples):
+        raise CasacalError(f"{came(samples)} came as samples", "Give Samples; problem.read(path) returns them")
     findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)

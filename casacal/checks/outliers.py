@@ -33,6 +33,8 @@ FEWEST_OF_A_FACE = 12
 """Rows of a face that can tell how rough it is."""
 WORTH_A_LOOK = 0.05
 """Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
+ONES_OWN = 2
+"""Rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong."""
 CHANCE = 1e-4
 """Chance that a clean set has any row called an outlier (Bonferroni)."""
 
@@ -75,8 +77,10 @@ def exchanged_labels(
             lost.append(samples.lines[i])
     findings = [
         Finding(
-            "error", "labels exchanged", f"{counted(len(lines))} labelled '{label}' lie on '{fits}'",
-            "Correct the labels", tuple(lines),
+            "error", "labels exchanged",
+            f"{counted(len(lines))} labelled '{label}' lie{'s' if len(lines) == 1 else ''} on '{fits}'",
+            "Correct the labels" + (", or the joints, if they are another row's" if len(lines) <= ONES_OWN else ""),
+            tuple(lines),
         )
         for (label, fits), lines in home.items()
     ]  # fmt: skip

@@ -12,6 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.checks.finding import Finding, counted
 from casacal.problem.problem import Problem
+from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -21,22 +22,18 @@ ENOUGH_ROWS = 12
 
 
 def repeated(samples: Samples) -> list[Finding]:
-    """Rows that hold the same joints and columns as an earlier one."""
-    columns = [*samples.joints.T, *samples.columns.values()]
-    order = np.lexsort(columns)  # stable: of rows alike, the first comes first
-    alike = np.ones(len(order) - 1, dtype=bool)
-    for values in columns:
-        alike &= values[order[1:]] == values[order[:-1]]
-    again = sorted(samples.lines[i] for i in order[1:][alike].tolist())
-    if not again:
+    """Rows that hold the same joints, columns and labels as an earlier one."""
+    again = copies_of(samples)
+    if not again.any():
         return []
     return [
         Finding(
             "warning",
             "repeated rows",
-            f"{counted(len(again))} with the same joints and readings as an earlier row would count its noise again",
+            f"{counted(int(again.sum()))} with the same joints and readings as an earlier row would count its noise "
+            "again",
             "Remove them, unless the arm really went there twice and the dial read the same",
-            tuple(again),
+            _lines(samples, again),
         )
     ]
 
@@ -49,14 +46,13 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         reading = samples.columns[probe.column]
         bad = (reading < 0) | (reading > probe.travel)
         if bad.any():
-            longer = math.ceil(float(reading.max()))
             findings.append(
                 Finding(
                     "error",
                     "readings outside travel",
                     f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
                     f"(from {reading.min():g} to {reading.max():g} mm)",
-                    f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})",
+                    _within_travel(float(reading.min()), float(reading.max()), probe.travel),
                     _lines(samples, bad),
                 )
             )
@@ -73,6 +69,22 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
                 )
             )
     return findings
+
+
+def _within_travel(low: float, high: float, travel: float) -> str:
+    """What brings readings from low to high (mm) into a dial's travel, which begins at zero."""
+    if low >= 0:
+        return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={math.ceil(high)})"
+    longer = f", and declare the travel (--set travel={math.ceil(high - low)})" if high - low > travel else ""
+    if high < 0:
+        return (
+            "Check whether the sign of the column is reversed: readings count from zero up, so write them without the "
+            f"minus; or, where the dial's zero is off, add the same {-low:g} mm or more to all{longer}"
+        )
+    return (
+        f"Check the rows below zero and the column's unit; if they are right, the dial's zero is off by {-low:g} mm or "
+        f"more: readings must be zero or more, so add the same {-low:g} mm or more to all{longer}"
+    )
 
 
 def rounded(bound: BoundProblem) -> list[Finding]:

@@ -44,19 +44,34 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
         problem = problem.with_settings(_numbers("--set", options.set, "NAME=NUMBER", "sign=-1 or noise_std=0.02"))
-    problem = problem.free(*_names(options.free))
+    free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
+    problem = problem.free(*free)
     problem = problem.with_prior(_numbers("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
-    return problem.fix(*_names(options.fix))
+    problem = problem.fix(*fix)
+    left = problem.free_names() if fix else free
+    for name in free:
+        if name not in left:
+            raise CasacalError(f"'{name}' is to be freed (--free) and held (--fix)", "Name it in one of the two")
+    return problem
 
 
-def _names(groups: Sequence[str]) -> list[str]:
-    return [name.strip() for group in groups for name in group.split(",") if name.strip()]
+def names_of(option: str, groups: Sequence[str]) -> list[str]:
+    """Names that stand after an option, which may come several times; raises CasacalError where one names nothing."""
+    found = []
+    for group in groups:
+        names = [name.strip() for name in group.split(",") if name.strip()]
+        if not names:
+            raise CasacalError(f"{option} is empty", "Name something, or leave the option out")
+        found += names
+    return found
 
 
 def _numbers(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
     found = {}
     for setting in settings:
         name, equals, number = setting.partition("=")
+        if name.strip() in found:
+            raise CasacalError(f"{option} gives '{name.strip()}' twice", "Give it once")
         try:
             found[name.strip()] = float(number)
         except ValueError:

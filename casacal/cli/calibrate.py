@@ -75,6 +75,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out is not None and Path(options.out).exists() and not Path(options.out).is_dir():
         raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
+    if options.holdout_by is not None and not options.holdout_by.strip():
+        raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
     if options.holdout_by is not None and not options.holdout:
         raise CasacalError(f"--holdout-by {options.holdout_by} came without --holdout", "Say which part: --holdout 0.3")
     source = load_problem(options.problem)

@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
+    from casacal.compensation.caution import verdict_part
     from casacal.compensation.compensate import compensate
     from casacal.compensation.outcome import Outcome
     from casacal.compensation.programs import notes, rounding_of, text_of
@@ -80,7 +81,8 @@ def run(options: argparse.Namespace) -> int:
     lost = [_lost(compensation, i) for i in missed]
     said = [f"{note[0].upper()}{note[1:]}" for note in notes(compensation, result)]
     if options.json:
-        say_json({"targets": len(targets), "missed": lost, "notes": said, "written": [options.out]})
+        verdict = verdict_part(result)
+        say_json({"targets": len(targets), "missed": lost, "verdict": verdict, "notes": said, "written": [options.out]})
         return FAILED if missed else DONE
     said += [
         f"Not reached: line {one['line']}, {one['outcome']}: {one['meaning']}; {one['residual_mm']:.3f} mm and "

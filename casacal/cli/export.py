@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
+    from casacal.compensation.caution import verdict_part
     from casacal.compensation.result_file import read_result
     from casacal.export import remark
     from casacal.export.forms import export
@@ -52,7 +53,8 @@ def run(options: argparse.Namespace) -> int:
     prefix = options.prefix if options.to == "c" else None
     export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
     if options.json:
-        say_json({"form": options.to, "remarks": remark(result), "written": [options.out]})
+        said = {"form": options.to, "verdict": verdict_part(result), "remarks": remark(result)}
+        say_json({**said, "written": [options.out]})
         return DONE
     say_paragraph(f"Written: {options.out}")
     for line in remark(result):

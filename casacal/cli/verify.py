@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from casacal.cli.adjust import names_of
 from casacal.cli.common import DONE, FAILED, add_json, add_result
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         result,
         problem.read(options.samples, readings=options.readings, key=options.id),
         problem=other,
-        standing=[name.strip() for group in options.standing for name in group.split(",") if name.strip()],
+        standing=names_of("--standing", options.standing),
         tolerance=options.tolerance,
     )
     if options.json:

@@ -23,11 +23,12 @@ from casacal.compensation.arm import (
     infinite_variances,
     local_coordinates,
 )
+from casacal.compensation.given import arm_from
 from casacal.compensation.inverse_kinematics import PosedArm, turning
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
 from casacal.compensation.predict import predict
-from casacal.compensation.targets import Targets
+from casacal.compensation.targets import Targets, targets_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.samples import Samples
 
@@ -61,7 +62,7 @@ def compensate(
 
     Args:
         result: a calibration, or a truth.
-        targets: joint values or poses.
+        targets: joint values or poses, also as numbers, a frame or a file.
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
         largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
         rounding: how the joint values will be written; the proof is about these.
@@ -75,8 +76,12 @@ def compensate(
     nothing holds.
 
     """
+    result = arm_from(result)
+    targets = targets_from(targets, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
+    if not isinstance(largest, (int, float)) or not largest > 0:
+        raise CasacalError(f"The largest motion of a joint is {largest!r}", "Give a positive number of rad")
     check_usable(result, force=force)
     if denial(result) is None:
         _trusted(result, frame)

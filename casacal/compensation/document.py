@@ -49,7 +49,7 @@ def _is_verdict(value: Any) -> bool:
 
 
 def _is_fitted(data: Mapping[str, Any]) -> bool:
-    fitted = data.get("fitted")
+    fitted = data.get("fitted_rows")
     return fitted is None or (isinstance(fitted, dict) and is_listing(fitted))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
@@ -98,7 +99,8 @@ def predict(
 
     Args:
         result: a calibration or a truth.
-        joints: rows of joint values; columns that are absent (a reading) count as zero.
+        joints: rows of joint values, also as numbers, a frame or a file; columns that are absent (a reading) count as
+            zero.
         frame: "flange" is `robot.pose`; "tip" is where the instrument touches.
         nominal: use nominal values instead of the estimate.
         std: whether to add standard deviations.
@@ -113,6 +115,8 @@ def predict(
     """
     from scipy.spatial.transform import Rotation
 
+    result = arm_from(result)
+    joints = joints_from(joints, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
     problem = result.source.problem

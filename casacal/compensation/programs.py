@@ -7,6 +7,7 @@ from a user's file goes into comments as plain ASCII on one line.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.caution import caution
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
 from casacal.errors import CasacalError, UnknownNameError
@@ -22,7 +24,7 @@ from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping
 
 LONGEST = 300
-"""Letters that a comment keeps."""
+"""Letters in a comment."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,8 @@ class Language:
 
     def program(self, compensation: Compensation, notes: list[str]) -> str:
         """The whole program, the notes and each source row as comments."""
-        lines = [self.head, *(f"  {self.comment} {printable(note)}" for note in notes), *self.begin]
+        said = [f"  {self.comment} {line}" for note in notes for line in in_comments(note)]
+        lines = [self.head, *said, *self.begin]
         factor = 180 / math.pi if self.rounding.degrees else 1.0
         for i, outcome in enumerate(compensation.outcomes):
             source = printable(compensation.targets.text[i])
@@ -107,7 +110,8 @@ def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str
     what = notes(compensation, result)
     if form == CSV:
         return "".join(
-            f"{line}\n" for line in [*(f"# {printable(note)}" for note in what), *_table(compensation, result)]
+            f"{line}\n"
+            for line in [*(f"# {line}" for note in what for line in in_comments(note)), *_table(compensation, result)]
         )
     return LANGUAGES[form].program(compensation, what)
 
@@ -130,6 +134,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     verb = "removes" if denial(result) is None else "changes"
     if (words := denial(result)) is not None:
         lines.append(f"WARNING, forced against the verdict: {words}")
+    if (care := caution(result)) is not None:
+        lines.append(f"the result's verdict: {care}")
     if reached.any():
         lines += [
             f"round trip: at these joint values the calibrated {compensation.frame} misses the nominal poses by "
@@ -183,6 +189,12 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
         cells = [f"{value:.{compensation.rounding.decimals}f}" for value in joints]
         known = [f"{value:.6f}" for value in row[:-1]] + ["" if denied else f"{row[-1]:.6f}"]
         yield ",".join([str(line), *cells, outcome.value, *known])
+
+
+def in_comments(note: str) -> list[str]:
+    """A note as lines of comments, ASCII, none longer than `LONGEST`; nothing of a verdict is lost."""
+    plain = note.encode("unicode_escape").decode("ascii")
+    return textwrap.wrap(plain, LONGEST, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def printable(text: str) -> str:

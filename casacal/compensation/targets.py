@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, SamplesError
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.instruments.instrument import Dimension
+from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout, match_columns
@@ -70,11 +71,18 @@ class Targets(Value):
         return Targets(None, (poses[:, :3, 3], turns), lines, text, "poses", "")
 
 
-def read_targets(path: str | Path, source: ProblemFile) -> Targets:
+def read_targets(path: str | Path, source: ProblemFile | Problem) -> Targets:
     """Read joint targets (q1_deg, ... as in samples) or poses (x_mm,y_mm,z_mm,qw,qx,qy,qz as `predict` writes them).
 
-    A file with a column qw holds poses; joint columns beside them then name the branch. Raises SamplesError.
+    A file with a column qw holds poses; joint columns beside them then name the branch. Raises SamplesError, and
+    CasacalError for what is no path or no problem.
     """
+    if not isinstance(path, (str, Path)):
+        raise CasacalError(f"{came(path)} came as the path of targets", "Give a path")
+    if isinstance(source, Problem):
+        source = ProblemFile.of(source)
+    if not isinstance(source, ProblemFile):
+        raise CasacalError(f"{came(source)} came as the problem", "Give a Problem, or what load_problem returns")
     return _of_table(read_any_table(path), source)
 
 

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 from casacal.export.remark import remark
 
@@ -60,6 +61,7 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
     `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
     name.
     """
+    result = arm_from(result)
     if prefix is None:
         plain = re.sub(r"[\W_]+", "_", result.source.name, flags=re.ASCII).strip("_")
         prefix = plain if plain[:1].isalpha() else f"arm_{plain}".rstrip("_")

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError, ProblemError
+from casacal.export.advice import other_forms
 from casacal.export.dh_layout import written_into_csv, written_into_toml
 from casacal.export.remark import MARK, remark
 from casacal.robots.dh_table import DHTable
@@ -32,10 +34,12 @@ def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bo
     Raises CasacalError for other robots, and for a source that is not the table the calibration began with.
 
     """
+    result = arm_from(result)
     arm = result.source.problem.robot.arm
     if not isinstance(arm, DHTable):
         raise CasacalError(
-            f"'{result.source.problem.robot.name}' was not built from a DH table", "Export it as urdf, zeros or c"
+            f"'{result.source.problem.robot.name}' was not built from a DH table",
+            other_forms(result.source.problem.robot),
         )
     table = arm.at(arm_values(result))
     if source is None:

@@ -6,10 +6,12 @@ import re
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, check_usable, denial
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.compensation.caution import caution
+from casacal.compensation.given import arm_from
+from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.c_code import c_text
 from casacal.export.dh import dh_text
-from casacal.export.remark import remark
+from casacal.export.remark import MARK, remark
 from casacal.export.ur_kinematics import ur_kinematics_text
 from casacal.export.urdf import urdf_text
 from casacal.export.zeros import zeros_text
@@ -42,15 +44,19 @@ def export(
     Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
 
     """
-    if form not in FORMS:
+    arm = arm_from(arm)
+    if not isinstance(form, str) or form not in FORMS:
         raise UnknownNameError("form", str(form), FORMS)
+    for place in (path, source):
+        if place is not None and not isinstance(place, (str, Path)):
+            raise CasacalError(f"{came(place)} came as a path", "Give a path, or nothing")
     if source is not None and form not in ("dh", "urdf"):
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
     check_usable(arm, force=force)
     text = _text(arm, form, path, source, prefix)
-    if form == "urdf" and denial(arm) is not None:
+    if form == "urdf":
         text = _remarked(text, arm)
     if path is not None:
         write_text(path, text)
@@ -58,7 +64,13 @@ def export(
 
 
 def _remarked(text: str, arm: CalibratedArm) -> str:
-    """A URDF with the verdict against it as a comment before its first element; a comment holds no two hyphens."""
+    """A URDF with a verdict that its users must know as a comment before its first element, in place of an older one.
+
+    A comment holds no two hyphens.
+    """
+    text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
+    if denial(arm) is None and caution(arm) is None:
+        return text
     words = "\n".join(remark(arm)).replace("--", "- -")
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None

@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 
 
@@ -24,6 +25,7 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
 
     """
     _check(nominal, free)
+    arm = arm_from(arm)
     problem = arm.source.problem
     if free:
         return problem.symbols_of(0).value_functions["pose"]
@@ -39,6 +41,7 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     depends on of the robot's parameters, the instrument's unknowns and the columns are inputs too, by name.
     """
     _check(nominal, free)
+    arm = arm_from(arm)
     symbols = arm.source.problem.symbols
     if free:
         return symbols.value_functions["tip"]
@@ -55,6 +58,7 @@ def values_of(
 
     Numbers are (n,), frames (4, 4); mm and rad. Raises CasacalError where the tip depends on what differs by label.
     """
+    arm = arm_from(arm)
     problem = arm.source.problem
     if frame == "flange":
         known = arm_values(arm, nominal=nominal)

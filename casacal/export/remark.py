@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.caution import caution
+from casacal.compensation.given import arm_from
 from casacal.version import __version__
 
 MARK = "casacal: "
@@ -13,6 +15,7 @@ MARK = "casacal: "
 
 def remark(result: CalibratedArm) -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported."""
+    result = arm_from(result)
     document = result.document
     name = result.source.name
     if document.get("method") == "truth":
@@ -22,6 +25,8 @@ def remark(result: CalibratedArm) -> list[str]:
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
     if (words := denial(result)) is not None:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
+    if (care := caution(result)) is not None:
+        lines.append(f"{MARK}the result's verdict: {care}")
     error = (document.get("tip") or {}).get("expected_rms_mm")
     shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [

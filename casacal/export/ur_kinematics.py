@@ -11,7 +11,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
+from casacal.export.advice import other_forms
 from casacal.export.remark import MARK, remark
 from casacal.export.rotations import roll_pitch_yaw
 from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
@@ -20,7 +22,6 @@ from casacal.robots.dh_table import NEARLY, DHTable
 from casacal.robots.urdf_chain import UrdfChain
 
 JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-FIX = "Export it as dh, urdf, zeros or c"
 
 
 def ur_kinematics_text(result: CalibratedArm) -> str:
@@ -33,16 +34,22 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     Raises CasacalError for an arm that is no 6R arm with three parallel axes from the second on.
 
     """
+    result = arm_from(result)
     robot = result.source.problem.robot
-    name, arm = robot.name, robot.arm
+    name, arm, fix = robot.name, robot.arm, other_forms(robot)
     if not isinstance(arm, (DHTable, UrdfChain)):
-        raise CasacalError(f"'{name}' was not built from a DH table or a URDF", "Export it as zeros or c")
+        raise CasacalError(f"'{name}' was not built from a DH table or a URDF", fix)
     if len(arm.joints) != 6 or any(joint.kind != "revolute" for joint in arm.joints):
-        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, and a UR has six that turn", FIX)
+        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, and a UR has six that turn", fix)
     conventions = arm.conventions or Conventions.plain(6)
     if not np.array_equal(conventions.matrix, np.eye(6)):
-        raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", FIX)
-    _check_structure(name, _origins(arm, arm_values(result, nominal=True), conventions)[0])
+        raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", fix)
+    if isinstance(arm, UrdfChain) and not _is_plain(arm):
+        raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
+    if not _is_built_like_one(_origins(arm, arm_values(result, nominal=True), conventions)[0]):
+        raise CasacalError(
+            f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles", fix
+        )
     origins, rest = _origins(arm, arm_values(result), conventions)
     lines = [f"# {line}" for line in remark(result)]
     if not np.allclose(rest, np.eye(4), rtol=0, atol=1e-12):
@@ -66,12 +73,15 @@ def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tupl
     """Origins (4x4, mm) of the joints, each in the frame before, and what stands behind the last one."""
     if isinstance(arm, DHTable):
         return _of_table(arm.at(p), conventions)
-    kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain)
-    if "f" in kinds.strip("f") or any(joint.axis != (0.0, 0.0, 1.0) for joint in arm.moving):
-        raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", FIX)
     # fixed joints before the first and behind the last moving one are the description's own
     turns = [np.array(rotate_z(offset), dtype=np.float64) for offset in conventions.offsets]
     return [origin @ turn for origin, turn in zip(arm.origins_at(p), turns, strict=True)], np.eye(4)
+
+
+def _is_plain(arm: UrdfChain) -> bool:
+    """Whether no fixed joint stands between others, and all turn about z."""
+    kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain)
+    return "f" not in kinds.strip("f") and all(joint.axis == (0.0, 0.0, 1.0) for joint in arm.moving)
 
 
 def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Array]:
@@ -89,18 +99,15 @@ def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Ar
     return [np.array(origin, dtype=np.float64) for origin in origins], np.array(rest, dtype=np.float64)
 
 
-def _check_structure(name: str, origins: list[Array]) -> None:
-    """Refuse an arm whose drawn axes are not a UR's: 2, 3 and 4 parallel, the others at right angles."""
+def _is_built_like_one(origins: list[Array]) -> bool:
+    """Whether the drawn axes are a UR's: 2, 3 and 4 parallel, the others at right angles."""
     frame, axes = np.eye(4), []
     for origin in origins:
         frame = frame @ origin
         axes.append(frame[:3, 2])
     crossed = [abs(float(one @ two)) for one, two in pairwise(axes)]
     wanted = [0, 1, 1, 0, 0]
-    if any(abs(math.acos(min(c, 1.0)) - math.acos(w)) > NEARLY for c, w in zip(crossed, wanted, strict=True)):
-        raise CasacalError(
-            f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles", FIX
-        )
+    return all(abs(math.acos(min(c, 1.0)) - math.acos(w)) <= NEARLY for c, w in zip(crossed, wanted, strict=True))
 
 
 def _fixed(value: float, digits: int = 12) -> str:

@@ -11,7 +11,9 @@ from xml.parsers import expat
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
+from casacal.export.advice import other_forms
 from casacal.export.rotations import roll_pitch_yaw
 from casacal.robots.files.decimals import plain
 from casacal.robots.urdf_chain import MM, UrdfChain, origin_matrix
@@ -32,10 +34,11 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     Raises CasacalError for other robots, and for a source that is not the one the calibration began with.
 
     """
+    result = arm_from(result)
     arm = result.source.problem.robot.arm
     if not isinstance(arm, UrdfChain):
         raise CasacalError(
-            f"'{result.source.problem.robot.name}' was not built from a URDF", "Export it as dh, zeros or c"
+            f"'{result.source.problem.robot.name}' was not built from a URDF", other_forms(result.source.problem.robot)
         )
     data = _source_text(result, arm, source)
     places = _Places.of(data)

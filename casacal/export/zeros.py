@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.given import arm_from
 from casacal.export.remark import MARK, remark
 from casacal.robots.files.decimals import plain
 from casacal.uncertainty.workspace import workspace_joints
@@ -23,8 +24,9 @@ STEPS = 5
 class ZeroCorrections:
     """Corrections (n,; rad, mm) in the controller's sign, and what they leave.
 
-    values: what to add to each joint value that the controller shows, so that the nominal arm comes nearest to the
-        calibrated one. before, after: distance (mm RMS) between the two without and with them, over the workspace, of
+    values: where the controller shows q, the calibrated arm stands as the drawn one would at q + values. So a target t
+        is met by sending t - values; or by changing the controller's zeros so that it shows q + values where it
+        showed q. before, after: distance (mm RMS) between the two without and with them, over the workspace, of
         the flange's origin and of three points `LEVER` from it along its axes.
     """
 
@@ -40,6 +42,7 @@ class ZeroCorrections:
 
 def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
     """Least-squares zero corrections of a calibration, whatever the robot is built from."""
+    result = arm_from(result)
     robot = result.source.problem.robot
     q = ca.SX.sym("q", len(robot.axes))
     drawn, true = (_points(ca.SX(robot.pose(arm_values(result, nominal=nominal), q))) for nominal in (True, False))
@@ -61,13 +64,17 @@ def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
 
 def zeros_text(result: CalibratedArm) -> str:
     """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
+    result = arm_from(result)
     found = zero_corrections(result)
     axes = result.source.problem.robot.axes
     slides = any(joint.kind == "prismatic" for joint in axes)
     lines = [f"# {line}" for line in remark(result)]
     lines += [
-        f"# {MARK}add each correction to the joint value that the controller shows; the drawn arm is then nearest to "
-        "the calibrated one",
+        f"# {MARK}where the controller shows q, the arm stands as the drawn arm would at q + correction; so do one of "
+        "two, never both:",
+        f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
+        f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
+        "leave the targets as they are",
         f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
         f"points {LEVER:g} mm from it)",
         f"# {MARK}zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",

@@ -69,6 +69,8 @@ def load_problem(path: str | Path) -> ProblemFile:
 
     Raises ProblemError when there is none, when it raises, or when it defines something else.
     """
+    if not isinstance(path, (str, Path)):
+        raise ProblemError(f"{came(path)} came as the path of a problem", "Give a folder with a problem.py")
     file = Path(path)
     if file.is_dir():
         file = file / "problem.py"

@@ -1,8 +1,14 @@
-"""Touches of the same place in the same posture: repeats, which tell pure error from what the model leaves out."""
+"""Touches of the same place in the same posture: repeats, which tell pure error from what the model leaves out.
+
+Copies of a row, the same to the last digit, are no repeats: whether somebody pasted them or a coarse dial read the same
+twice, they say nothing of the scatter of touches.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +47,35 @@ class Repeats:
 def repeats_of(samples: Samples, groups: str | None) -> Repeats:
     """Rows of the same joint values, to 1e-4 rad or mm, on the same face."""
     places = np.column_stack([np.round(samples.joints / SAME), samples.faces(groups).codes]).astype(np.int64)
-    # one number for each row, by which a million sort at once; two different rows share one by a chance of 1e-7
-    keys = np.zeros(len(samples), dtype=np.int64)
+    _, codes, sizes = np.unique(_keys(len(samples), places.T), return_inverse=True, return_counts=True)
+    return Repeats(np.asarray(codes, dtype=np.intp).ravel(), np.asarray(sizes, dtype=np.intp))
+
+
+def copies_of(samples: Samples) -> NDArray[np.bool_]:
+    """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit."""
+    numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
+    codes = [labels.codes for labels in samples.labels.values()]
+    bits = [*(values.view(np.int64) for values in numbers), *(code.astype(np.int64) for code in codes)]
+    _, first, groups = np.unique(_keys(len(samples), bits), return_index=True, return_inverse=True)
+    earlier = first[groups.ravel()]
+    again = earlier < np.arange(len(samples))
+    columns: list[NDArray[Any]] = [*numbers, *codes]
+    for values in columns:
+        again &= values == values[earlier]
+    return np.asarray(again)
+
+
+def without_copies(samples: Samples) -> Samples:
+    """The same rows, each once."""
+    again = copies_of(samples)
+    return samples.take(np.flatnonzero(~again)) if again.any() else samples
+
+
+def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """One number for each row (N,), by which a million sort at once; two rows share one by a chance of 1e-7."""
+    keys = np.zeros(count, dtype=np.int64)
     with np.errstate(over="ignore"):
-        for column in places.T:
+        for column in columns:
             keys = (keys + column) * MIX
             keys ^= keys >> 29
-    _, codes, sizes = np.unique(keys, return_inverse=True, return_counts=True)
-    return Repeats(np.asarray(codes, dtype=np.intp).ravel(), np.asarray(sizes, dtype=np.intp))
+    return keys

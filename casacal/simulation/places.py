@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.instrument import Probe
-from casacal.problem.cell import Cell, corner
+from casacal.problem.cell import Cell, Face, corner
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import try_touches
 from casacal.simulation.true_arm import true_unknowns
+from casacal.unknowns.unknown import tangent_basis
+
+SLOPE = math.radians(15.0)
+"""Inclination of facets against the plunger of an arm that cannot tilt it."""
+ENOUGH = 0.1
+"""Part of the touches of the worst face that must succeed."""
 
 
 def default_cell(problem: Problem) -> Cell:
-    """Three faces at right angles where this arm touches them most readily; the same for the same problem.
+    """Three faces where this arm touches them most readily; the same for the same problem.
 
-    Raises SimulationError when no such place is found, as for arms that cannot point their plunger freely.
+    They stand at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
+    inclined against the plunger another way. Raises SimulationError when no such place is found.
     """
     probe, rng = problem.instrument.probe, np.random.default_rng(0)
     if probe is None:
@@ -27,24 +37,45 @@ def default_cell(problem: Problem) -> Cell:
         )
     nominal = true_unknowns(problem, probe, 0.0, rng)
     touch = Touch.of(problem.robot, problem.instrument, probe, nominal)
-    tips = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[0]
+    tips, plungers = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[:2]
     base = np.median(tips, axis=0)
     reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
     size = min(600.0, 0.4 * reach)
-    best, best_share = None, 0.0
-    for centre in tips[rng.choice(len(tips), 24, replace=False)]:
-        away = (base - centre)[:2]
-        faces = corner(centre, size=size, towards=away if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0))
-        cell = Cell(faces=faces)
-        share = _share_reached(touch, probe, cell, np.random.default_rng(1))
-        if share > best_share:
-            best, best_share = cell, share
-    if best is None or best_share < 0.1:
-        raise SimulationError(
-            f"No place was found where '{problem.robot.name}' can touch three faces at right angles",
-            "Define `cell = Cell(faces=...)` in the problem file",
-        )
-    return best
+    chosen = rng.choice(len(tips), 24, replace=False)
+    corners = [_corner_at(tips[k], base, size) for k in chosen]
+    facets = (_facets_at(tips[k], plungers[k], 0.25 * size) for k in chosen)
+    for cells in (corners, facets):
+        best, share = None, 0.0
+        for cell in cells:
+            reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
+            if reached > share:
+                best, share = cell, reached
+        if best is not None and share >= ENOUGH:
+            return best
+    raise SimulationError(
+        f"No place was found where '{problem.robot.name}' can touch three faces, at right angles or each inclined by "
+        f"{math.degrees(SLOPE):g} degrees against the plunger",
+        "Define `cell = Cell(faces=...)` in the problem file",
+    )
+
+
+def _corner_at(centre: Array, base: Array, size: float) -> Cell:
+    """Three faces at right angles around a place (3, mm)."""
+    away = (base - centre)[:2]
+    towards = away.tolist() if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0)
+    return Cell(faces=corner(centre.tolist(), size=size, towards=towards))
+
+
+def _facets_at(centre: Array, plunger: Array, size: float) -> Cell:
+    """Three facets around a place (3, mm), each inclined another way against a plunger's direction (3)."""
+    towards = -plunger / np.linalg.norm(plunger)
+    u, v = tangent_basis(towards).T
+    faces = []
+    for k, label in enumerate(("one", "two", "three")):
+        aside = math.cos(2 * math.pi * k / 3) * u + math.sin(2 * math.pi * k / 3) * v
+        normal, place = math.cos(SLOPE) * towards + math.sin(SLOPE) * aside, centre + 0.75 * size * aside
+        faces.append(Face(label, (place[0], place[1], place[2]), (normal[0], normal[1], normal[2]), (size, size)))
+    return Cell(faces=tuple(faces), tilt=SLOPE + math.radians(1.0))
 
 
 def _share_reached(touch: Touch, probe: Probe, cell: Cell, rng: np.random.Generator) -> float:

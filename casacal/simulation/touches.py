@@ -93,8 +93,9 @@ def try_touches(
     offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))
     landed = np.abs((axes[:, 0] * tip).sum(axis=1) - heights) < 1e-7
     upright = -(axes[:, 0] * direction).sum(axis=1) >= math.cos(cell.tilt) - 1e-6
-    good = inside & landed & upright & (offset <= half + 1e-6).all(axis=1) & touch.within_limits(joints)[1]
-    return joints, readings, good
+    turned, still = touch.within_limits(joints)
+    good = inside & landed & upright & (offset <= half + 1e-6).all(axis=1) & still
+    return np.where(np.abs(turned - joints) > 1.0, turned, joints), readings, good
 
 
 def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,9 @@ from casacal.uncertainty.leverage import effective_unknowns
 
 LACKING = 0.01
 """Chance of so large an F below which repeats are taken to share an error that the model does not describe."""
+
+EXACT = 1e-18
+"""Variance of repeats over that between places, below which they do not scatter at all: rounding."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def repeats_in(bound: BoundProblem) -> Repeats:
 
 
 def pure_error(result: Result, again: Repeats) -> PureError | None:
-    """Pure error and lack of fit at a result; None where nothing was touched twice.
+    """Pure error and lack of fit at a result; None where nothing was touched twice, or read the same each time.
 
     Residuals within a group differ by pure error alone; between groups there is also what the model leaves out, a
     random effect of variance t^2 shared by a group: E[between] = s^2 + k t^2, k the groups' mean size (Searle 1971).
@@ -74,8 +76,10 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     left = max(len(mean) - effective_unknowns(bound, result.x), 1.0)
     between = float((again.sizes * mean**2).sum()) / left
     noise = within / freedom
-    f = between / noise if noise > 0 else math.inf
-    chance = float(fdtrc(left, freedom, f)) if math.isfinite(f) else 0.0
+    if not noise > EXACT * between:  # copies, which tell nothing of scatter
+        return None
+    f = between / noise
+    chance = float(fdtrc(left, freedom, f))
     size = (len(r) - float((again.sizes**2).sum()) / len(r)) / max(len(mean) - 1, 1)
     effect = max(between - noise, 0.0) / size
     shared = effect / (effect + noise) if chance < LACKING and effect > 0 else 0.0

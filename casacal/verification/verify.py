@@ -151,8 +151,8 @@ def _fresh_among(
     again = copies(rows)
     once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
     seen, part = np.zeros(len(once), dtype=bool), 0.0
-    if data.get("fitted") is not None:
-        seen, part = fitted_among(once, problem.layout(), data["fitted"])
+    if data.get("fitted_rows") is not None:
+        seen, part = fitted_among(once, problem.layout(), data["fitted_rows"])
     elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:

@@ -28,6 +28,7 @@ def told(found: Figures) -> list[str]:
         *_gross(found),
         *_tolerance(found),
         _vouches(found),
+        *_next(found),
     ]
 
 
@@ -124,6 +125,40 @@ def _vouches(found: Figures) -> str:
         f"{what} {seen}; of the {found.promised_tip_mm:.3f} mm RMS that the calibration expects of the arm, "
         f"{found.hidden_tip_mm:.3f} mm could hide from them."
     )
+
+
+def _next(found: Figures) -> list[str]:
+    """What to do where the rows are not as promised, by what is seen of them."""
+    if found.kept and found.within is not False:
+        return []
+    if found.kept:
+        return [
+            "Next: calibrate with the old rows and these together, and with touches where these lie worst; then verify "
+            "with fresh ones, or ask for a tolerance that the calibration promises."
+        ]
+    if found.gross_lines and found.kept_without_gross:
+        it = "this row" if len(found.gross_lines) == 1 else "these rows"
+        return [f"Next: measure {it} again; casacal check PROBLEM {found.samples} says more of them."]
+    bad = [face for face in found.faces if face.p < LEVEL / 2]
+    others = [face for face in found.faces if face.p >= LEVEL / 2]
+    if len(bad) == 1 and others:
+        face = bad[0].label
+        its_own = any(f".{face}." in name for name in found.own)
+        when = "may have moved while it was touched" if its_own else "has moved, so leave it out of --standing"
+        return [
+            f"Next: only '{face}' lies otherwise than promised: that face {when}; or something was done otherwise "
+            "there, such as the dial's zero. Touch it again, and verify again."
+        ]
+    if found.p >= LEVEL / 2:
+        return [
+            "Next: the rows fit one another, and another arm than the calibrated one: a joint's zero, the tool or a "
+            "part has changed since. See what was done to the arm; then calibrate again with old and new rows where it "
+            "is the same arm, with new rows alone where it is not."
+        ]
+    return [
+        f"Next: casacal check PROBLEM {found.samples} looks for mistakes in these rows; measure some of them again, "
+        "and where they read the same, calibrate again with old and new rows."
+    ]
 
 
 def _named(names: Sequence[str], most: int) -> str:

@@ -1,4 +1,4 @@
-"""Histograms of the residuals: held-out rows against fitted ones, and against the stated noise."""
+"""Histograms of the residuals: held-out rows against fitted ones, and against the noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BINS = (15, 41)
 REACH = 4.5
 """Robust standard deviations to which the axis goes."""
 LOOKED_AT = 1500
-"""Rows whose stated noise is looked at."""
+"""Rows whose noise is looked at."""
 
 
 def histograms(touches: Touches) -> Markup:
@@ -26,14 +26,14 @@ def histograms(touches: Touches) -> Markup:
     )
     caption = (
         "Histogram of the residuals, before (left or above) and after, each on its own scale; values beyond the axis "
-        f"stand in the outermost bars.{held} The dark line is what the stated noise predicts; fitted rows lie a little "
-        "inside it."
+        f"stand in the outermost bars.{held} The dark line is what the {touches.calibration.noise_words} predicts; "
+        "fitted rows lie a little inside it."
     )
     return figure(caption, *(_histogram(touches, when) for when in TITLES))
 
 
 def _histogram(touches: Touches, when: When) -> Markup:
-    """Shares of fitted rows as bars, of held-out rows as an outline; after, what the stated noise predicts."""
+    """Shares of fitted rows as bars, of held-out rows as an outline; after, what the noise predicts."""
     found = [part.residuals(when).ravel() for part in touches.parts]
     everything = np.concatenate(found)
     half = nice_ceiling(min(float(np.abs(everything).max()), REACH * spread(everything)))
@@ -58,7 +58,7 @@ def _histogram(touches: Touches, when: When) -> Markup:
 
 
 def _expected(touches: Touches, edges: Array) -> Array:
-    """Shares (bins,) that the stated noise of the rows predicts, percent."""
+    """Shares (bins,) that the noise of the rows, as used, predicts, percent."""
     from scipy.stats import norm
 
     stds = np.concatenate([thinned(np.sort(part.noise.ravel()), LOOKED_AT) for part in touches.parts])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casacal.calibration.page.markup import Markup, paragraph, section
-from casacal.calibration.page.numbers import count, fixed, shortened
+from casacal.calibration.page.numbers import count, fixed, left_out_rows, shortened
 from casacal.calibration.page.table import NUMBER, WORDS, table
 from casacal.calibration.page.touches import LOOKED_AT, Touches
 
@@ -19,9 +19,11 @@ MOST_FACES = 40
 def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     """Rows by face, and where the faces stand."""
     data, faces = document["data"], touches.faces
+    aside = left_out_rows(data)
     opening = (
-        f"{count(data['samples'], 'row')}, of which {data['samples'] - data['heldout']:,} were fitted and "
-        f"{data['heldout']:,} held out{_together(data)} to judge the fit."
+        f"{count(data['samples'], 'row')}, of which {data['fitted']:,} were fitted and "
+        f"{data['heldout']:,} held out{_together(data)} to judge the fit"
+        f"{'; ' * bool(aside)}{' and '.join(aside)}{', and not counted below' * bool(aside)}."
     )
     if not touches.has_faces:
         return section("measured", "What was measured", paragraph(opening), *_no_faces(touches))

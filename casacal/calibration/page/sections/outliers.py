@@ -1,4 +1,4 @@
-"""Rows that fit worst, and those that a robust loss gave less weight."""
+"""Rows that fit worst, those that were set aside, and those that a robust loss gave less weight."""
 
 from __future__ import annotations
 
@@ -30,7 +30,13 @@ def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
         order = np.argsort(-white, kind="stable")[:SHOWN]
         worst += [(-float(white[i]), int(part.lines[i]), _row(part, int(i), float(white[i]))) for i in order]
     worst.sort(key=lambda entry: entry[:2])
-    columns = [("Line", WORDS), ("Face", WORDS), ("Rows", WORDS), ("Residual, mm", NUMBER), ("Times noise", NUMBER)]
+    columns = [
+        ("Line", WORDS),
+        ("Face", WORDS),
+        ("Rows", WORDS),
+        ("Residual, mm", NUMBER),
+        (f"Times {touches.calibration.noise_words}", NUMBER),
+    ]
     if touches.calibration.result.loss is not None:
         columns.append(("Weight", NUMBER))
     rows = [row[: len(columns)] for _, _, row in worst[:SHOWN]]
@@ -38,16 +44,18 @@ def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
         "outliers",
         "Rows that fit worst",
         paragraph(_opening(touches, beyond)),
+        _aside(touches.calibration.aside_lines),
         _ignored(touches, document["down_weighted_lines"]),
         table("worst-rows", "Largest residuals, by line of the file", columns, rows),
     )
 
 
 def _opening(touches: Touches, beyond: int) -> str:
+    noise = touches.calibration.noise_words
     if not beyond:
-        return f"No row stands more than {LARGE:g} times the stated noise off."
+        return f"No row that is fitted or held out stands more than {LARGE:g} times the {noise} off."
     stands = "stands" if beyond == 1 else "stand"
-    words = f"{count(beyond, 'row')} {stands} more than {LARGE:g} times the stated noise off."
+    words = f"{count(beyond, 'row')} {stands} more than {LARGE:g} times the {noise} off."
     if touches.calibration.result.loss is None:
         words += " casacal check names likely causes, and --method lm --loss huber keeps gross rows from pulling."
     return words
@@ -64,6 +72,18 @@ def _row(part: Part, i: int, white: float) -> list[object]:
         fixed(white, 1),
         "–" if part.held else fixed(float(part.weight[i]), 2),
     ]
+
+
+def _aside(lines: tuple[int, ...]) -> Markup | None:
+    if not lines:
+        return None
+    named = ", ".join(str(line) for line in lines[:LINES])
+    more = f" and {len(lines) - LINES:,} more" if len(lines) > LINES else ""
+    was = "was" if len(lines) == 1 else "were"
+    word = "line" if len(lines) == 1 else "lines"
+    return paragraph(
+        f"{count(len(lines), 'row')} {was} set aside before the fit, and not listed here: {word} {named}{more}."
+    )
 
 
 def _ignored(touches: Touches, lines: tuple[int, ...]) -> Markup | None:

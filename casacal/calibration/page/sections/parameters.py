@@ -32,8 +32,8 @@ def parameters_section(calibration: Calibration, document: Mapping[str, Any]) ->
         "parameters",
         "Parameters",
         paragraph(
-            "Standard deviations trust the stated noise and priors. “Of prior” is the standard deviation over that of "
-            "the prior: near 100 % the samples said nothing and the nominal value stands."
+            f"Standard deviations trust the {calibration.noise_words} and the priors. “Of prior” is the standard "
+            "deviation over that of the prior: near 100 % the samples said nothing and the nominal value stands."
         ),
         table("parameter-table", "Parameters, nominal and calibrated", columns, rows, look="wide") if rows else None,
         paragraph(f"Held at nominal: {', '.join(held)}.", style="note") if held else None,

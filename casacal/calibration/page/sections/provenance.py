@@ -7,6 +7,7 @@ from typing import Any
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.page.markup import Markup, paragraph, section, tag
+from casacal.calibration.page.numbers import left_out_rows
 from casacal.calibration.page.table import facts
 
 
@@ -14,6 +15,7 @@ def heading(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
     """Title, robot, data, method and status."""
     data = document["data"]
     fit = calibration.fit
+    counts = [f"{data['fitted']:,} fitted", f"{data['heldout']:,} held out", *left_out_rows(data)]
     return tag(
         "header",
         paragraph("Calibration report", style="kind"),
@@ -25,7 +27,7 @@ def heading(calibration: Calibration, document: Mapping[str, Any]) -> Markup:
                 ("Data", data["file"]),
                 ("SHA-256 of the data", tag("code", data["sha256"])),
                 ("Method", document["method"]),
-                ("Rows", f"{data['samples'] - data['heldout']:,} fitted, {data['heldout']:,} held out"),
+                ("Rows", ", ".join(counts)),
                 ("Unknowns", f"{fit.unknowns:,}"),
                 ("Status", document["status"]),
             ],
