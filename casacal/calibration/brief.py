@@ -5,7 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from casacal.calibration.calibration import MINIMISERS, Calibration
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.next_step import best_cure, next_step, nothing_helps
 from casacal.calibration.verdict import Verdict
 

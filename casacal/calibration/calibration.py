@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.further import extended
 from casacal.binding.marginal import Seen, seen
-from casacal.calibration.reference import Reference
-from casacal.checks import Finding, check
-from casacal.checks.dial_sign import sign_before_fit
-from casacal.checks.numbers import wrong_number
-from casacal.checks.rows import outside, rounded
-from casacal.checks.tool import tool_elsewhere_at
+from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.least_squares.result import Result
-from casacal.problem.problem_file import ProblemFile
-from casacal.samples.repeats import copies_of
-from casacal.samples.samples import Samples
 from casacal.uncertainty.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
 from casacal.uncertainty.flange import flange_accuracy
 from casacal.uncertainty.identifiability import (
     Identifiability,
@@ -35,14 +20,8 @@ from casacal.uncertainty.identifiability import (
     WeakDirection,
     identifiability,
 )
-from casacal.uncertainty.left_out import LeftOut, leave_one_face_out
-from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
-from casacal.values import FrozenMapping, Value
-
-MINIMISERS = ("lm", "sckf-lm", "ipopt")
-"""Methods that promise the minimum; filters and controls may honestly miss it."""
 
 HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
@@ -51,92 +30,13 @@ NOT_NEEDED = "none needed"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration(Value):
-    """A calibrated robot: the fit, the rows held out, the arm before, the reference, and where the time went."""
-
-    method: str
-    seed: int
-    samples: Samples
-    fit: BoundProblem
-    heldout: BoundProblem | None
-    result: Result
-    before: Result
-    reference: Reference | None
-    seconds: Mapping[str, float]
-    source: ProblemFile
-    """The problem as it was given: its file, where it has one."""
-    aside: tuple[Finding, ...] = ()
-    """What is wrong with the rows that were set aside, with their lines."""
-    heldout_by: str = "rows"
-    """What was held out together: rows, region, face, or the name of a column."""
-
-    def __eq__(self, other: object) -> bool:
-        """Whether all but the time taken is equal."""
-        if self is other or not isinstance(other, Calibration):
-            return self is other
-        return super().__eq__(replace(other, seconds=self.seconds))
-
-    def __hash__(self) -> int:
-        return hash((self.method, self.seed, self.fit))
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "seconds", FrozenMapping(self.seconds))
+class Calibration(Fitted):
+    """A calibrated robot: the fit, and every figure of the arm that follows from it."""
 
     @property
     def unjudged(self) -> Calibration:
         """The calibration whose figures are all there, whatever the verdict says of them."""
         return self
-
-    @property
-    def passed(self) -> bool:
-        """Whether the method converged and, where it promises the minimum, the reference agrees."""
-        if not self.result.converged:
-            return False
-        return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
-
-    @property
-    def aside_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that were set aside."""
-        return tuple(sorted({line for found in self.aside for line in found.lines}))
-
-    @cached_property
-    def noise(self) -> Noise:
-        """Noise over what was stated, as this result's residuals show it, and the factors with which it was used."""
-        return noise_over_stated(self.result)
-
-    @cached_property
-    def copies(self) -> int:
-        """Rows that are copies of an earlier one, to the last digit, and so neither fitted nor held out."""
-        return int(copies_of(self.samples).sum())
-
-    @property
-    def noise_words(self) -> str:
-        """Which noise every figure uses: what was stated, or what the rows showed."""
-        return "noise as found" if self.noise.scale else "stated noise"
-
-    @cached_property
-    def heldout_x(self) -> tuple[Array, Array]:
-        """Unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
-        before, after = self.before.x, self.result.x
-        if self.heldout is None:
-            return before, after
-        return extended(self.heldout, before), extended(self.heldout, after)
-
-    @cached_property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """Each fitted face as the others predict it; a fit for each, and so only when it is asked for."""
-        return leave_one_face_out(self.fit, self.result)
-
-    @cached_property
-    def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
-        """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
-        return {
-            when: {
-                "fit": residual_figures(self.fit.plain_residual(result.x)),
-                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(held)),
-            }
-            for when, result, held in zip(("before", "after"), (self.before, self.result), self.heldout_x, strict=True)
-        }
 
     @cached_property
     def seen(self) -> Seen:
@@ -177,13 +77,6 @@ class Calibration(Value):
         """
         before, now = flange_accuracy(self.seen, self.seen_x)
         return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
-
-    @cached_property
-    def tool_findings(self) -> tuple[Finding, ...]:
-        """That the tool stands elsewhere than the problem says, where it does."""
-        if self.fit.groups is not None or not self.fit.unknowns:  # thousands of faces are looked at face by face
-            return ()
-        return tuple(tool_elsewhere_at(self.fit, self.result.x, self.result.spread[0]))
 
     @cached_property
     def tip_from_minimum(self) -> float:
@@ -240,30 +133,6 @@ class Calibration(Value):
         )
 
     @cached_property
-    def down_weighted(self) -> tuple[int, ...]:
-        """Lines of the rows that a robust loss gave less than half of their weight."""
-        if self.result.loss is None:
-            return ()
-        samples = self.fit.block.samples
-        per_row = self.fit.rows // len(samples)
-        low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
-        return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
-
-    @cached_property
     def prior_moves(self) -> PriorMoves:
         """How far arm and tool moved beyond what their priors allow, all together."""
         return prior_moves(self.seen, self.seen_x, self.covariance)
-
-    @cached_property
-    def data_errors(self) -> tuple[Finding, ...]:
-        """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
-        found = check(self.fit.problem, self.fit.block.samples)
-        return tuple(each for each in found if each.severity == "error")
-
-    @cached_property
-    def plain_errors(self) -> tuple[Finding, ...]:
-        """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
-        found = [*outside(self.fit.problem, self.fit.block.samples), *rounded(self.fit), *sign_before_fit(self.fit)]
-        if self.result.loss is None:
-            found += wrong_number(self.fit)
-        return tuple(each for each in found if each.severity == "error")

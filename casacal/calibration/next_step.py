@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from casacal.calibration.calibration import MINIMISERS, Calibration
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.verdict import Verdict, wrong_with_samples
 from casacal.calibration.warnings import VERIFY, doubts, suspicious
 from casacal.uncertainty.cures import Cure
