@@ -86,6 +86,7 @@ def test_the_same_input_gives_the_same_bytes(calibrated, tmp_path, run):
         assert (tmp_path / name).read_bytes() == (calibrated / name).read_bytes()
     one, two = (json.loads((folder / "result.json").read_text()) for folder in (tmp_path, calibrated))
     assert one.pop("seconds").keys() == two.pop("seconds").keys()
+    assert one.pop("seal")["of"] == two.pop("seal")["of"]  # its hash is of the paths, too
     for document in (one, two):  # paths are relative to the folders, which differ
         for part in (document["problem"], *document["problem"]["files"]):
             assert part.pop("path").endswith("problems/hsr_jr680/problem.py")
