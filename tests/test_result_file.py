@@ -265,6 +265,7 @@ EDITED = {
     "a seal of nothing": lambda d: d.update(seal={"of": [], "sha256": d["seal"]["sha256"]}),
     "a seal of numbers": lambda d: d.update(seal={"of": [3, {}], "sha256": d["seal"]["sha256"]}),
     "an older schema": lambda d: d.update(schema=0),
+    "an older schema without a seal": lambda d: (d.update(schema=1), d.pop("seal")),
 }
 
 
