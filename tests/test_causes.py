@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, check, deg, load_problem, simulate, tool_point
+from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
+from casacal.calibration.verdict import verdict_of
 from casacal.checks.causes import _simplest, _Trial, explained
 from casacal.checks.fitted_faults import tool_elsewhere
-from casacal.checks.suspects import Fault
-from casacal.checks.undone import Undone, misfit
+from casacal.checks.undone import Fault, Undone, misfit
 from casacal.problem.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 
@@ -162,3 +162,21 @@ def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
         assert found.lines == (samples.lines[row],)
         assert f"read {-by:+.3g} mm" in found.cause
         assert f"{round(abs(by) / (1.0 if abs(by) >= 1 else 0.5))} turn" in found.cause
+
+
+def test_beside_a_tool_elsewhere_the_flange_is_promised_nothing():
+    """What the samples see is the tip; how much of a difference is the tool's and how much the arm's, they cannot say."""
+    source = load_problem(PROBLEMS / "ur5")
+    away = REPLACE(source.problem.instrument, tool=tool_point(0, 8.0, 120, prior_std=1.0))
+    samples = simulate(Problem(source.problem.robot, away), source.cell, seed=1).samples
+    right = calibrate(Problem(source.problem.robot, away), samples, reference=False)
+    wrong = calibrate(source.problem, samples, reference=False)
+    assert not right.tool_findings
+    assert np.isfinite(right.unjudged.flange_std[1])
+    assert "at the flange" in verdict_of(right).words
+    assert wrong.tool_findings
+    assert np.isnan(wrong.unjudged.flange_std[1])
+    verdict = verdict_of(wrong)
+    assert verdict.level == "use with care"
+    assert "at the flange" not in verdict.words
+    assert any("--frame tip" in reason for reason in verdict.reasons)
