@@ -165,7 +165,7 @@ def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
 
 
 def test_beside_a_tool_elsewhere_the_flange_is_promised_nothing():
-    """What the samples see is the tip; how much of a difference is the tool's and how much the arm's, they cannot say."""
+    """The samples see the tip; how much of a difference is the tool's and how much the arm's, they cannot say."""
     source = load_problem(PROBLEMS / "ur5")
     away = REPLACE(source.problem.instrument, tool=tool_point(0, 8.0, 120, prior_std=1.0))
     samples = simulate(Problem(source.problem.robot, away), source.cell, seed=1).samples
