@@ -77,3 +77,17 @@ def test_rows_too_few_to_tell_name_nothing(hsr):
     samples = simulate(hsr.problem, hsr.cell, samples=36, seed=3).samples
     assert wrong_number(bind(hsr.problem, samples)) == []
     assert wrong_number(bind(hsr.problem.fix("a", "alpha", "d", "theta"), samples)) == []
+
+
+def test_noise_that_was_already_found_hides_no_number(hsr):
+    """What a number holds back looks like noise; a fit that took it for noise is asked with the noise as stated."""
+    bound = bind(hsr.problem, with_lost_zero(hsr, 3, 1.0))
+    assert [found.about for found in wrong_number(bound.with_noise({"": 8.0}))] == ["theta3 elsewhere"]
+
+
+def test_an_error_of_manufacture_is_no_wrong_number(hsr):
+    """Four standard deviations of one zero happen, and the samples see them plainly; that is what calibration is for."""
+    for seed in range(3):
+        samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
+        assert wrong_number(bind(hsr.problem, samples)) == []
+        assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
