@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from casacal.instruments import Suspect as Suspect
     from casacal.instruments import TrackedPoint as TrackedPoint
     from casacal.instruments import Words as Words
+    from casacal.instruments import dial_cycle as dial_cycle
+    from casacal.instruments import dial_gain as dial_gain
     from casacal.instruments import tool_point as tool_point
     from casacal.kinematics import chain as chain
     from casacal.kinematics import deg as deg
@@ -133,6 +135,8 @@ _HOMES = {
         "Suspect",
         "TrackedPoint",
         "Words",
+        "dial_cycle",
+        "dial_gain",
         "tool_point",
     ),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),

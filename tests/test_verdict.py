@@ -208,7 +208,7 @@ def moved_to(calibration, far):
 def test_who_trusts_the_stated_noise_is_told_at_least(hsr):
     trusted = calibrate(hsr.problem, in_cell(hsr, repeatability=0.016), reference=False, noise="stated")
     assert "at least" in verdict_of(trusted).words
-    assert "if the stated noise and priors are right" in verdict_of(trusted).words
+    assert "if the stated noise, priors and the dial's gain are right" in verdict_of(trusted).words
 
 
 def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):

@@ -86,7 +86,7 @@ def test_noise_that_was_already_found_hides_no_number(hsr):
 
 
 def test_an_error_of_manufacture_is_no_wrong_number(hsr):
-    """Four standard deviations of one zero happen, and the samples see them plainly; that is what calibration is for."""
+    """Four standard deviations of one zero happen, and the samples see them; that is what calibration is for."""
     for seed in range(3):
         samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
         assert wrong_number(bind(hsr.problem, samples)) == []

@@ -89,6 +89,13 @@ class Fitted(Value):
         """Which noise every figure uses: what was stated, or what the rows showed."""
         return "noise as found" if self.noise.scale else "stated noise"
 
+    @property
+    def assumed(self) -> str:
+        """What figures of accuracy take for right: noise, priors, and what readings cannot tell of themselves."""
+        noise = "noise as found" if self.noise.scale else "the stated noise"
+        trusted = self.fit.problem.instrument.words.trusted
+        return f"{noise}, priors and {trusted}" if trusted else f"{noise} and priors"
+
     @cached_property
     def heldout_x(self) -> tuple[Array, Array]:
         """Unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""

@@ -122,7 +122,7 @@ def _accuracy(calibration: Calibration) -> str:
             f"Expected tip error over the workspace, apart from where the base stands: {_mm(after)} RMS (priors alone: "
             f"{_mm(before)}),",
             *([f"of the flange {_mm(flange)} (priors alone: {_mm(drawn)}),"] if math.isfinite(flange) else []),
-            "if noise and priors are right and nothing else bends the arm.",
+            f"if {calibration.assumed} are right and nothing else bends the arm.",
             f"From the samples alone, without any prior: {samples_alone}.",
         ]
     )

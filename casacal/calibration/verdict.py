@@ -56,11 +56,11 @@ def verdict_of(calibration: Calibration) -> Verdict:
     before, now = calibration.tip_std
     found = [*doubts(calibration), *_further_doubts(calibration)]
     trusting = calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale
-    least, noise = "at least " if trusting else "", "noise as found" if calibration.noise.scale else "the stated noise"
+    least = "at least " if trusting else ""
     expected = (
         f"expect a tip error of {least}{now:.3f} mm RMS over the workspace{_at_flange(calibration)}, apart from where "
-        f"the base stands (priors alone: {f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if {noise} "
-        "and priors are right"
+        f"the base stands (priors alone: {f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if "
+        f"{calibration.assumed} are right"
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."

@@ -2,8 +2,10 @@
 
 from casacal.instruments.dial_on_body import DialOnBody as DialOnBody
 from casacal.instruments.dial_on_plane import DialOnPlane as DialOnPlane
-from casacal.instruments.dial_on_plane import Step as Step
-from casacal.instruments.dial_on_plane import tool_point as tool_point
+from casacal.instruments.dial_parts import Step as Step
+from casacal.instruments.dial_parts import dial_cycle as dial_cycle
+from casacal.instruments.dial_parts import dial_gain as dial_gain
+from casacal.instruments.dial_parts import tool_point as tool_point
 from casacal.instruments.instrument import Instrument as Instrument
 from casacal.instruments.instrument import Probe as Probe
 from casacal.instruments.instrument import Sight as Sight

@@ -51,7 +51,8 @@ class DialOnBody(DialOnPlane):
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
         """Tool point, plunger direction, orientation of the body, offset of each face."""
-        return {"tool": self.tool, "plunger": self.plunger, "body": self.body, "offset": self.offset}
+        own = {"body": self.body, "offset": self.offset}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **own}
 
     @property
     def datum(self) -> tuple[str, ...]:

@@ -7,35 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.instruments.dial_parts import Step, tool_point
 from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight, Suspect, Words
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
 from casacal.unknowns.fits import fitted_plane
 from casacal.values import FrozenMapping
-
-
-def tool_point(
-    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, prior_std: float = math.inf, free: bool = True
-) -> Parameter:
-    """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z; its prior is flat by default."""
-    return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
-
-
-@dataclass(frozen=True)
-class Step:
-    """A face parallel to another one at a known distance, as on a gauge block.
-
-    on: label of the other face. height: distance along its normal, towards the tool, mm. std: of the certificate, mm.
-    """
-
-    on: str
-    height: float
-    std: float = 0.0003
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +39,9 @@ class DialOnPlane(Instrument):
         plane: the face, or one for each label.
         steps: faces that share the plane of another one at a known height, by label; a known length is what fixes the
             size of the arm.
+        gain: how much too much of every way the dial may show, such as `dial_gain(0.15)`; None trusts it.
+        cycle: what comes back with every turn of its pointer, such as `dial_cycle(3)`; None trusts it.
+        turn: what one turn of the pointer shows, mm.
 
     """
 
@@ -68,6 +54,9 @@ class DialOnPlane(Instrument):
     plunger: Direction = Direction((0.0, 0.0, 1.0), free=False)
     plane: Plane = Plane(per="plane")
     steps: Mapping[str, Step] = field(default_factory=dict)
+    gain: Parameter | None = None
+    cycle: Parameter | None = None
+    turn: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", FrozenMapping(self.steps))
@@ -79,6 +68,12 @@ class DialOnPlane(Instrument):
             raise ProblemError(f"sign of the dial is {self.sign!r}", "Give +1 (extends the tool) or -1 (shortens it)")
         if not 0 < self.travel < math.inf:
             raise ProblemError(f"travel of the dial is {self.travel!r}", "Give a positive number of mm")
+        if not 0 < self.turn < math.inf:
+            raise ProblemError(f"A turn of the pointer is {self.turn!r}", "Give what it shows, a positive number of mm")
+        if (self.gain or self.cycle) and not self.reading:
+            raise ProblemError(
+                "A touch without a dial has a gain or a cycle", "Leave them out, or declare reading=True"
+            )
         for label, step in self.steps.items():
             if step.on in self.steps or step.on == label:
                 raise ProblemError(
@@ -105,7 +100,13 @@ class DialOnPlane(Instrument):
         errors = {
             f"step_{i}": Parameter(0.0, unit="mm", prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)
         }
-        return {"tool": self.tool, "plunger": self.plunger, "plane": self.plane, **errors}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, "plane": self.plane, **errors}
+
+    @property
+    def own_errors(self) -> Mapping[str, Unknown]:
+        """What the dial itself gets wrong, as far as that is declared."""
+        declared = {"gain": self.gain, "cycle": self.cycle}
+        return {key: unknown for key, unknown in declared.items() if unknown is not None}
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -137,7 +138,8 @@ class DialOnPlane(Instrument):
     @property
     def words(self) -> Words:
         """Distances from planes."""
-        return Words("distance from the planes", "mm", "planes", "planes fitted alone")
+        trusted = "the dial's gain" if self.reading and self.gain is None else ""
+        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
 
     @property
     def groups(self) -> str | None:
@@ -159,7 +161,7 @@ class DialOnPlane(Instrument):
             sign=self.sign,
             travel=self.travel,
             label=self.plane.per,
-            moves=("tool", "plunger"),
+            moves=("tool", "plunger", *self.own_errors),
             steps=tuple(self.steps),
         )
 
@@ -191,8 +193,18 @@ class DialOnPlane(Instrument):
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Tip of the plunger (3, mm): the tool point, plus sign * reading along the plunger."""
-        reach = self.sign * getattr(row, "reading", 0.0)
-        return transform_point(pose, p.tool + reach * p.plunger)
+        return transform_point(pose, p.tool + self.reach(p, row) * p.plunger)
+
+    def reach(self, p: Any, row: Any) -> Expression:
+        """How far the tip truly stands out along the plunger, mm: sign * reading, with what the dial gets wrong."""
+        shown = getattr(row, "reading", 0.0)
+        way = shown
+        if self.gain is not None:
+            way += shown * p.gain / 100
+        if self.cycle is not None:
+            angle = 2 * math.pi * shown / self.turn
+            way += (p.cycle[0] * ca.cos(angle) + p.cycle[1] * ca.sin(angle)) / 1000
+        return self.sign * way
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Signed distance of the tip from the face, mm."""

@@ -44,6 +44,8 @@ class Words:
     """What was measured, as in "the arm misses the held-out planes"."""
     before: str = "before"
     """What the control M0 fits, as in "planes fitted alone"."""
+    trusted: str = ""
+    """What its readings take for right and cannot tell, as in "noise, priors and the dial's gain are right"."""
     accuracy: bool = False
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
 

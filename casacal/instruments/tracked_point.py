@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.dial_on_plane import tool_point
+from casacal.instruments.dial_parts import tool_point
 from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Parameter, Unknown

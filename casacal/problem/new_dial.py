@@ -37,13 +37,19 @@ class Given:
     @property
     def names(self) -> list[str]:
         """What problem.py imports for it."""
-        return ["DialOnPlane", "tool_point", *(["scaled_to_accuracy"] if self.accuracy is not None else [])]
+        return [
+            "DialOnPlane",
+            "dial_gain",
+            "tool_point",
+            *(["scaled_to_accuracy"] if self.accuracy is not None else []),
+        ]
 
     @property
     def text(self) -> str:
         """The end of problem.py: tool, dial, problem."""
         x, y, z = (plain(value) for value in self.tool or (0.0, 0.0, 0.0))
         todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
+        sign = "+1" if self.sign == 1 else "-1"
         lines = [
             "# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a",
             f"# millimetre, the samples say the rest.{todo['tool']}",
@@ -51,7 +57,9 @@ class Given:
             "",
             "# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger",
             f"# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo['sign']}",
-            f"dial = DialOnPlane(noise_std=0.01, sign={'+1' if self.sign == 1 else '-1'}, tool=tool)",
+            "# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches",
+            "# of planes cannot tell.",
+            f"dial = DialOnPlane(noise_std=0.01, sign={sign}, tool=tool, gain=dial_gain(0.15))",
             "",
         ]
         if self.accuracy is None:

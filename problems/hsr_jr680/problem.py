@@ -12,7 +12,7 @@ class DialOnLastOffset(DialOnPlane):
     def tip(self, pose, p, row):
         """Tip of the plunger (3, mm)."""
         joint_axis = rotation(rotate_x(-p.alpha[5])) @ p.plunger
-        return transform_point(pose, p.tool + self.sign * getattr(row, "reading", 0.0) * joint_axis)
+        return transform_point(pose, p.tool + self.reach(p, row) * joint_axis)
 
 
 robot = Robot.from_dh(

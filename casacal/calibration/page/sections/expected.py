@@ -42,8 +42,7 @@ def expected_section(touches: Touches, document: Mapping[str, Any], box: Box | N
         paragraph(
             "This, not the residual, is the arm's accuracy as far as the samples can tell: the standard deviation "
             "of the tip, its three axes together, apart from where the base stands, which the samples cannot see; it "
-            f"holds if the {calibration.noise_words} and the priors are right and nothing bends that the model does "
-            "not know."
+            f"holds if {calibration.assumed} are right and nothing bends that the model does not know."
         ),
         _figures(calibration, document, box),
         _maps("error", "expected tip error, mm", workspace.tips, workspace.error, marks, box),
