@@ -19,7 +19,7 @@ from casacal.calibration.next_step import best_cure, next_step
 from casacal.calibration.reference import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import moves, warnings
-from casacal.checks import Finding
+from casacal.checks import Finding, set_aside
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
@@ -99,6 +99,21 @@ def test_a_row_that_only_looked_odd_beside_gross_ones_is_taken_back(hsr):
     assert np.flatnonzero(bad).tolist() == [5, 12, 30]
     assert [finding.lines for finding in findings] == [tuple(samples.lines[k] for k in (5, 12, 30))]
     assert re.match("3 rows up to .* standard deviations off", findings[0].cause)
+
+
+def test_another_look_at_rows_sets_no_further_ones_aside(hsr, monkeypatch):
+    """Whatever the fit with a doubtful row in it makes of others: these were judged without it."""
+    bound = bind(hsr.problem, in_cell(hsr, seed=0).take(np.arange(0, 120, 2)))
+    bad = np.arange(60) == 7
+    monkeypatch.setattr(set_aside, "_outliers", lambda more: np.ones(len(more.block.samples), dtype=bool))
+    assert np.flatnonzero(set_aside._taken_back(bound, bad, np.zeros(60, dtype=bool))).tolist() == [7]
+
+
+def test_a_minimum_that_nobody_checked_is_said_to_be_so(hsr, clean, corner_simulation):
+    assert "second solver" not in verdict_of(clean).words
+    alone = verdict_of(calibrate(hsr.problem, corner_simulation.samples, reference=False))
+    assert alone.level == "calibrated"
+    assert alone.words.endswith("No second solver checked that this is the minimum.")
 
 
 @pytest.mark.parametrize(
