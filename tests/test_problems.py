@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 from oracles import dh_chain, rot_x, rot_z, shift
 
-from casacal import load_problem
+from casacal import bind, lm, load_problem, simulate
 
 POSES = 20
 TURN = math.pi / 2
@@ -70,3 +70,28 @@ def test_samples_stay_inside_the_joint_limits(name):
     joints = source.problem.read(source.samples).joints
     assert (joints >= [joint.lower for joint in source.problem.robot.axes]).all()
     assert (joints <= [joint.upper for joint in source.problem.robot.axes]).all()
+
+
+def test_other_priors_share_what_was_compiled_and_nothing_else(hsr):
+    """A trace knows no priors; what binds, simulates or compares does."""
+    plain = load_problem(hsr.path).problem
+    samples = plain.read(hsr.samples)
+    _ = bind(plain, samples).residual
+    wide = plain.with_prior({"a": 7.0, "theta2": math.inf})
+    fresh = load_problem(hsr.path).problem.with_prior(
+        {"a": 7.0, "theta2": math.inf}
+    )  # nothing was compiled of this one
+    assert wide.models[0].residual is plain.models[0].residual
+    assert wide.models[0].rows().kernels is plain.models[0].rows().kernels
+    assert fresh.models[0].residual is not plain.models[0].residual
+    assert wide == fresh != plain
+    assert wide.digest == fresh.digest != plain.digest
+    one, two = bind(wide, samples), bind(fresh, samples)
+    np.testing.assert_array_equal(one.prior_std, two.prior_std)
+    assert one.prior_std[one.names.index("a3")] == 7.0
+    assert np.isinf(one.prior_std[one.names.index("theta2")])
+    assert bind(plain, samples).prior_std[one.names.index("a3")] == 0.7
+    assert {u.prior_stds[0] for u in [wide.models[0].unknowns["a"], wide.robot.parameters["a"]]} == {7.0}
+    np.testing.assert_array_equal(lm(one).x, lm(two).x)
+    cell = hsr.cell
+    np.testing.assert_array_equal(simulate(wide, cell, seed=1).local["a"], simulate(fresh, cell, seed=1).local["a"])

@@ -7,14 +7,15 @@ Jacobian is made in `casacal.problem.jacobian`.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import SimpleNamespace
 
 import casadi as ca
 
 from casacal.errors import ProblemError
+from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
 from casacal.kernels.batch import Batch
 from casacal.kernels.block_filter import BlockCubature
@@ -25,6 +26,7 @@ from casacal.kernels.steps import cubature_pass
 from casacal.kinematics import position
 from casacal.problem.jacobian import position_jacobian, residual_jacobian, residual_noise
 from casacal.problem.trace import Trace
+from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
 
 
@@ -107,6 +109,17 @@ class RowModel:
         names = ["residual", "jacobian", "noise", "tip", "tip_jacobian", "flange_jacobian", "pose"]
         names += ["plunger"] if self.plunger is not None else []
         return SimpleNamespace(**{name: Batch(getattr(self, name)) for name in names})
+
+
+def models_like(models: Sequence[RowModel], robot: Robot, instruments: Sequence[Instrument]) -> tuple[RowModel, ...]:
+    """The same models for unknowns that differ in their priors alone; what was compiled of them stays compiled."""
+    found = []
+    for model, instrument in zip(models, instruments, strict=True):
+        known = {**robot.parameters, **instrument.unknowns}
+        found.append(replace(model, unknowns={key: known[key] for key in model.unknowns}))
+        declared = {field.name for field in fields(model)}
+        vars(found[-1]).update({name: made for name, made in vars(model).items() if name not in declared})
+    return tuple(found)
 
 
 def compile_rows(traced: Trace) -> RowModel:

@@ -13,7 +13,7 @@ from typing import Any
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
 from casacal.instruments import Instrument
 from casacal.instruments.declaration import check_declaration, with_setting, with_unknown
-from casacal.problem.compile import RowModel
+from casacal.problem.compile import RowModel, models_like
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
@@ -100,10 +100,9 @@ class Problem(Value):
     def symbols_of(self, instrument: int) -> Symbols:
         """The robot with one of its instruments, by number from 0; raises ProblemError where there is no such one."""
         if not 0 <= instrument < len(self._symbols):
-            count = len(self._symbols)
             raise ProblemError(
                 f"There is no instrument {instrument} of '{self.robot.name}'",
-                f"Give 0 to {count - 1}, there are {count}",
+                f"Give 0 to {len(self._symbols) - 1}, there are {len(self._symbols)}",
             )
         return self._symbols[instrument]
 
@@ -155,7 +154,7 @@ class Problem(Value):
         return Samples.from_table(together, layout, absurd=absurd)
 
     def prefix(self, instrument: int) -> str:
-        """What the names of an instrument's unknowns begin with: nothing when there is only one."""
+        """How the names of an instrument's unknowns begin: with nothing when there is only one."""
         return "" if len(self.instruments) == 1 else f"instrument{instrument + 1}."
 
     def fix(self, *names: str) -> Problem:
@@ -198,10 +197,12 @@ class Problem(Value):
                         f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
                         f"Name a component: {', '.join(unknown.names(name))}",
                     )
-                present = unknown.prior_stds
-                return unknown.with_prior([std if hit else float(present[i]) for i, hit in enumerate(chosen)])
+                pairs = zip(unknown.prior_stds, chosen, strict=True)
+                return unknown.with_prior([std if hit else float(before) for before, hit in pairs])
 
             changed = changed._edit(name, edit)
+        if "models" in vars(self):  # what is compiled knows no priors
+            vars(changed)["models"] = models_like(self.models, changed.robot, changed.instruments)
         return changed
 
     def with_settings(self, values: Mapping[str, float]) -> Problem:
@@ -235,7 +236,6 @@ class Problem(Value):
         raise UnknownNameError("free unknown", name, self.free_names())
 
     def _with(self, name: str, unknown: Unknown) -> Problem:
-        """Copy with another unknown in the place of the one of that name, prefix included."""
         robot, instruments = self.robot, list(self.instruments)
         if name in robot.parameters:
             robot = dataclasses.replace(robot, parameters={**robot.parameters, name: unknown})
