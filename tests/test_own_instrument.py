@@ -161,7 +161,7 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
         assert found.result.method == method
         assert "nothing was estimated" in found.message
         assert math.isfinite(found.cost)
-        if method in ("sckf-lm", "swarm"):  # the verdict of all is that of the arm as drawn, and takes many fits
+        if method == "swarm":  # the verdict of all is that of the arm as drawn, and takes many fits
             verdict = verdict_of(found)
             assert verdict.level == "do not use"  # it misses its planes by far
             assert "tip error" not in verdict.words

@@ -440,7 +440,7 @@ def test_a_screen_too_small_for_a_count_still_holds(clean):
 
 
 def test_warnings_are_sentences(hsr):
-    for seed, changes in enumerate(({"repeatability": 0.03}, {"error_scale": 9.0}, {"faces": hsr.cell.faces[:1]})):
+    for seed, changes in enumerate(({"repeatability": 0.015}, {"error_scale": 3.0}, {"faces": hsr.cell.faces[:1]})):
         said = warnings(calibrate(hsr.problem, in_cell(hsr, seed, **changes), method="lm", reference=False))
         assert said
         for sentence in said:
