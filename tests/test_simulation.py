@@ -140,4 +140,6 @@ def test_form_errors_are_smooth_and_of_the_asked_height():
     assert np.ptp(field) == pytest.approx(0.02, rel=0.1)
     assert np.abs(np.diff(field.reshape(41, 41), axis=1)).max() < 0.003
     # DIN 876, grade I, 630 mm: 10 + 6.3 um
-    assert flatness_din_876("I", 630) == pytest.approx(0.0163)
+    # DIN 876: 4, 10 and 20 micrometres times (1 + L / m)
+    for grade, micrometres in (("0", 4.0), ("I", 10.0), ("II", 20.0)):
+        assert flatness_din_876(grade, 630) == pytest.approx(micrometres * 1.63e-3)
