@@ -72,11 +72,11 @@ if TYPE_CHECKING:
     from casacal.least_squares.result import Result as Result
     from casacal.least_squares.result import Status as Status
     from casacal.problem.cell import Cell as Cell
-    from casacal.problem.cell import Disturbances as Disturbances
     from casacal.problem.cell import Face as Face
     from casacal.problem.cell import corner as corner
     from casacal.problem.cell import gauge_block as gauge_block
     from casacal.problem.cell import plate as plate
+    from casacal.problem.disturbances import Disturbances as Disturbances
     from casacal.problem.problem import Problem as Problem
     from casacal.problem.problem_file import ProblemFile as ProblemFile
     from casacal.problem.problem_file import load_problem as load_problem
@@ -104,7 +104,8 @@ _HOMES = {
     "casacal.binding.symbolic": ("SymbolicProblem",),
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
-    "casacal.problem.cell": ("Cell", "Disturbances", "Face", "corner", "gauge_block", "plate"),
+    "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
+    "casacal.problem.disturbances": ("Disturbances",),
     "casacal.compensation.compensate": ("compensate",),
     "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
     "casacal.robots.conventions": ("Conventions",),

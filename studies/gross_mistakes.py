@@ -33,7 +33,9 @@ def whole_way(problem: BoundProblem) -> Result:
     verdict = verdict_of(found)
     said = np.array([verdict.words, *verdict.reasons])
     level, promised = np.array([LEVELS.index(verdict.level)]), np.array([found.unjudged.tip_std[1]])
-    return dataclasses.replace(found.result, trace={"said": said, "level": level, "promised": promised})
+    trace = {"said": said, "level": level, "promised": promised}
+    geometry = ~np.array(found.fit.beside, dtype=bool)
+    return dataclasses.replace(found.result, x=found.used_x[geometry], information=None, trace=trace)
 
 
 @dataclass(frozen=True)

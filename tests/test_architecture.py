@@ -27,6 +27,7 @@ ORDER = [
     "kernels",
     "robots",
     "samples",
+    "discrepancy",
     "problem",
     "doctor",
     "binding",

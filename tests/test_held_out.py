@@ -23,7 +23,7 @@ def rows(corner_simulation):
 
 
 def quick(hsr, samples, **options):
-    return calibrate(hsr, samples, method="lm", reference=False, noise="stated", **options)
+    return calibrate(hsr, samples, method="lm", reference=False, noise="stated", discrepancy="none", **options)
 
 
 # ------------------------------------------------------------------------------------------------ what is held out

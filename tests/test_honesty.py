@@ -9,8 +9,9 @@ import pytest
 from conftest import ROOT
 
 from casacal import Parameter, Problem, bind, calibrate, lm, load_problem, simulate, tool_point
+from casacal.calibration.motion import tip_extremes
 from casacal.calibration.summary import summary
-from casacal.calibration.warnings import tip_extremes, warnings
+from casacal.calibration.warnings import warnings
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
 from casacal.least_squares.losses import huber, tukey
@@ -26,7 +27,7 @@ def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
     calibration = calibrate(
         loose, problem.read(motoman_data / "contacts.csv"), method="lm", reference=False, holdout=0.3
     )
-    moved, std = tip_extremes(calibration)
+    moved, std = tip_extremes(calibration.motion, calibration.workspace)
     text = summary(calibration, "motoman")
     assert moved > 3
     assert std > 3

@@ -27,7 +27,7 @@ from casacal import (
     simulate,
     tukey,
 )
-from casacal.calibration.calibrate import METHODS
+from casacal.calibration.methods import METHODS
 from casacal.cli.main import main
 from casacal.compensation.predict import predict
 from casacal.export import c_text, dh_text, remark, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
@@ -208,7 +208,7 @@ def test_memory_says_what_files_say(found, by_command):
     for q in (Q, Q.tolist(), by_command / "q.csv", pd.read_csv(by_command / "q.csv"), Samples.of_joints(Q)):
         for arm in (found, saved):
             prediction = arm.predict(q, frame="tip", std=True)
-            np.testing.assert_allclose(prediction.positions, found.fit.tips(found.x, Q), atol=1e-9)
+            np.testing.assert_allclose(prediction.positions, found.fit.tips(found.used_x, Q), atol=1e-9)
             assert (prediction.std > 0).all()
     assert found.predict(Q[0]).positions.shape == (1, 3)
     out = by_command / "p.csv"

@@ -128,13 +128,25 @@ def test_less_noise_than_stated_is_not_believed(hsr, corner_simulation):
 
 def test_stated_noise_is_trusted_where_that_is_asked(hsr, capsys, tmp_path):
     samples = touched(hsr, 4, repeatability=0.05)
-    trusted = calibrate(hsr.problem, samples, reference=False, noise="stated")
+    trusted = calibrate(hsr.problem, samples, reference=False, noise="stated", discrepancy="none")
     np.testing.assert_array_equal(trusted.fit.block.noise, trusted.fit.with_noise({}).block.noise)
     assert trusted.noise.ratio > 3
     write_samples(tmp_path / "s.csv", hsr.problem.layout(), samples, [])
     told = {}
     for noise in ("stated", "found"):
-        main(["calibrate", str(HSR), str(tmp_path / "s.csv"), "--noise", noise, "--json", "--no-reference"])
+        main(
+            [
+                "calibrate",
+                str(HSR),
+                str(tmp_path / "s.csv"),
+                "--noise",
+                noise,
+                "--json",
+                "--no-reference",
+                "--discrepancy",
+                "none",
+            ]
+        )
         told[noise] = json.loads(capsys.readouterr().out)
     used = {
         noise: [face["used_mm"] for face in document["noise"]["by_face"].values()] for noise, document in told.items()
@@ -210,13 +222,13 @@ def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
     found, told = [], []
     for seed in range(4):
         simulation, samples = repeated(hsr, seed, times=3, shared=0.03, own=0.01)
-        calibration = calibrate(hsr.problem, samples, method="lm", reference=False)
+        calibration = calibrate(hsr.problem, samples, method="lm", reference=False, discrepancy="none")
         again = calibration.noise.repeats
         assert (again.places, again.chance < 1e-6) == (120, True)
         assert again.low < 1 < again.high
         found.append((again.ratio, again.shared, calibration.noise.ratio))
         once = calibrate(stating(hsr.problem, math.sqrt(0.03**2 + 0.01**2 / 3)), simulation.samples, noise="stated",
-                         method="lm", reference=False)  # fmt: skip
+                         method="lm", reference=False, discrepancy="none")  # fmt: skip
         told.append(calibration.tip_std[1] / once.tip_std[1])
         verdict = verdict_of(calibration)
         assert verdict.level == "use with care"

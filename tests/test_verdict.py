@@ -44,9 +44,13 @@ def clean(hsr, corner_simulation):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_clean_well_specified_samples_are_calibrated(hsr, seed):
-    verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, seed), reference=False))
+    samples = in_cell(hsr, seed)
+    verdict = verdict_of(calibrate(hsr.problem, samples, reference=False, discrepancy="none"))
     assert (verdict.level, verdict.reasons) == ("calibrated", ())
     assert verdict.words.startswith("Calibrated: expect a tip error of 0.5")
+    found = calibrate(hsr.problem, samples, reference=False)
+    assert (verdict_of(found).level, verdict_of(found).reasons) == ("calibrated", ())
+    assert 0.55 < found.tip_std[1] < 0.70
 
 
 @pytest.mark.parametrize("name", sorted(ERRORS - ASIDE))
@@ -282,7 +286,7 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
     bare = verdict_of(calibrate(hsr.problem, samples, method="sckf", reference=False))
     assert bare.level == "use with care"
     assert "no second solver" in bare.words
-    import casacal.calibration.calibrate as module
+    import casacal.calibration.methods as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
     stopped = calibrate(hsr.problem, samples, method="lm")
@@ -441,7 +445,9 @@ def test_a_screen_too_small_for_a_count_still_holds(clean):
 
 def test_warnings_are_sentences(hsr):
     for seed, changes in enumerate(({"repeatability": 0.015}, {"error_scale": 3.0}, {"faces": hsr.cell.faces[:1]})):
-        said = warnings(calibrate(hsr.problem, in_cell(hsr, seed, **changes), method="lm", reference=False))
+        said = warnings(
+            calibrate(hsr.problem, in_cell(hsr, seed, **changes), method="lm", reference=False, discrepancy="none")
+        )
         assert said
         for sentence in said:
             assert sentence[0].isupper()

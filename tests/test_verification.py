@@ -85,7 +85,7 @@ def fitted(source, samples):
     document = {
         "data": {"sha256": samples.sha256},
         "parameters": parameter_rows(bound, result.x, result.std),
-        **geometry(bound, result),
+        **geometry(bound, result.x),
         **spreads(result.covariance, bound.names, bound),
     }
     return CalibratedArm("a calibration", source, jsonable(document))
@@ -577,12 +577,12 @@ def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
     """What is simulated in memory is called by its seed: content decides, not the name."""
     some, fresh = (simulate(hsr.problem, hsr.cell, samples=rows, seed=5).samples for rows in (90, 60))
     assert some.sha256 == fresh.sha256
-    found = calibrate(hsr, some, method="lm", reference=False)
+    found = calibrate(hsr, some, method="lm", reference=False, discrepancy="none")
     same = verify(found, dataclasses.replace(fresh, columns={"reading": fresh.columns["reading"] + 1.0}))
     assert same.rows == 60
     with pytest.raises(SamplesError, match="verifies nothing"):
         verify(found, some)
-    held = calibrate(hsr, some, method="lm", reference=False, holdout=0.3)
+    held = calibrate(hsr, some, method="lm", reference=False, holdout=0.3, discrepancy="none")
     assert verify(held, held.heldout.block.samples).rows == len(held.heldout.block.samples)
 
 
@@ -782,12 +782,14 @@ def test_a_result_that_must_not_be_used_says_so(by_command, capsys):
 
 def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
     document = json.loads((by_command / "result.json").read_text(encoding="utf-8"))
+    document["discrepancy"] = None  # effects would add their own to both
+    (by_command / "quiet.json").write_text(json.dumps(resealed(document)), encoding="utf-8")
     sizes = {name: {"stated_mm": 0.01, "used_mm": 0.03} for name in ("floor", "wall", "side")}
     document["noise"] = {"ratio": 3.0, "low": 2.6, "high": 3.5, "by_face": sizes}
     document["covariance"] = (9 * np.array(document["covariance"])).tolist()
     louder = by_command / "louder.json"
     louder.write_text(json.dumps(resealed(document)), encoding="utf-8")
-    plain, found = (verify(by_command / name, by_command / "fresh.csv") for name in ("result.json", "louder.json"))
+    plain, found = (verify(by_command / name, by_command / "fresh.csv") for name in ("quiet.json", "louder.json"))
     assert found.predicted_mm == pytest.approx(3 * plain.predicted_mm, rel=0.1)
     assert found.chi_square < plain.chi_square / 5
     # what every face showed beside the dial, a tracker sees too; what one face showed is that face's own

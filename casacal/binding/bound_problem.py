@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.binding.blocks import Block, make_block
 from casacal.binding.limits import COMPACT
 from casacal.binding.noise_scale import scaled_noise
+from casacal.binding.nominal import surveys_of
+from casacal.binding.postures import Postures
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import RowGroups, places
-from casacal.binding.slots import Block, Slot, make_block, make_slots
+from casacal.binding.slots import Slot, coordinates, make_slots
 from casacal.binding.sums import Sums
 from casacal.binding.symbolic import SymbolicProblem
+from casacal.discrepancy.survey import Survey
 from casacal.kernels.native_filter import extended_pass
-from casacal.kinematics import stacked_poses
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.groups import Groups
@@ -28,7 +30,9 @@ from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquar
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import FrozenMapping, alike, read_only, short
+from casacal.values import FrozenMapping, alike, short
+
+Scales: TypeAlias = Sequence[Mapping[str, float]]
 
 
 def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
@@ -53,7 +57,7 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None, thread
     return BoundProblem(problem, make_slots(problem, samples), samples, backend, threads)
 
 
-class BoundProblem(LeastSquares):
+class BoundProblem(Postures, LeastSquares):
     """A `Problem` with its samples; see `bind`."""
 
     def __init__(
@@ -63,18 +67,16 @@ class BoundProblem(LeastSquares):
         samples: Sequence[Samples],
         backend: str | None = None,
         threads: int | None = None,
-        noise_scale: Sequence[Mapping[str, float]] = (),
+        noise_scale: Scales = (),
+        surveys: Sequence[Survey | None] = (),
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.noise_scale = tuple(FrozenMapping(scale) for scale in noise_scale)
-        pairs = [(slot, j) for slot in self.slots for j in range(slot.unknown.size)]
-        self.names = tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs)
-        self.units = tuple(slot.unknown.units[j] for slot, j in pairs)
-        self.x0 = read_only(np.zeros(len(pairs)))
-        self.prior_std = read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64))
-        self.start_std = read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64))
-        self.datum = read_only(np.array([slot.datum for slot, _ in pairs], dtype=bool))
-        blocks = [make_block(problem, i, self.slots, samples[i]) for i in range(len(problem.instruments))]
+        at = coordinates(self.slots)
+        self.names, self.units, self.beside = at.names, at.units, at.beside
+        self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
+        self.surveys = tuple(surveys) or surveys_of(problem, samples)
+        blocks = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
         self.blocks = scaled_noise(blocks, [instrument.groups for instrument in problem.instruments], self.noise_scale)
         self._asked, self._threads = backend, thread_count(threads)
         self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
@@ -82,7 +84,8 @@ class BoundProblem(LeastSquares):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
-        return BoundProblem, (self.problem, self.slots, self.samples, self._asked, self._threads, self.noise_scale)
+        made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.noise_scale, self.surveys)
+        return BoundProblem, made_from
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, BoundProblem):
@@ -109,15 +112,28 @@ class BoundProblem(LeastSquares):
 
     def on(self, *samples: Samples) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
-        return BoundProblem(self.problem, self.slots, samples, self._asked, self._threads, self.noise_scale)
+        return self._like(self.slots, samples, self.noise_scale)
+
+    def under(self, problem: Problem) -> BoundProblem:
+        """The same rows and nominal values under another problem of the same geometry, such as one with effects."""
+        slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
+        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.noise_scale)
+
+    def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
+        """The same rows, sizes of effects multiplied by a factor for each key; with other factors of noise, if any."""
+        slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
+        return self._like(slots, self.samples, self.noise_scale if noise is None else (noise,))
 
     def with_noise(self, *scale: Mapping[str, float]) -> BoundProblem:
         """The same rows, their stated noise times a factor for each face of each instrument; "" stands for others."""
-        return BoundProblem(self.problem, self.slots, self.samples, self._asked, self._threads, scale)
+        return self._like(self.slots, self.samples, scale)
+
+    def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], noise_scale: Scales) -> BoundProblem:
+        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys)
 
     @property
     def backend(self) -> str:
-        """Name of the back end that evaluates the rows: "c" or "blocks"."""
+        """What evaluates the rows: "c" or "blocks"."""
         return self._groups[0].backend
 
     def plain_residual(self, x: Array) -> Array:
@@ -206,27 +222,9 @@ class BoundProblem(LeastSquares):
         groups, row = self._locate(k)
         return groups.row_jacobian(row, x)
 
-    def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
-        """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
-        return np.asarray(self._tip_inputs(self.blocks[instrument], x, joints, "tip")[0])
-
-    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0, by: NDArray[np.intp] | None = None) -> Array:
-        """Derivative (3 N, n) of those tips by x, or by some (s,) of its unknowns, in units of mm per unit of x."""
-        block = self.blocks[instrument]
-        _, slopes = self._tip_inputs(block, x, joints, "tip_jacobian")
-        by = np.arange(self.unknowns) if by is None else by
-        _, inside, seen = np.intersect1d(by, block.columns[0], return_indices=True)
-        jacobian = np.zeros((3 * len(joints), by.size))
-        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
-        return jacobian
-
-    def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
-        """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
-        return stacked_poses(self._tip_inputs(self.blocks[instrument], x, joints, "pose")[0])
-
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
-        """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
-        return (number for slot in self.slots for number in slot.numbers())
+        """Numbers of all parameters but those of effects: name, unit, nominal, position in x (None when held)."""
+        return (number for slot in self.slots if not slot.beside for number in slot.numbers())
 
     @cached_property
     def graph(self) -> RawGraph:
@@ -237,12 +235,6 @@ class BoundProblem(LeastSquares):
     def symbolic(self) -> SymbolicProblem:
         """All rows as CasADi expressions of x, for one's own programs and solvers."""
         return SymbolicProblem(self, self.slots, self.blocks)
-
-    def _tip_inputs(self, block: Block, x: Array, joints: Array, name: str) -> list[Array]:
-        data = np.zeros((len(joints), joints.shape[1] + len(block.known)))
-        data[:, : joints.shape[1]] = joints
-        outputs: list[Array] = getattr(block.model.batch, name)(x[block.columns[0]], block.constants[0], data)
-        return outputs
 
     def _locate(self, k: int) -> tuple[RowGroups, int]:
         i = int(np.searchsorted(self._starts, k, side="right")) - 1

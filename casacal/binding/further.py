@@ -26,7 +26,9 @@ def bind_further(bound: BoundProblem, samples: Samples) -> BoundProblem:
             slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
     if len(slots) == len(seen):
         return bound.on(samples)
-    return BoundProblem(bound.problem, slots, (samples,), bound.backend, noise_scale=bound.noise_scale)
+    return BoundProblem(
+        bound.problem, slots, (samples,), bound.backend, noise_scale=bound.noise_scale, surveys=bound.surveys
+    )
 
 
 def extended(further: BoundProblem, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A bound problem in its shared unknowns alone, those of single labels taken out: what figures of the arm need."""
+"""A bound problem in the unknowns of arm and touches alone, others taken out: what figures of the arm need."""
 
 from __future__ import annotations
 
@@ -8,28 +8,42 @@ from typing import TypeAlias
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.binding.blocks import Block
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import Block, Slot
-from casacal.least_squares.elimination import taken_out, triangle
+from casacal.binding.slots import Slot
+from casacal.least_squares.elimination import GroupRows, taken_out, triangle
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares, Normal
 from casacal.problem.problem import Problem
 
 
 class Marginal(LeastSquares):
-    """The shared unknowns (s,) of a bound problem, where single labels have many of their own.
+    """Some unknowns (s,) of a bound problem: not those of single labels where these are many, and not all of effects.
 
-    These stand at a given x and move freely with the shared ones: information is what is left after they are taken
-    out. Positions in x are not those of the slots.
+    The others stand at a given x and move freely with these: information is what is left after they are taken out.
+    Positions in x are not those of the slots. Of effects beside the geometry none is among them, or those that move the
+    tip (`motion`).
     """
 
-    def __init__(self, whole: BoundProblem, at: Array) -> None:
-        assert whole.groups is not None
-        self.whole, self.at, self.shared = whole, at.copy(), whole.groups.shared
+    def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
+        shared = np.arange(whole.unknowns) if whole.groups is None else whole.groups.shared
+        self.whole, self.at = whole, at.copy()
+        kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
+        self._effects = np.array([bool(whole.beside[j]) and whole.beside[j] not in kept for j in shared], dtype=bool)
+        self._with_effects, self.shared = shared, shared[~self._effects]
         self.names = tuple(whole.names[j] for j in self.shared)
         self.units = tuple(whole.units[j] for j in self.shared)
         self.x0, self.prior_std = whole.x0[self.shared], whole.prior_std[self.shared]
         self.start_std, self.datum = whole.start_std[self.shared], whole.datum[self.shared]
+
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, Marginal):
+            return self is other
+        same = np.array_equal(self.shared, other.shared) and np.array_equal(self.at, other.at)
+        return same and self.whole == other.whole
+
+    def __hash__(self) -> int:
+        return hash((self.whole, self.names))
 
     @property
     def problem(self) -> Problem:
@@ -72,9 +86,17 @@ class Marginal(LeastSquares):
 
     def compact_jacobian(self, x: Array) -> Array:
         """Rows (k, s) with the J'J that is left of the shared unknowns."""
-        prior = self.whole.prior_information
-        parts = (taken_out(part.held(prior[part.members])).rows for part in self.whole.group_rows(self.expand(x)))
-        return triangle(parts, self.x0.size)
+        prior, full = self.whole.prior_information, self.expand(x)
+        if self.whole.groups is None:
+            rows = self.whole.compact_jacobian(full)
+        else:
+            parts = (taken_out(part.held(prior[part.members])).rows for part in self.whole.group_rows(full))
+            rows = triangle(parts, self._with_effects.size)
+        if not self._effects.any():
+            return rows
+        members, among = np.flatnonzero(self._effects), np.flatnonzero(~self._effects)
+        part = GroupRows(np.arange(len(rows)), members, among, rows[:, members], rows[:, among])
+        return triangle([taken_out(part.held(prior[self._with_effects[members]])).rows], among.size)
 
     def row(self, k: int, states: Array) -> Array:
         """Whitened residual k at many states (m, s): (m,)."""
@@ -111,8 +133,16 @@ Seen: TypeAlias = BoundProblem | Marginal
 
 
 def seen(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
-    """What figures of the arm need at x (n,), and the part of x that it has: all, where labels are few."""
-    if bound.groups is None:
+    """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
+    if bound.groups is None and not any(bound.beside):
         return bound, x
     found = Marginal(bound, x)
+    return found, x[found.shared]
+
+
+def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
+    """All that moves the tip at x (n,), geometry and effects beside it, and the part of x that it has."""
+    if bound.groups is None and not any(bound.beside):
+        return bound, x
+    found = Marginal(bound, x, motion=True)
     return found, x[found.shared]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.slots import Block
+from casacal.binding.blocks import Block
 from casacal.samples.repeats import repeats_of
 from casacal.samples.samples import Samples
 

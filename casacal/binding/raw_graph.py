@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.slots import Block, Slot
+from casacal.binding.blocks import Block
+from casacal.binding.slots import Slot
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.replay import Buffered

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.slots import Block
+from casacal.binding.blocks import Block
 from casacal.kernels.native_normal import NativePiece
 from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares.losses import Loss

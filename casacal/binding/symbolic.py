@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.slots import Block, Slot
+from casacal.binding.blocks import Block
+from casacal.binding.slots import Slot
 from casacal.binding.symbolic_steps import cubature_step, damped_step
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression

@@ -3,56 +3,34 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.further import bind_further
 from casacal.calibration.calibrated import Calibrated
+from casacal.calibration.methods import RANDOM, Method, Progress, chosen, estimate
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
-from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
-from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
+from casacal.errors import CasacalError, SamplesError, came
+from casacal.estimators import ipopt, lm, plane_only
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.result import Result, Status, as_result
+from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.holdout import split
 from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Samples
 from casacal.tables.frames import is_frame
+from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
 
-Progress: TypeAlias = Callable[[int, float], None]
-Method: TypeAlias = Callable[..., Result | Array]
 _LOG = logging.getLogger("casacal")
-
-METHODS: Mapping[str, Method] = {
-    "lm": lm,
-    "sckf": sckf,
-    "sckf-lm": sckf_lm,
-    "ekf": ekf,
-    "annealing": annealing,
-    "swarm": swarm,
-    "evolution": evolution,
-    "ipopt": ipopt,
-    "plane-only": plane_only,
-}
-"""The names the command line knows."""
-
-RANDOM = ("annealing", "swarm", "evolution")
-"""Methods that draw random numbers."""
-
-WORSE = 1e-9
-"""Part of the drawing's cost by which an estimate may exceed it: rounding."""
 
 
 def calibrate(
@@ -66,6 +44,7 @@ def calibrate(
     reference: bool = True,
     noise: Literal["found", "stated"] = "found",
     outliers: Literal["set aside", "keep"] = "set aside",
+    discrepancy: Literal["kit", "none"] = "kit",
     loss: Loss | None = None,
     backend: str | None = None,
     threads: int | None = None,
@@ -89,6 +68,9 @@ def calibrate(
             interval; "stated" trusts what was stated.
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
             "keep" fits all. With a robust loss all are kept. Copies of a row always count once.
+        discrepancy: "kit" takes into account what arm and cell do beside their geometry: the problem's own effects, or
+            those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
+            a box, and thousands of faces do.
         loss: a robust loss, such as `huber()`, for the method "lm" alone.
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
@@ -103,35 +85,55 @@ def calibrate(
     """
     source = problem_from(problem)
     rows = samples_from(samples, source)
-    run, name = _chosen(method, loss)
+    run, name = chosen(method, loss)
     if noise not in ("found", "stated"):
         raise CasacalError(f"{came(noise)} came as the noise", "Give 'found' or 'stated'")
     if outliers not in ("set aside", "keep"):
         raise CasacalError(f"{came(outliers)} came for the outliers", "Give 'set aside' or 'keep'")
+    if discrepancy not in ("kit", "none"):
+        raise CasacalError(f"{came(discrepancy)} came for the discrepancy", "Give 'kit' or 'none'")
     began = time.perf_counter()
     single = without_copies(rows)
     fitted, held = split(single, holdout, seed, holdout_by, source.problem.instrument.groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
-        fit = bind(source.problem, single.take(fitted) if held.size else single, backend=backend, threads=threads)
-        _refuse_too_few(fit)
-        aside: tuple[Finding, ...] = ()
-        if outliers == "set aside" and loss is None:
-            bad, aside = gross(fit)
-            if bad.any():
-                fit = bind(source.problem, single.take(fitted[~bad]), backend=backend, threads=threads)
-        scale = found_noise(fit, loss).scale if noise == "found" else {}
-        if scale:
-            fit = fit.with_noise(scale)
+        chosen_rows = single.take(fitted) if held.size else single
+        bare, aside = _geometry(source.problem, chosen_rows, noise, outliers, loss, backend, threads)
+        fit = bare
+        if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
+            fit = with_effects(fit, source.problem, find_noise=noise == "found")
         heldout = bind_further(fit, single.take(held)) if held.size else None
         built = time.perf_counter()
-        _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, fit.unknowns)
-        result = _estimate(run, name, fit, seed, loss, progress)
+        _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
+        result = estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
         before = plane_only(fit)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
-    return Calibrated(name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by)
+    return Calibrated(
+        name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, (), bare
+    )
+
+
+def _geometry(
+    problem: Problem,
+    rows: Samples,
+    noise: str,
+    outliers: str,
+    loss: Loss | None,
+    backend: str | None,
+    threads: int | None,
+) -> tuple[BoundProblem, tuple[Finding, ...]]:
+    """The rows under the geometry alone, gross ones set aside and noise as found, and what is wrong with those."""
+    bare = bind(problem.without_effects, rows, backend=backend, threads=threads)
+    aside: tuple[Finding, ...] = ()
+    _refuse_too_few(bare)
+    if outliers == "set aside" and loss is None:
+        bad, aside = gross(bare)
+        if bad.any():
+            bare = bind(bare.problem, rows.take(np.flatnonzero(~bad)), backend=backend, threads=threads)
+    scale = found_noise(bare, loss).scale if noise == "found" else {}
+    return (bare.with_noise(scale) if scale else bare), aside
 
 
 def _refuse_too_few(fit: BoundProblem) -> None:
@@ -177,61 +179,6 @@ def samples_from(given: Any, source: ProblemFile) -> Samples:
     raise CasacalError(
         f"{came(given)} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column"
     )
-
-
-def _chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
-    """The function that estimates, and what it is called."""
-    if loss is not None and not isinstance(loss, Loss):
-        raise CasacalError(f"{came(loss)} came as the loss", "Give huber() or tukey()")
-    if method is None:
-        method = "sckf-lm" if loss is None else "lm"
-    if not isinstance(method, str):
-        if not callable(method):
-            raise CasacalError(
-                f"{came(method)} came as the method",
-                f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
-            )
-        name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
-        return method, name
-    if method not in METHODS:
-        raise UnknownNameError("method", method, METHODS)
-    if loss is not None and method != "lm":
-        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm, or leave the method out")
-    return METHODS[method], method
-
-
-def _estimate(
-    run: Method, name: str, fit: BoundProblem, seed: int, loss: Loss | None, progress: Progress | None
-) -> Result:
-    """Run a method: casacal's own with what they understand, others with the problem alone."""
-    if METHODS.get(name) is not run:
-        return _judged(as_result(run(fit), fit, name))
-    # controls and the reference have nothing to report on the way
-    options: dict[str, Any] = {"progress": progress} if name not in ("ipopt", "plane-only") else {}
-    if name in RANDOM:
-        options["seed"] = seed
-    if loss is not None:
-        options["loss"] = loss
-    found = run(fit, **options)
-    assert isinstance(found, Result)
-    return _judged(found)
-
-
-def _judged(found: Result) -> Result:
-    """A result with a status that fails where it is no estimate, which many methods cannot tell by themselves."""
-    if not found.converged:
-        return found
-    if not math.isfinite(found.cost):
-        return replace(found, status=Status.NOT_FINITE)
-    if found.cost > replace(found, x=found.problem.x0, information=None).cost * (1 + WORSE):
-        return replace(found, status=Status.WORSE)
-    return replace(found, status=Status.FAR) if found.status is Status.ONE_PASS and _is_far(found) else found
-
-
-def _is_far(found: Result) -> bool:
-    """Whether the minimum beside an estimate is farther than its own spread explains, a chi-square of all unknowns."""
-    step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
-    return step is not None and step.squared_length > found.problem.unknowns
 
 
 def _check(fit: BoundProblem, method: str, result: Result) -> Reference:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,12 +14,13 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
-from casacal.calibration.withheld import without_predictions, without_tips
+from casacal.calibration.withheld import without_motion, without_predictions, without_tips
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
@@ -28,6 +29,7 @@ from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.left_out import LeftOut
 from casacal.uncertainty.prior_moves import PriorMoves
+from casacal.uncertainty.score_test import ScoreTest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,6 +90,12 @@ class Calibrated(Calibration, AsArm):
         return np.full_like(known, math.nan) if self.denied else known
 
     @cached_property
+    def motion(self) -> Motion:
+        """All that moves the tip; its covariance is NaN where the verdict denies it."""
+        known = self.unjudged.motion
+        return replace(known, covariance=np.full_like(known.covariance, math.nan)) if self.denied else known
+
+    @cached_property
     def cures(self) -> tuple[Cure, ...]:
         """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
         return () if self.denied else self.unjudged.cures
@@ -114,9 +122,15 @@ class Calibrated(Calibration, AsArm):
         found = self.unjudged.left_out
         return without_predictions(found) if self.denied else found
 
+    @cached_property
+    def score_tests(self) -> tuple[ScoreTest, ...]:
+        """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
+        found = self.unjudged.score_tests
+        return without_motion(found) if self.denied else found
+
     @property
     def x(self) -> Array:
-        """Estimate (n,) of `fit.names`, deviations from nominal, mm and rad."""
+        """Estimate (n,) of `fit.names`, deviations from nominal, mm and rad; `predict` uses `used_x`."""
         return self.result.x
 
     @property
@@ -152,7 +166,7 @@ class Calibrated(Calibration, AsArm):
         """
         import pandas as pd
 
-        rows = parameter_rows(self.fit, self.result.x, self.result.std, denied=self.denied)
+        rows = parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied)
         table = pd.DataFrame(rows).set_index("name")
         table.insert(3, "change", table["estimate"] - table["nominal"])
         return table.rename(columns={"identifiable": "known_from"})

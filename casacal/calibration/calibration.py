@@ -9,6 +9,7 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.binding.marginal import Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
+from casacal.calibration.motion import Motion, among, used_arm
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.cures import Cure, cure_for, cures
@@ -21,6 +22,7 @@ from casacal.uncertainty.identifiability import (
     identifiability,
 )
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
+from casacal.uncertainty.score_test import ScoreTest
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01
@@ -51,13 +53,19 @@ class Calibration(Fitted):
     @property
     def covariance(self) -> Array:
         """Covariance of its unknowns (s, s); infinite variances where neither data nor prior hold one."""
-        return self.result.spread[0]
+        return among(self.result, self.seen)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """All that moves the tip: geometry, and effects beside it."""
+        return Motion.of(self.fit, self.result, self.used_x)
 
     @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
         """Joint values, tips and tip Jacobian at the estimate over fixed workspace poses that no sample visited."""
         joints = workspace_joints(self.fit.problem.robot)
-        return joints, self.seen.tips(self.seen_x, joints), self.seen.tip_jacobian(self.seen_x, joints)
+        arm, x = self.motion.arm, self.motion.x
+        return joints, arm.tips(x, joints), arm.tip_jacobian(x, joints)
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
@@ -65,7 +73,7 @@ class Calibration(Fitted):
 
         An estimate that is not the minimum errs by what the posterior allows there, and by its own way to the minimum.
         """
-        before, now = expected_accuracy(self.seen, self.seen_x)
+        before, now = expected_accuracy(self.motion.arm, self.motion.x, self.motion.off)
         return before, math.hypot(now, self.tip_from_minimum)
 
     @cached_property
@@ -75,7 +83,7 @@ class Calibration(Fitted):
         NaN now where the estimate is not the minimum, and where the tool stands elsewhere than the problem says: what
         the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
         """
-        before, now = flange_accuracy(self.seen, self.seen_x)
+        before, now = flange_accuracy(self.motion.arm, self.motion.x, self.motion.off)
         return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
 
     @cached_property
@@ -87,7 +95,8 @@ class Calibration(Fitted):
         least = lm(self.fit, start=self.result.x, loss=self.result.loss)
         if not least.converged:
             least = lm(self.fit, loss=self.result.loss)
-        arm, x = seen(self.fit, least.x)
+        arm = self.motion.arm
+        x = Motion.of(self.fit, least, used_arm(self.fit, least, self.corrected)).x
         return tip_rms(without_rigid((tips - arm.tips(x, joints)).ravel(), tips))
 
     @cached_property
@@ -104,7 +113,7 @@ class Calibration(Fitted):
         parallel or a plate that is level, an estimate hides but for its own corrections, so that at a tolerance of
         1e-9 rounding would decide it, and no two runs could be compared. `structural` says what stays hidden.
         """
-        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.fit, self.fit.x0)
+        joints, (drawn, x0) = workspace_joints(self.fit.problem.robot), seen(self.bare, self.bare.x0)
         return identifiability(drawn, drawn.tip_jacobian(x0, joints), drawn.tips(x0, joints))
 
     @cached_property
@@ -112,12 +121,13 @@ class Calibration(Fitted):
         """What to do next, best first: 24 extra touches each, simulated at the estimate, with the tip error after them.
 
         Worked out when asked for, in less than a second. Figures compare with `tip_std`, and mean as little where the
-        verdict is not to use this result.
+        verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
+        stays.
         """
-        found = cures(self.fit, self.result.x)
-        return tuple(
-            replace(cure, expected_rms_mm=math.hypot(cure.expected_rms_mm, self.tip_from_minimum)) for cure in found
-        )
+        found = cures(self.bare, self.bare_x)
+        geometry, x = seen(self.bare, self.bare_x)
+        stays = max(self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2, 0.0)
+        return tuple(replace(cure, expected_rms_mm=math.sqrt(cure.expected_rms_mm**2 + stays)) for cure in found)
 
     @cached_property
     def advice(self) -> tuple[str, ...]:
@@ -126,11 +136,21 @@ class Calibration(Fitted):
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        now = posterior_covariance(self.seen.information(self.seen_x), self.seen.prior_std)
+        geometry, x = seen(self.bare, self.bare_x)
+        now = posterior_covariance(geometry.information(x), geometry.prior_std)
         return tuple(
-            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(self.seen, now, self.cures, direction)
+            NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
             for direction in directions
         )
+
+    @cached_property
+    def score_tests(self) -> tuple[ScoreTest, ...]:
+        """Whether the rows show what arm and cell may do beside their geometry; none where that was not asked for."""
+        from casacal.uncertainty.score_tests import score_tests  # scipy's sparse matrices take their time
+
+        if not any(self.fit.beside):
+            return ()
+        return score_tests(self.bare.with_noise(*self.fit.noise_scale), self.fit.problem)
 
     @cached_property
     def prior_moves(self) -> PriorMoves:

@@ -11,12 +11,14 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.further import extended
+from casacal.calibration.motion import used_arm
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
 from casacal.checks.dial_sign import sign_before_fit
 from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, rounded
 from casacal.checks.tool import tool_elsewhere_at
+from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.repeats import copies_of
@@ -49,6 +51,12 @@ class Fitted(Value):
     """What is wrong with the rows that were set aside, with their lines."""
     heldout_by: str = "rows"
     """What was held out together: rows, region, face, or the name of a column."""
+    corrected: tuple[str, ...] = ()
+    """Keys of the effects beside the geometry that are corrected; others count as errors."""
+    geometry: BoundProblem | None = None
+    """The same rows without effects beside the geometry, and with the noise as it was found so; None where it is `fit`.
+
+    What is wrong with the samples is looked for there: effects would explain part of it away."""
 
     def __eq__(self, other: object) -> bool:
         """Whether all but the time taken is equal."""
@@ -68,6 +76,21 @@ class Fitted(Value):
         if not self.result.converged:
             return False
         return self.reference is None or self.method not in MINIMISERS or self.reference.agrees
+
+    @property
+    def bare(self) -> BoundProblem:
+        """The fitted rows under the geometry alone."""
+        return self.fit if self.geometry is None else self.geometry
+
+    @property
+    def bare_x(self) -> Array:
+        """The estimate of its unknowns."""
+        return np.asarray(self.result.x[~np.array(self.fit.beside, dtype=bool)])
+
+    @cached_property
+    def plain(self) -> Result:
+        """The minimum under the geometry alone: what is wrong with the rows shows there."""
+        return self.result if self.bare is self.fit else lm(self.bare)
 
     @property
     def aside_lines(self) -> tuple[int, ...]:
@@ -97,9 +120,14 @@ class Fitted(Value):
         return f"{noise}, priors and {trusted}" if trusted else f"{noise} and priors"
 
     @cached_property
+    def used_x(self) -> Array:
+        """Unknowns (n,) of the arm as it is used: the estimate, with effects that are not corrected at zero."""
+        return used_arm(self.fit, self.result, self.corrected)
+
+    @cached_property
     def heldout_x(self) -> tuple[Array, Array]:
         """Unknowns of the held-out rows, before and after; faces that were not fitted stand where their rows say."""
-        before, after = self.before.x, self.result.x
+        before, after = self.before.x, self.used_x
         if self.heldout is None:
             return before, after
         return extended(self.heldout, before), extended(self.heldout, after)
@@ -114,10 +142,10 @@ class Fitted(Value):
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
         return {
             when: {
-                "fit": residual_figures(self.fit.plain_residual(result.x)),
+                "fit": residual_figures(self.fit.plain_residual(x)),
                 "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(held)),
             }
-            for when, result, held in zip(("before", "after"), (self.before, self.result), self.heldout_x, strict=True)
+            for when, x, held in zip(("before", "after"), (self.before.x, self.used_x), self.heldout_x, strict=True)
         }
 
     @cached_property
@@ -135,18 +163,19 @@ class Fitted(Value):
         """That the tool stands elsewhere than the problem says, where it does."""
         if self.fit.groups is not None or not self.fit.unknowns:  # thousands of faces are looked at face by face
             return ()
-        return tuple(tool_elsewhere_at(self.fit, self.result.x, self.result.spread[0]))
+        return tuple(tool_elsewhere_at(self.bare, self.plain.x, self.plain.spread[0]))
 
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
         """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
-        found = check(self.fit.problem, self.fit.block.samples)
+        found = check(self.bare.problem, self.fit.block.samples)
         return tuple(each for each in found if each.severity == "error")
 
     @cached_property
     def plain_errors(self) -> tuple[Finding, ...]:
         """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
-        found = [*outside(self.fit.problem, self.fit.block.samples), *rounded(self.fit), *sign_before_fit(self.fit)]
+        bare = self.bare
+        found = [*outside(bare.problem, bare.block.samples), *rounded(bare), *sign_before_fit(bare)]
         if self.result.loss is None:
-            found += wrong_number(self.fit)
+            found += wrong_number(bare)
         return tuple(each for each in found if each.severity == "error")

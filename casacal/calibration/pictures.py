@@ -32,7 +32,7 @@ BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 def plot_residuals(calibration: Calibration, axes: Any) -> None:
     """Distances of the tips from their planes (mm), before and after, row by row, plane by plane."""
     offset, ticks, ends = 0, [], []
-    parts = [("", calibration.fit, (calibration.before.x, calibration.result.x), AFTER)]
+    parts = [("", calibration.fit, (calibration.before.x, calibration.used_x), AFTER)]
     if calibration.heldout is not None:
         parts.append((" (held out)", calibration.heldout, calibration.heldout_x, HELD))
     for suffix, bound, pair, colour in parts:
@@ -92,7 +92,9 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
 def plot_tip_std(calibration: Calibration, axes: Any) -> None:
     """Standard deviation of the tip (mm, all axes, apart from where the base stands) over radius and height."""
     _, tips, slopes = calibration.workspace
-    spread = np.linalg.norm(tip_stds(calibration.covariance, without_rigid(slopes, tips)), axis=1)
+    spread = np.linalg.norm(
+        tip_stds(calibration.motion.covariance, without_rigid(slopes, tips), calibration.motion.off), axis=1
+    )
     radius = np.hypot(tips[:, 0], tips[:, 1])
     order = np.argsort(spread)  # the worst on top
     shown = axes.scatter(radius[order], tips[order, 2], c=spread[order], s=18, cmap="viridis")

@@ -14,8 +14,10 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import besides
 from casacal.calibration.reference import Reference
-from casacal.calibration.withheld import without_tips
+from casacal.calibration.withheld import without_motion, without_tips
+from casacal.discrepancy.effect import Site
 from casacal.least_squares.result import Result
 from casacal.uncertainty.identifiability import verdict
 from casacal.version import __version__
@@ -78,6 +80,34 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:
+    """What arm and cell do beside their geometry: sizes, and how well all that moves the tip is known.
+
+    None where geometry was taken for all there is.
+    """
+    fit, motion = calibration.fit, calibration.motion
+    if not any(fit.beside):
+        return None
+    effects = []
+    for effect in fit.problem.effects:
+        expected = effect.unknowns(Site(fit.problem.robot, fit.problem.instrument))
+        sized = next((slot.unknown for slot in fit.slots if slot.beside == effect.key), None)
+        if sized is not None:
+            times = float(sized.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
+            unit = expected[effect.key].unit
+            size = {"unit": unit, "expected_size": effect.size, "size": effect.size * times, "times": times}
+            effects.append({"key": effect.key, "words": effect.words, "moves": effect.moves, **size})
+    places = {name: j for j, name in enumerate(fit.names)}
+    unknowns = [
+        {"name": name, "effect": beside, "value": float(calibration.result.x[places[name]])}
+        for name, beside in zip(motion.arm.names, besides(motion.arm), strict=True)
+        if beside
+    ]
+    names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
+    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
+    return {"effects": effects, "corrected": list(calibration.corrected), "unknowns": unknowns, **known}
+
+
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:
     """Rank, null and weak directions, each with its cure; without tip errors where the verdict denies them."""
     found, cures = calibration.identifiability, iter(calibration.advice)
@@ -111,6 +141,12 @@ def cures_part(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
+def score_tests_part(calibration: Calibration, *, denied: bool = False) -> list[dict[str, Any]]:
+    """What arm and cell may do beside their geometry; without tip errors where the verdict denies them."""
+    tests = without_motion(calibration.score_tests) if denied else calibration.score_tests
+    return [asdict(test) | {"shown": test.shown} for test in tests]
+
+
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """What the independent solver found; None where none was asked."""
     if reference is None:
@@ -124,15 +160,16 @@ def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     }
 
 
-def geometry(bound: BoundProblem, result: Result) -> dict[str, Any]:
+def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
     """Planes, directions and frames at the estimate, x itself, and what x counts from where the samples proposed it."""
     found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
     for slot in bound.slots:
-        kind, shown = slot.unknown.shown(slot.nominal, result.x[slot.first : slot.first + slot.unknown.size])
+        kind, shown = slot.unknown.shown(slot.nominal, x[slot.first : slot.first + slot.unknown.size])
         if kind in found:
             name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
             found[kind][name] = shown
-    unknowns = [{"name": n, "unit": u, "value": v} for n, u, v in zip(bound.names, bound.units, result.x, strict=True)]
+    rows = zip(bound.names, bound.units, x, bound.beside, strict=True)
+    unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, beside in rows if not beside]
     proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
     return {**found, "unknowns": unknowns, "proposed": proposed}
 

@@ -33,6 +33,7 @@ def summary(calibration: Calibration, name: str) -> str:
         parameter_table(calibration),
         _blind_spots(calibration, denied),
         "" if denied else _cures(calibration),
+        _beside(calibration, denied),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -44,7 +45,7 @@ def parameter_table(calibration: Calibration) -> str:
     Angles are shown in degrees, lengths in mm.
     """
     denied = verdict_of(calibration).level == "do not use"
-    rows = parameter_rows(calibration.fit, calibration.result.x, calibration.result.std, denied=denied)
+    rows = parameter_rows(calibration.fit, calibration.used_x, calibration.result.std, denied=denied)
     wide = max(12, *(len(row["name"]) + 2 for row in rows)) if rows else 12
     lines = [f"{'parameter':<{wide}}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
     held = []
@@ -168,6 +169,26 @@ def _cures(calibration: Calibration) -> str:
     lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
     if none := nothing_helps(calibration):
         lines.append(none)
+    return "\n".join(lines)
+
+
+def _beside(calibration: Calibration, denied: bool) -> str:
+    """What the rows show beside the geometry; the likeliest first, and how many more were looked for."""
+    tests = calibration.score_tests
+    if not tests:
+        return ""
+    shown = [test for test in tests if test.shown != "no"]
+    lines = ["What arm and cell may do beside their geometry (each as if it were the only one):"]
+    if shown:
+        wide = max(len(test.words) for test in shown)
+        tip = "" if denied else f"{'at the tip':>12}"
+        lines.append(f"  {'':<{wide}}  {'shown':<9}{'chance':>9}{'size':>24}{tip}")
+    for test in shown:
+        tip = "" if denied else f"{_mm(test.tip_mm):>12}"
+        lines.append(f"  {test.words:<{wide}}  {test.shown:<9}{test.p_holm:>9.1g}{test.shown_size:>24}{tip}")
+    left = len(tests) - len(shown)
+    nothing = f"nothing of {left}{' more' if shown else ''} that were looked for"
+    lines.append(f"  The rows show {nothing}; result.json has them all.")
     return "\n".join(lines)
 
 

@@ -155,7 +155,7 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
             f"{worst} moved by {far:.3g} prior standard deviations; where an arm is really so far from its drawing, "
             "state wider priors (--accuracy, --prior)"
         ]
-    drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.fit)
+    drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     assert drawn is not None
     # were all priors so much narrower as the drawn arm contradicts them, this is what it would err by
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf

@@ -9,9 +9,11 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import tip_extremes
 from casacal.checks.rows import repeated
+from casacal.least_squares.result import Result
+from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_scatter import prior_scatter
-from casacal.uncertainty.workspace import tip_stds, without_rigid
 
 FAR = 4.0
 """Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""
@@ -80,8 +82,9 @@ def doubts(calibration: Calibration) -> list[Doubt]:
 def suspicious(calibration: Calibration) -> bool:
     """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
     # a robust fit has already set aside the rows that pull parameters far
-    far = calibration.result.loss is None and bool((moves(calibration) > FAR).any())
-    return far or not calibration.passed or calibration.noise.low > LACK_OF_FIT
+    far = calibration.result.loss is None and bool((_moves(calibration.plain) > FAR).any())
+    low = max(calibration.noise.low, noise_over_stated(calibration.plain).low)
+    return far or not calibration.passed or low > LACK_OF_FIT
 
 
 def _what_check_says(calibration: Calibration) -> str:
@@ -93,21 +96,20 @@ def _what_check_says(calibration: Calibration) -> str:
 
 
 def moves(calibration: Calibration) -> Array:
-    """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior."""
-    fit = calibration.fit
-    return np.asarray(np.abs(calibration.result.x - fit.x0) / fit.prior_std)
+    """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior.
 
-
-def tip_extremes(calibration: Calibration) -> tuple[float, float]:
-    """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
-
-    Both apart from where the base stands; lengths of the three axes together.
+    As far as it moves under geometry alone, if that is farther: effects beside it may explain a fault away, but they
+    have sizes and no nominal, and do not count themselves.
     """
-    arm = calibration.seen
-    joints, tips, slopes = calibration.workspace
-    moved = without_rigid((tips - arm.tips(arm.x0, joints)).ravel(), tips).reshape(-1, 3)
-    stds = tip_stds(calibration.covariance, without_rigid(slopes, tips))
-    return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
+    moved, effects = _moves(calibration.result), np.array(calibration.fit.beside, dtype=bool)
+    moved[effects] = 0.0
+    if effects.any() and calibration.plain.converged:
+        moved[~effects] = np.fmax(moved[~effects], _moves(calibration.plain))
+    return moved
+
+
+def _moves(result: Result) -> Array:
+    return np.asarray(np.abs(result.x - result.problem.x0) / result.problem.prior_std)
 
 
 def _far_parameters(calibration: Calibration) -> Doubt | None:
@@ -207,11 +209,11 @@ def _loose_priors(calibration: Calibration) -> Doubt | None:
     assert before is not None
     if tip < SETTLED * prior_tip:
         return None
-    scatter = prior_scatter(calibration.fit)
+    scatter = prior_scatter(calibration.bare)
     if scatter.chance_below(before["rmse_mm"]) > IMPROBABLE:
         return None
     things = calibration.fit.problem.instrument.words.things
-    moved, _ = tip_extremes(calibration)
+    moved, _ = tip_extremes(calibration.motion, calibration.workspace)
     return Doubt(
         "the priors look too loose",
         f"The priors expect the drawn arm to miss the {things} by {scatter.rms:.2f} mm RMS; it misses them by "
@@ -222,7 +224,7 @@ def _loose_priors(calibration: Calibration) -> Doubt | None:
 
 def _unknown_places(calibration: Calibration) -> Doubt | None:
     before, now = calibration.tip_std
-    _, worst = tip_extremes(calibration)
+    _, worst = tip_extremes(calibration.motion, calibration.workspace)
     if worst < before or not math.isfinite(now):
         return None
     return Doubt(

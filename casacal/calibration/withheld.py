@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.left_out import LeftOut
+from casacal.uncertainty.score_test import ScoreTest
 
 
 def without_tips(found: Identifiability) -> Identifiability:
@@ -20,3 +21,8 @@ def without_tips(found: Identifiability) -> Identifiability:
 def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
     """The same faces, without what the others predict of them: NaN, and so their ratio."""
     return tuple(replace(each, predicted_mm=math.nan) for each in faces)
+
+
+def without_motion(tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """The same tests, without what the effects do to the tip: NaN."""
+    return tuple(replace(each, tip_mm=math.nan) for each in tests)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.checks.beside import beside_geometry
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
 from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
@@ -48,7 +49,8 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     """What is wrong, weak or worth knowing about samples of a problem with one instrument; worst first.
 
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
-    each found by undoing it, then outliers and noise. What one cause explains is not reported again. Deterministic.
+    each found by undoing it, then outliers and noise, then effects beside the geometry. What one cause explains is not
+    reported again. Deterministic.
     Raises CasacalError for what is no problem or no samples.
     """
     if not isinstance(problem, Problem):
@@ -73,7 +75,10 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
     if base > SUSPICIOUS:
         return _in_order([*findings, _unexplained(base, findings)])
-    return _in_order([*findings, *tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))])
+    findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
+    if all(finding.severity != "error" for finding in findings):
+        findings += beside_geometry(problem, few)
+    return _in_order(findings)
 
 
 def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import nominal_sight
+from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.unknowns.fits import fitted_plane
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS
-from casacal.binding.slots import nominal_tips
+from casacal.binding.nominal import nominal_tips
 from casacal.checks.finding import Finding, counted
 from casacal.checks.revolutions import lost_turns
 from casacal.estimators import lm

@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import nominal_sight
+from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.instruments.instrument import Probe
 from casacal.unknowns.fits import fitted_plane

@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keep-outliers", action="store_true", help="fit all rows, also those that chance does not explain"
     )
+    parser.add_argument(
+        "--discrepancy",
+        choices=("kit", "none"),
+        default="kit",
+        help="kit (default): what arm and cell do beside their geometry counts; none: geometry is all there is",
+    )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
     parser.add_argument(
         "--backend", choices=("auto", "c", "blocks"), help="what evaluates the rows; default: CASACAL_BACKEND, or auto"
@@ -99,6 +105,7 @@ def run(options: argparse.Namespace) -> int:
             reference=not options.no_reference,
             noise=options.noise or "found",
             outliers="keep" if options.keep_outliers else "set aside",
+            discrepancy=options.discrepancy,
             loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
             backend=options.backend,
             progress=progress,
@@ -116,7 +123,10 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
 
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
-    inside = None if box is None or denied else accuracy_in_box(calibration.seen, calibration.seen_x, box)
+    inside = None
+    if box is not None and not denied:
+        motion = calibration.motion
+        inside = accuracy_in_box(motion.arm, motion.x, box, motion.off)
     expected = []
     if inside is not None:
         expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]

@@ -12,7 +12,7 @@ from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.problem.cell import Disturbances
+    from casacal.problem.disturbances import Disturbances
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "samples of a simulated cell, with the truth behind them"
@@ -38,16 +38,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "travel": ("MM", "range of the dial"),
         "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
         "resolution": ("MM", "step of the dial's display; 0 for none"),
+        "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
+        "dial-cycle": ("MM", "error that comes back with every turn of the pointer"),
+        "hysteresis": ("MM", "of the dial: readings lag by half of it"),
+        "drift": ("MM", "growth of the readings from the first row to the last"),
         "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
         "backlash": ("RAD", "backlash of each joint"),
+        "encoder-step": ("RAD", "step in which joint values are said"),
         "flatness": ("MM", "peak-to-valley form error of the faces"),
+        "flatness-reach": ("X", "half widths of a face over which heights are alike"),
         "compliance": ("MM", "RMS sag of the tip under gravity"),
+        "thermal": ("X", "growth of the arm from the first row to the last: 3e-5 is 30 um for each metre"),
         "outliers": ("F", "fraction of rows with a gross error"),
         "outlier-size": ("MM", "size of those errors"),
         "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
     }
     for name, (unit, words) in numbers.items():
         parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
+    parser.add_argument(
+        "--gear-wave",
+        type=_wave,
+        action="append",
+        dest="gear_waves",
+        metavar="ORDER=RAD",
+        help="error of every turning joint that comes back so many times a turn, such as 1=1e-4; may be repeated",
+    )
+    parser.add_argument("--repeats", type=whole_number, metavar="N", help="times that each place is touched in a row")
+    parser.add_argument(
+        "--approach",
+        choices=("same", "alternating", "random"),
+        help="side from which joints and plunger come to a place; same: from the row before, the plunger pushed in",
+    )
     add_json(parser)
 
 
@@ -96,24 +117,30 @@ def _spare_measurements(out: Path) -> None:
         raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
 
 
+def _wave(text: str) -> tuple[int, float]:
+    """Order and amplitude of a gear wave, as ORDER=RAD says them."""
+    order, _, amplitude = text.partition("=")
+    try:
+        return int(order), float(amplitude)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no ORDER=RAD, such as 1=1e-4") from None
+
+
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     from dataclasses import replace
 
-    from casacal.problem.cell import AMOUNTS, Disturbances
+    from casacal.problem.cell import OF_FACES
+    from casacal.problem.disturbances import AMOUNTS, Disturbances
     from casacal.simulation.places import default_cell
 
-    faced = source.problem.instrument.probe is not None
+    instrument = source.problem.instrument
+    faced = instrument.probe is not None
     cell = source.cell or (default_cell(source.problem) if faced else Disturbances())
-    if not faced:
-        asked = [name for name in ("tilt", "travel", "flatness", "compliance") if getattr(options, name) is not None]
-        if asked:
-            raise CasacalError(
-                f"--{asked[0]} is about faces, and {type(source.problem.instrument).__name__} touches none",
-                "Leave it out",
-            )
-    given = {
-        name: value for name in (*AMOUNTS, "outliers", "outlier_size") if (value := getattr(options, name)) is not None
-    }
+    asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
+    if asked and not faced:
+        raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
+    others = ("outliers", "outlier_size", "gear_waves", "repeats", "approach")
+    given = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
     if options.tilt is not None:
         given["tilt"] = math.radians(options.tilt)
     return replace(cell, **given)

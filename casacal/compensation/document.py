@@ -114,6 +114,27 @@ def check_document(file: str, document: Any) -> None:
     if not isinstance(some, list) or not all(map(is_text, some)) or not set(some) <= set(values):
         raise CasacalError(f"{file}: its 'covariance_of' is {_short(some)}", FIX)
     _check_covariance(file, document.get("covariance"), len(some))
+    if document.get("discrepancy") is not None:
+        _check_discrepancy(file, document["discrepancy"])
+
+
+def _check_discrepancy(file: str, part: Any) -> None:
+    """Effects beside the geometry, with their sizes, and how well all that moves the tip is known."""
+    whole = isinstance(part, dict) and all(isinstance(part.get(key), list) for key in ("effects", "unknowns"))
+    if not whole:
+        raise CasacalError(f"{file}: its 'discrepancy' is {_short(part)}", FIX)
+    for effect in _rows(file, "effects", part["effects"]):
+        _check(file, "effects", effect, {"key": is_text, "times": _is_size})
+    unknowns = _rows(file, "effects", part["unknowns"])
+    for row in unknowns:
+        _check(file, "effects", row, {"name": is_text, "value": is_number})
+    if "covariance" in part:
+        names = part.get("covariance_of")
+        if not isinstance(names, list) or not all(map(is_text, names)) or len(set(names)) < len(names):
+            raise CasacalError(f"{file}: the 'covariance_of' of its discrepancy is {_short(names)}", FIX)
+        if not _is_row(part.get("off")) or len(part["off"]) != len(names):
+            raise CasacalError(f"{file}: the 'off' of its discrepancy is {_short(part.get('off'))}", FIX)
+        _check_covariance(file, part["covariance"], len(names))
 
 
 def _rows(file: str, what: str, rows: Any) -> list[dict[str, Any]]:

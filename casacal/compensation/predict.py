@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates
+from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates
 from casacal.compensation.given import arm_from
+from casacal.compensation.motion import moved_arm
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
@@ -134,29 +135,26 @@ def predict(
     if std:
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-        spread = _spread(result, z, data, frame)
+        spread = _spread(result, data, frame)
     return Prediction(positions, np.roll(xyzw, 1, axis=1), spread)
 
 
-def _spread(result: CalibratedArm, z: Array, data: Array, frame: str) -> Array:
+def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
 
-    Where it stands is what a rigid motion fitted over the workspace takes out.
+    Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry count as
+    errors, by what they do and by how well that is known.
     """
-    problem = result.source.problem
-    model = problem.model
-    evaluate = model.batch.tip_jacobian if frame == "tip" else model.batch.flange_jacobian
-    constants, workspace = np.zeros(model.pose.numel_in(1)), workspace_joints(problem.robot)
-    frame_data = np.zeros((len(workspace), data.shape[1]))
-    frame_data[:, : workspace.shape[1]] = workspace
-    covariance, columns = covariance_of(result)
+    arm, joints = moved_arm(result), len(result.source.problem.robot.axes)
+    evaluate = arm.model.batch.tip_jacobian if frame == "tip" else arm.model.batch.flange_jacobian
+    constants, workspace = np.zeros(arm.model.pose.numel_in(1)), workspace_joints(result.source.problem.robot)
     fields = []
-    for rows in (data, frame_data):
-        points, slopes = evaluate(z, constants, rows)
-        fields.append((slopes.reshape(3 * len(rows), z.size)[:, [i for i, _ in columns]], points))
-    field = up_to_base(*fields[0], *fields[1])
-    index = [j for _, j in columns]
-    stds = tip_stds(covariance[np.ix_(index, index)], field)
+    for given in (data, workspace):
+        rows = np.tile(np.concatenate([np.zeros(joints), arm.elsewhere]), (len(given), 1))
+        rows[:, : given.shape[1]] = given
+        points, slopes = evaluate(arm.z, constants, rows)
+        fields.append((slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns], points))
+    stds = tip_stds(arm.covariance, up_to_base(*fields[0], *fields[1]), arm.off)
     return np.asarray(np.linalg.norm(stds, axis=1))
 
 

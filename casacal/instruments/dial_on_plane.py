@@ -163,6 +163,7 @@ class DialOnPlane(Instrument):
             label=self.plane.per,
             moves=("tool", "plunger", *self.own_errors),
             steps=tuple(self.steps),
+            turn=self.turn if self.reading else 0.0,
         )
 
     @property

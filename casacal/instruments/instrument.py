@@ -58,7 +58,8 @@ class Probe:
     plunger is called, None for contact alone; sign: +1 where a larger reading lengthens the tool; travel: readings lie
     in 0 ... travel, mm. label: the column that names the faces, None where there is one face for all. moves: keys of
     the instrument's unknowns that tip and plunger depend on. knows_angles: whether the
-    faces' angles to one another are certified. steps: labels of faces at a known height on another one.
+    faces' angles to one another are certified. steps: labels of faces at a known height on another one. turn: what one
+    turn of a pointer shows, mm; zero where there is none.
     """
 
     noise_std: float
@@ -70,6 +71,7 @@ class Probe:
     moves: tuple[str, ...] = ()
     knows_angles: bool = False
     steps: tuple[str, ...] = ()
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,18 @@ class CurvatureKernel:
     """|We|^2 / 2, its gradient and its Hessian by v, for a residual (v, c, d) -> e (m) and rows of d and weights W.
 
     The Hessian is J'WWJ, one matrix product a block, and sum w^2 e d2e/dv2, of which only the upper triangle's entries
-    that are not zero are evaluated.
+    that are not zero are evaluated. Of the last `linear` of v, small effects about zero, second derivatives are left
+    out, and the others' are taken where these are zero: steps need no more.
     """
 
-    def __init__(self, residual: ca.Function) -> None:
+    def __init__(self, residual: ca.Function, *, linear: int = 0) -> None:
         v, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("vcd"))
         e = residual(v, c, d)
         slopes = ca.jacobian(e, v)
-        bends = [ca.triu(ca.jacobian(slopes[m, :].T, v)) * e[m] for m in range(e.numel())]
-        pattern = ca.Sparsity(v.numel(), v.numel())
+        curving = v.numel() - linear
+        curved = residual(ca.vertcat(v[:curving], ca.SX.zeros(linear)), c, d)
+        bends = [ca.triu(ca.hessian(curved[m], v[:curving])[0]) * e[m] for m in range(e.numel())]
+        pattern = ca.Sparsity(curving, curving)
         for bend in bends:
             pattern = pattern + bend.sparsity()
         self.unknowns, self.components, self._constants = v.numel(), e.numel(), c.numel()
@@ -64,24 +67,24 @@ class CurvatureKernel:
             self._built[width] = Buffered(self._block(width))
         evaluate = self._built[width]
         s, bent = np.zeros((self.unknowns + 1, self.unknowns + 1)), np.zeros(self._rows.size)
-        some, others = np.empty_like(s), np.empty_like(bent)
+        weighted, others = np.empty((self.components, self.unknowns + 1, width)), np.empty_like(bent)
         for one, weights in zip(d, w, strict=True):
-            evaluate((p, one, weights), (some, others))
-            s += some
+            evaluate((p, one, weights), (weighted, others))
+            for each in weighted:  # NumPy's product is many times faster than CasADi's
+                s += each @ each.T
             bent += others
         return s, bent
 
     def _block(self, width: int) -> ca.Function:
-        """(p, d, w) -> normal matrix of slopes and residual, entries of the bend; of one block."""
+        """(p, d, w) -> weighted slopes and residual by component, entries of the bend; of one block."""
         z, count = self.unknowns, self._rows.size
         p = ca.MX.sym("p", z + self._constants)
         d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
         values = [value for output in self._program.outputs for value in output]
         columns = ca.horzcat(*replayed(self._program, values, p, d))
         e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
-        total, bend = ca.MX.zeros(z + 1, z + 1), ca.MX.zeros(count, 1)
+        weighted, bend = [], ca.MX.zeros(count, 1)
         for m in range(self.components):
-            weighted = ca.horzcat(j[:, m * z : (m + 1) * z], e[:, m]) * w[:, m]
-            total += product(weighted.T, weighted)
+            weighted.append(ca.horzcat(j[:, m * z : (m + 1) * z], e[:, m]) * w[:, m])
             bend += product(bent[:, m * count : (m + 1) * count].T, w[:, m] ** 2)
-        return ca.Function("block", [p, d, w], [total, bend])
+        return ca.Function("block", [p, d, w], [ca.horzcat(*weighted), bend])

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
+from casacal.problem.disturbances import Disturbances
 from casacal.unknowns.unknown import tangent_basis, unit_vector
 
 DIN_876 = {"0": (4.0, 250.0), "I": (10.0, 100.0), "II": (20.0, 50.0)}
 """Flatness of surface plates by grade: (a, b) of a + L / b in micrometres, L in mm."""
 
-AMOUNTS = (
-    "travel",
-    "repeatability",
-    "resolution",
-    "joint_std",
-    "backlash",
-    "flatness",
-    "compliance",
-    "error_scale",
-)
-"""Numbers of a cell that are zero or positive."""
+APPROACHES = ("same", "alternating", "random")
 
 
 @dataclass(frozen=True)
@@ -45,38 +37,6 @@ class Face:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Disturbances:
-    """What disturbs a simulated arm and its measurements, whatever measures it; lengths mm, angles rad.
-
-    Args:
-        repeatability: standard deviation of the reading (or of the touch, without a dial); None takes the instrument's.
-        resolution: step in which readings are shown; 0 for none.
-        joint_std: standard deviation of joint repeatability, rad (mm for a prismatic joint).
-        backlash: play of each joint, rad (mm for a prismatic joint); a joint lags half of it behind its last move.
-        outliers: fraction of rows that are gross.
-        outlier_size: their size.
-        error_scale: true parameters lie this many prior standard deviations (RMS) from nominal.
-
-    """
-
-    repeatability: float | None = None
-    resolution: float = 0.001
-    joint_std: float = 0.0
-    backlash: float = 0.0
-    outliers: float = 0.0
-    outlier_size: float = 1.0
-    error_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.outliers < 1:
-            raise SimulationError(f"The fraction of outliers is {self.outliers:g}", "Give 0 to less than 1")
-        for name in AMOUNTS:
-            value = getattr(self, name, None)
-            if value is not None and not 0 <= value < math.inf:
-                raise SimulationError(f"{name} of the cell is {value!r}", "Give zero or a positive number")
-
-
-@dataclass(frozen=True, kw_only=True)
 class Cell(Disturbances):
     """What surrounds and what disturbs a simulated arm that touches faces; lengths mm, angles rad.
 
@@ -85,7 +45,21 @@ class Cell(Disturbances):
         tilt: largest angle between plunger and face normal; tilts are uniform over that cone.
         travel: range of the dial; None takes the instrument's.
         flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
+        flatness_reach: distance, in half widths of a face, over which heights are alike: the length of a Gaussian
+            process of squared exponential covariance, without its plane. 0 for waves of first and second order.
         compliance: sag of the tip under gravity, RMS over the samples.
+        thermal: growth of the arm about its base from the first row to the last, parts of one: 3e-5 is 30 um for each
+            metre. Soon at first, as 1 - exp(-3 t).
+        dial_gain: standard deviation of the dial's gain error, parts of one, drawn once: every true way is 1 + gain
+            times what is shown. This and `dial_cycle` come on top of what the problem declares as unknown.
+        dial_cycle: amplitude of an error that comes back with every turn of the pointer, at a random phase.
+        hysteresis: the reading lags by half of it behind the way by which the plunger came.
+        drift: growth of the readings from the first row to the last, linear in the order of the rows.
+        repeats: times that each place is touched in a row, each time approached anew: joints and dial scatter again,
+            while sag, gear waves and the height of the face stay.
+        approach: the side from which joints and plunger come. "same": joints from the row before, the plunger always
+            pushed in. "alternating": all from below and from above in turn, face by face, the plunger pushed in first
+            and let out next. "random": each joint, and the plunger, from either side.
 
     The others are those of `Disturbances`.
 
@@ -95,7 +69,15 @@ class Cell(Disturbances):
     tilt: float = math.radians(30.0)
     travel: float | None = None
     flatness: float = 0.0
+    flatness_reach: float = 0.0
     compliance: float = 0.0
+    thermal: float = 0.0
+    dial_gain: float = 0.0
+    dial_cycle: float = 0.0
+    hysteresis: float = 0.0
+    drift: float = 0.0
+    repeats: int = 1
+    approach: Literal["same", "alternating", "random"] = "same"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -109,6 +91,25 @@ class Cell(Disturbances):
                 raise SimulationError(f"Face '{face.label}' has the size {face.size}", "Give two positive lengths")
         if not 0 <= self.tilt < math.pi / 2:
             raise SimulationError(f"The tilt is {math.degrees(self.tilt):g} degrees", "Give 0 to less than 90")
+        if isinstance(self.repeats, bool) or not isinstance(self.repeats, (int, np.integer)) or self.repeats < 1:
+            raise SimulationError(f"Each place is touched {self.repeats!r} times", "Give a whole number from one on")
+        if self.approach not in APPROACHES:
+            raise SimulationError(
+                f"The approach is {self.approach!r}",
+                f"Give {', '.join(map(repr, APPROACHES[:-1]))} or '{APPROACHES[-1]}'",
+            )
+
+
+OF_FACES = tuple(
+    field.name for field in fields(Cell) if field.name not in {"faces", *(own.name for own in fields(Disturbances))}
+)
+"""What only a cell with faces can be asked for."""
+
+OF_TOUCHES = tuple(name for name in OF_FACES if name not in ("tilt", "travel"))
+"""What means nothing where no face is touched, and is refused there."""
+
+OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")
+"""What only a reading shows."""
 
 
 def plate(
@@ -151,26 +152,6 @@ def flatness_din_876(grade: str, length: float) -> float:
         raise SimulationError(f"There is no grade '{grade}'", f"Grades of DIN 876 are {', '.join(DIN_876)}")
     base, divisor = DIN_876[grade]
     return (base + length / divisor) / 1000
-
-
-def form_error(rng: np.random.Generator, height: float, uv: Array) -> Array:
-    """Smooth height (N,) of a face at positions uv (N, 2) in -1 ... 1, of the given peak-to-valley height.
-
-    Cosines up to the second order in each direction, without constant and tilt, which a plane would absorb.
-    """
-    orders = [(i, j) for i in range(3) for j in range(3) if i + j >= 2]
-    weights, phases = rng.normal(size=len(orders)), rng.uniform(0, 2 * math.pi, size=(len(orders), 2))
-
-    def field(points: Array) -> Array:
-        return np.asarray(
-            sum(
-                w * np.cos(math.pi * i * points[:, 0] / 2 + a) * np.cos(math.pi * j * points[:, 1] / 2 + b)
-                for (i, j), w, (a, b) in zip(orders, weights, phases, strict=True)
-            )
-        )
-
-    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-1, 1, 21)), axis=-1).reshape(-1, 2)
-    return height * field(uv) / float(np.ptp(field(grid)))
 
 
 def _triple(values: Sequence[float] | Array) -> tuple[float, float, float]:

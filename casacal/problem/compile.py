@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import casadi as ca
 
+from casacal.discrepancy.effect import Effect
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, RowKernels
@@ -37,6 +38,10 @@ class RowModel:
     unknowns: Mapping[str, Unknown]
     constants: tuple[str, ...]
     """Keys of the unknowns whose nominal is part of c, in order."""
+    effects: tuple[Effect, ...]
+    """What arm and cell do beside their geometry, of what there is at this robot and instrument."""
+    names: tuple[str, ...]
+    """Columns of d beside the joint values, in order."""
     residual: ca.Function
     """(z, c, d) -> residual e (m)."""
     jacobian: ca.Function
@@ -101,7 +106,8 @@ class RowModel:
     @cached_property
     def curvature(self) -> CurvatureKernel:
         """Cost, gradient and exact Hessian over many rows at one (v, c), for the IPOPT reference."""
-        return CurvatureKernel(self.raw_residual)
+        beside = {key for effect in self.effects for key in self.unknowns if key == effect.key}
+        return CurvatureKernel(self.raw_residual, linear=sum(self.unknowns[key].size for key in beside))
 
     @cached_property
     def batch(self) -> SimpleNamespace:
@@ -116,7 +122,7 @@ def models_like(models: Sequence[RowModel], robot: Robot, instruments: Sequence[
     found = []
     for model, instrument in zip(models, instruments, strict=True):
         known = {**robot.parameters, **instrument.unknowns}
-        found.append(replace(model, unknowns={key: known[key] for key in model.unknowns}))
+        found.append(replace(model, unknowns={key: known.get(key, was) for key, was in model.unknowns.items()}))
         declared = {field.name for field in fields(model)}
         vars(found[-1]).update({name: made for name, made in vars(model).items() if name not in declared})
     return tuple(found)
@@ -134,6 +140,8 @@ def compile_rows(traced: Trace) -> RowModel:
     return RowModel(
         unknowns=traced.unknowns,
         constants=traced.constants,
+        effects=traced.effects,
+        names=tuple(traced.columns),
         residual=row_function("residual", inputs, [seen.residual]),
         jacobian=row_function("jacobian", inputs, [seen.residual, slopes.T]),
         noise=row_function("noise", inputs, [noise]),

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial, reduce
 from pathlib import Path
-from typing import Any
 
+from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
 from casacal.instruments import Instrument
-from casacal.instruments.declaration import check_declaration, with_setting, with_unknown
+from casacal.instruments.declaration import check_declaration, with_setting
 from casacal.problem.compile import RowModel, models_like
+from casacal.problem.edits import all_unknowns, chosen, replaced, with_std
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
@@ -22,6 +22,8 @@ from casacal.tables.joins import KEY, joined_tables
 from casacal.tables.read import read_any_table
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value
+
+KITS = ("with_kit", "with_rich_kit")
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -33,8 +35,11 @@ class Problem(Value):
 
     robot: Robot
     instruments: tuple[Instrument, ...]
+    effects: tuple[Effect, ...]
+    """What arm and cell do beside their geometry."""
 
-    def __init__(self, robot: Robot, *instruments: Instrument) -> None:
+    def __init__(self, robot: Robot, *instruments: Instrument, effects: Sequence[Effect] = ()) -> None:
+        object.__setattr__(self, "effects", tuple(effects))
         object.__setattr__(self, "robot", robot)
         object.__setattr__(self, "instruments", tuple(instruments))
         if not instruments:
@@ -83,7 +88,7 @@ class Problem(Value):
     def digest(self) -> str:
         """SHA-256 of what it computes, of its priors and of what its instruments read."""
         parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
-        parts += [f"{key} {unknown!r}" for key, unknown in self._all_unknowns()]
+        parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(effect) for effect in self.effects]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
@@ -100,15 +105,13 @@ class Problem(Value):
     def symbols_of(self, instrument: int) -> Symbols:
         """The robot with one of its instruments, by number from 0; raises ProblemError where there is no such one."""
         if not 0 <= instrument < len(self._symbols):
-            raise ProblemError(
-                f"There is no instrument {instrument} of '{self.robot.name}'",
-                f"Give 0 to {len(self._symbols) - 1}, there are {len(self._symbols)}",
-            )
+            fix = f"Give 0 to {len(self._symbols) - 1}, there are {len(self._symbols)}"
+            raise ProblemError(f"There is no instrument {instrument} of '{self.robot.name}'", fix)
         return self._symbols[instrument]
 
     @cached_property
     def _symbols(self) -> tuple[Symbols, ...]:
-        return tuple(Symbols(self.robot, instrument) for instrument in self.instruments)
+        return tuple(Symbols(self.robot, instrument, self.effects) for instrument in self.instruments)
 
     def layout(self, instrument: int = 0) -> Layout:
         """Columns a samples file of one instrument must have."""
@@ -145,9 +148,8 @@ class Problem(Value):
         """
         layout = self.layout(instrument)
         if not isinstance(path, (str, Path)):
-            raise SamplesError(
-                "samples", f"{came(path)} came as the file", "Give a path; Samples.from_frame takes a frame"
-            )
+            fix = "Give a path; Samples.from_frame takes a frame"
+            raise SamplesError("samples", f"{came(path)} came as the file", fix)
         if readings is None:
             return Samples.from_file(path, layout, absurd=absurd)
         together = joined_tables(read_any_table(path), read_any_table(readings), key=key)
@@ -174,7 +176,7 @@ class Problem(Value):
         """
         changed = self
         for name in names:
-            known = dict(changed._all_unknowns())
+            known = dict(changed._named())
             key = next((key for key, unknown in known.items() if name in (key, *unknown.component_names(key))), None)
             if key is None:
                 every = (each for key, unknown in known.items() for each in (key, *unknown.component_names(key)))
@@ -189,20 +191,11 @@ class Problem(Value):
         """
         changed = self
         for name, std in stds.items():
-
-            def edit(unknown: Unknown, chosen: list[bool], name: str = name, std: float = std) -> Unknown:
-                units = sorted({unit for unit, hit in zip(unknown.units, chosen, strict=True) if hit})
-                if len(units) > 1:
-                    raise ProblemError(
-                        f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
-                        f"Name a component: {', '.join(unknown.names(name))}",
-                    )
-                pairs = zip(unknown.prior_stds, chosen, strict=True)
-                return unknown.with_prior([std if hit else float(before) for before, hit in pairs])
-
-            changed = changed._edit(name, edit)
+            changed = changed._edit(name, partial(with_std, name, std))
         if "models" in vars(self):  # what is compiled knows no priors
             vars(changed)["models"] = models_like(self.models, changed.robot, changed.instruments)
+        made = {} if self.effects else {key: vars(self)[key] for key in KITS if key in vars(self)}
+        vars(changed).update({key: problem.with_prior(stds) for key, problem in made.items()})
         return changed
 
     def with_settings(self, values: Mapping[str, float]) -> Problem:
@@ -210,41 +203,48 @@ class Problem(Value):
 
         Raises UnknownNameError for what is none of its numbers, ProblemError for a value that it refuses.
         """
-        instrument = self.instrument
-        for name, value in values.items():
-            instrument = with_setting(instrument, name, value)
-        return Problem(self.robot, instrument)
+        changed = reduce(lambda one, item: with_setting(one, *item), values.items(), self.instrument)
+        return Problem(self.robot, changed, effects=self.effects)
+
+    def with_effects(self, *effects: Effect) -> Problem:
+        """Copy with these effects beside the geometry, in the place of those it had."""
+        return Problem(self.robot, *self.instruments, effects=effects)
+
+    @cached_property
+    def without_effects(self) -> Problem:
+        """Its geometry alone."""
+        return self.with_effects() if self.effects else self
+
+    @cached_property
+    def with_kit(self) -> Problem:
+        """With its own effects, or those that any arm is expected to have."""
+        return self if self.effects else self.with_effects(*kit())
+
+    @cached_property
+    def with_rich_kit(self) -> Problem:
+        """The same with `rich_kit`."""
+        return self.with_effects(*rich_kit())
 
     def free_names(self) -> list[str]:
         """Keys and components that `fix` and `with_prior` understand."""
         result: list[str] = []
-        for key, unknown in self._all_unknowns():
+        for key, unknown in self._named():
             result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
         return list(dict.fromkeys(result))
 
-    def _all_unknowns(self) -> Iterable[tuple[str, Unknown]]:
-        yield from self.robot.parameters.items()
-        for i, instrument in enumerate(self.instruments):
-            for key, unknown in instrument.unknowns.items():
-                yield self.prefix(i) + key, unknown
+    def _prefixed(self) -> Mapping[str, Instrument]:
+        return {self.prefix(i): instrument for i, instrument in enumerate(self.instruments)}
 
-    def _edit(self, name: str, edit: Any) -> Problem:
-        for key, unknown in self._all_unknowns():
-            chosen = _chosen(name, key, unknown)
-            if any(chosen):
-                return self._with(key, edit(unknown, chosen))
+    def _named(self) -> Iterator[tuple[str, Unknown]]:
+        return all_unknowns(self.robot, self._prefixed())
+
+    def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
+        for key, unknown in self._named():
+            meant = chosen(name, key, unknown)
+            if any(meant):
+                return self._with(key, edit(unknown, meant))
         raise UnknownNameError("free unknown", name, self.free_names())
 
     def _with(self, name: str, unknown: Unknown) -> Problem:
-        robot, instruments = self.robot, list(self.instruments)
-        if name in robot.parameters:
-            robot = dataclasses.replace(robot, parameters={**robot.parameters, name: unknown})
-        for i, instrument in enumerate(instruments):
-            key = name.removeprefix(self.prefix(i))
-            if name.startswith(self.prefix(i)) and key in instrument.unknowns:
-                instruments[i] = with_unknown(instrument, key, unknown)
-        return Problem(robot, *instruments)
-
-
-def _chosen(name: str, key: str, unknown: Unknown) -> list[bool]:
-    return [name in (key, component) for component in unknown.names(key)]
+        robot, instruments = replaced(self.robot, self._prefixed(), name, unknown)
+        return Problem(robot, *instruments, effects=self.effects)

@@ -16,6 +16,7 @@ from typing import Any
 
 import casadi as ca
 
+from casacal.discrepancy.effect import Effect
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.problem.compile import RowModel, compile_rows, row_function
@@ -36,11 +37,12 @@ class Symbols(Value):
 
     robot: Robot
     instrument: Instrument
+    effects: tuple[Effect, ...] = ()
 
     @cached_property
     def trace(self) -> Trace:
         """What was traced: everything else here, and all that estimators evaluate, is made of it."""
-        return trace(self.robot, self.instrument)
+        return trace(self.robot, self.instrument, self.effects)
 
     @cached_property
     def model(self) -> RowModel:
@@ -168,8 +170,10 @@ class Symbols(Value):
         if self is other or not isinstance(other, Symbols):
             return self is other
         one, two = self.instrument, other.instrument
-        return self.robot == other.robot and (
-            one == two or (_declared_alike(one, two) and self.model.same_as(other.model))
+        return (
+            self.robot == other.robot
+            and alike(self.effects, other.effects)
+            and (one == two or (_declared_alike(one, two) and self.model.same_as(other.model)))
         )
 
     def __hash__(self) -> int:

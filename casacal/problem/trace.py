@@ -9,14 +9,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
+from casacal.discrepancy.effect import Effect, Here, Site
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kinematics import Expression, Product
@@ -41,8 +42,9 @@ class Trace:
 
     robot: Robot
     instrument: Instrument
+    effects: tuple[Effect, ...]
     unknowns: Mapping[str, Unknown]
-    """Of the robot, then of the instrument."""
+    """Of the robot, then of the instrument, then of the effects."""
     constants: tuple[str, ...]
     """Keys of the unknowns whose nominal is part of c, in order."""
     nominals: Mapping[str, Any]
@@ -86,23 +88,29 @@ class Trace:
 
     def at(self, values: Mapping[str, Any]) -> Seen:
         """What the functions build of other values p."""
-        return seen(self.robot, self.instrument, values, self.q, self.columns)
+        return seen(self.robot, self.instrument, self.effects, values, self.q, self.columns)
 
 
-def trace(robot: Robot, instrument: Instrument) -> Trace:
-    """Trace one robot with one instrument.
+def trace(robot: Robot, instrument: Instrument, effects: Sequence[Effect] = ()) -> Trace:
+    """Trace one robot with one instrument, and what arm and cell do beside their geometry.
 
     Raises ProblemError when `pose`, `tip` or `residual` fails or has the wrong shape.
     """
     unknowns: dict[str, Unknown] = {**robot.parameters, **instrument.unknowns}
+    site = Site(robot, instrument)
+    effects = tuple(effect for effect in effects if effect.unknowns(site))
+    for effect in effects:
+        unknowns |= effect.unknowns(site)
     q = ca.SX.sym("q", len(robot.axes))
-    columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns)}
+    beside = dict.fromkeys(name for effect in effects for name in effect.columns(site))
+    columns = {name: ca.SX.sym(name) for name in (*instrument.columns, *instrument.known_columns, *beside)}
     nominals = {key: _nominal(key, unknown) for key, unknown in unknowns.items()}
     local = {key: ca.SX.sym(key, unknown.size) for key, unknown in unknowns.items()}
     values = {key: unknown.at(nominals[key], local[key]) for key, unknown in unknowns.items()}
     return Trace(
         robot=robot,
         instrument=instrument,
+        effects=effects,
         unknowns=unknowns,
         constants=tuple(key for key, value in nominals.items() if isinstance(value, ca.SX)),
         nominals=nominals,
@@ -110,17 +118,28 @@ def trace(robot: Robot, instrument: Instrument) -> Trace:
         columns=columns,
         local=local,
         values=values,
-        seen=seen(robot, instrument, values, q, columns),
+        seen=seen(robot, instrument, effects, values, q, columns),
     )
 
 
 def seen(
-    robot: Robot, instrument: Instrument, values: Mapping[str, Any], q: ca.SX, columns: Mapping[str, ca.SX]
+    robot: Robot,
+    instrument: Instrument,
+    effects: Sequence[Effect],
+    values: Mapping[str, Any],
+    q: ca.SX,
+    columns: Mapping[str, ca.SX],
 ) -> Seen:
     """Run the user's functions on symbols; raises ProblemError as `trace`."""
     p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
     pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
+    if effects:
+        pose, row = _with_effects(Here(robot, instrument, p, q, pose, row), effects, columns)
     residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
+    here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
+    for effect in effects:
+        found = _traced(_or_nothing(effect.residual), "residual", effect.words, None, here)
+        residual += ca.sum1(found)  # nothing at all sums to zero
     if (
         columns
         and instrument.columns
@@ -134,6 +153,35 @@ def seen(
     tip = _traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
     plunger = instrument.plunger_direction(pose, p)
     return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))
+
+
+def _with_effects(
+    here: Here, effects: Sequence[Effect], columns: Mapping[str, ca.SX]
+) -> tuple[Expression, SimpleNamespace]:
+    """Flange pose and row as they truly are, where joints, flange and readings err."""
+    robot, count = here.robot, len(here.robot.axes)
+    off = [_traced(_or_nothing(effect.joints), "joints", effect.words, None, here) for effect in effects]
+    moved = [each for each in off if each.numel() == count]
+    if moved:
+        q = here.q + sum(moved, ca.SX.zeros(count))
+        here = replace(here, pose=_traced(robot.pose, "pose", robot.name, (4, 4), here.p, q))
+    read = dict(columns)
+    for effect in effects:
+        if (changed := effect.pose(here)) is not None:
+            here = replace(here, pose=changed)
+        for name, error in effect.reading(here).items():
+            read[name] = read[name] + error
+    return here.pose, SimpleNamespace(**read)
+
+
+def _or_nothing(call: Any) -> Any:
+    """The same with nothing (0, 1) for None."""
+
+    def called(*arguments: Any) -> Any:
+        found = call(*arguments)
+        return ca.SX(0, 1) if found is None else found
+
+    return called
 
 
 def _nominal(key: str, unknown: Unknown) -> Any:

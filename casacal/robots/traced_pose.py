@@ -11,8 +11,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from casacal.kinematics import Expression, Product
+from casacal.kinematics import Expression, Product, position
 from casacal.unknowns import Unknown
 from casacal.unknowns.packed import packed_symbols
 from casacal.values import FrozenMapping
@@ -42,6 +43,16 @@ class TracedPose:
         values = [unknown.packed(getattr(p, key)) for key, unknown in self.unknowns.items()]
         factors = self.graph.call([*values, q])
         return factors[0] if len(factors) == 1 else Product(factors)
+
+    @cached_property
+    def levers(self) -> ca.Function:
+        """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
+        values = {
+            key: unknown.at(ca.DM(np.asarray(unknown.nominal)), ca.DM.zeros(unknown.size))
+            for key, unknown in self.unknowns.items()
+        }
+        q = ca.SX.sym("q", self.graph.size1_in(self.graph.n_in() - 1))
+        return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self(SimpleNamespace(**values), q)), q))])
 
     @cached_property
     def text(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.instrument import Probe
+from casacal.kinematics import stacked_poses
 from casacal.problem.cell import Cell, Face, corner
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
@@ -57,6 +58,16 @@ def default_cell(problem: Problem) -> Cell:
         f"{math.degrees(SLOPE):g} degrees against the plunger",
         "Define `cell = Cell(faces=...)` in the problem file",
     )
+
+
+def random_tips(problem: Problem) -> Array:
+    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
+    model, robot = problem.model, problem.robot
+    joints = random_joints(robot, 400, np.random.default_rng(0))
+    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
+    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
+    (pose,) = model.batch.pose(z, c, data)
+    return stacked_poses(pose)[:, :3, 3]
 
 
 def _corner_at(centre: Array, base: Array, size: float) -> Cell:

@@ -23,6 +23,9 @@ ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
 
 
+PLUNGES = 10
+"""Rounds in which a reading is found: the tip goes nearly as the reading does."""
+
 RIDGE = 1e-7
 """Fraction of the largest curvature added to all: a joint that turns the tool about its plunger then stays there."""
 
@@ -111,6 +114,15 @@ class Touch:
             miss = (normals * tip).sum(axis=1) - heights
             joints = joints - row * (miss / np.maximum((row**2).sum(axis=1), 1e-12))[:, None]
         return joints
+
+    def plunge(self, joints: Array, readings: Array, normals: Array, heights: Array) -> Array:
+        """Readings (N,) that put tips on n . tip = height where joints (N, n) stay."""
+        for _ in range(PLUNGES):
+            here, _ = self.place(self.local, joints, readings[:, None])
+            beyond, _ = self.place(self.local, joints, readings[:, None] + 1)
+            rise = (normals * (beyond - here)).sum(axis=1)
+            readings = readings - ((normals * here).sum(axis=1) - heights) / rise
+        return readings
 
     def within_limits(self, joints: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Joint values with whole turns taken out, and which rows are inside all limits."""

@@ -11,12 +11,15 @@ import numpy as np
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.kernels.batch import Batch
-from casacal.kinematics import stacked_poses
-from casacal.problem.cell import Cell, Disturbances, Face
+from casacal.problem.cell import OF_TOUCHES, Cell, Face
+from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.true_arm import lag, plane_coordinates
+from casacal.simulation.arm_errors import ArmErrors
+from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
+from casacal.simulation.places import random_tips
+from casacal.simulation.true_arm import plane_coordinates, streams
 from casacal.tables.labels import Labels
 
 LABELS = ("1", "2", "3")
@@ -69,13 +72,15 @@ class Bench:
         return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
-def fitting_rows(problem: Problem, cell: Disturbances, samples: int, seed: int) -> tuple[Samples, dict[str, Array]]:
-    """Samples of an instrument that touches no faces it could be shown, and the true local coordinates by name.
+def fitting_rows(
+    problem: Problem, cell: Disturbances, samples: int, seed: int
+) -> tuple[Samples, dict[str, Array], ArmErrors]:
+    """Samples of an instrument that is shown no faces, the true local coordinates by name, and the arm's errors.
 
     Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
     _check(problem, cell)
-    truth_rng, pose_rng, noise_rng, _ = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
+    truth_rng, pose_rng, noise_rng, _, gear_rng = streams(seed, 5)
     labels = _labels(problem, cell, samples)
     bench, local = _bench(problem, cell, labels, truth_rng, samples)
     instrument, robot = problem.instrument, problem.robot
@@ -85,21 +90,23 @@ def fitting_rows(problem: Problem, cell: Disturbances, samples: int, seed: int) 
     target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
     free = _found(bench, target, pose_rng)
     joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
-    recorded = joints - noise_rng.normal(size=joints.shape) * cell.joint_std + lag(joints, cell.backlash)
+    scatter, lag = noise_rng.normal(size=joints.shape) * cell.joint_std, last_moves(joints) * cell.backlash / 2
+    arm = ArmErrors(drawn_waves(robot, cell.waves, gear_rng))
+    recorded = rounded(unwaved(arm.waves, joints - scatter + lag), cell.encoder_step)
     columns = {}
     for k, (name, dimension) in enumerate(instrument.columns.items()):
         shown = readings[:, k] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
-        step = cell.resolution if dimension == "length" else 0.0
-        columns[name] = np.round(shown / step) * step if step > 0 else shown
+        columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
     name = f"simulated-{seed}"
-    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name), local
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name), local, arm
 
 
 def _check(problem: Problem, cell: Disturbances) -> None:
-    if isinstance(cell, Cell) and (cell.flatness > 0 or cell.compliance > 0):
+    plain = Cell(faces=cell.faces) if isinstance(cell, Cell) else cell
+    own = [name for name in OF_TOUCHES if getattr(cell, name, None) != getattr(plain, name, None)]
+    if own:
         raise SimulationError(
-            f"{type(problem.instrument).__name__} touches no faces that the simulator knows, and the cell has "
-            "flatness or compliance",
+            f"{type(problem.instrument).__name__} touches no faces that the simulator knows, and the cell has {own[0]}",
             "Leave them out, or give the instrument a `probe`",
         )
 
@@ -122,7 +129,7 @@ def _bench(
 ) -> tuple[Bench, dict[str, Array]]:
     """The true arm before its true instrument, and the local coordinates of all that is unknown, by name."""
     model, instrument, robot = problem.model, problem.instrument, problem.robot
-    middle = np.median(_tips(problem), axis=0)
+    middle = np.median(random_tips(problem), axis=0)
     local: dict[str, Array] = {}
     nominals: dict[str, Array] = {}
     z, c = [], []
@@ -175,16 +182,6 @@ def _near(cell: Disturbances, label: str, middle: Array) -> tuple[Array, Array]:
         face = next((face for face in cell.faces if face.label == label), cell.faces[0])
         return np.asarray(face.centre), face.axes[0]
     return middle, np.array([0.0, 0.0, 1.0])
-
-
-def _tips(problem: Problem) -> Array:
-    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
-    model, robot = problem.model, problem.robot
-    joints = random_joints(robot, 400, np.random.default_rng(0))
-    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
-    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
-    (pose,) = model.batch.pose(z, c, data)
-    return stacked_poses(pose)[:, :3, 3]
 
 
 def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SimulationError, came
 from casacal.estimators import lm
-from casacal.instruments import Instrument
-from casacal.instruments.instrument import Probe
 from casacal.least_squares.restricted import Restricted
-from casacal.problem.cell import Cell, Disturbances
+from casacal.problem.cell import Cell
+from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.simulation.arm_errors import ArmErrors
+from casacal.simulation.dial_errors import DialErrors
+from casacal.simulation.joint_errors import waved
 from casacal.simulation.places import default_cell
 from casacal.simulation.reach import Touch
 from casacal.simulation.rows import fitting_rows
-from casacal.simulation.touches import find_touches
-from casacal.simulation.true_arm import lag, plane_coordinates, true_unknowns
-from casacal.tables.labels import Labels
+from casacal.simulation.session import touched_rows
+from casacal.simulation.true_arm import plane_coordinates
 from casacal.values import FrozenMapping, Value
 
 
@@ -36,6 +36,10 @@ class Simulation(Value):
     local: Mapping[str, Array]
     cell: Disturbances
     seed: int
+    arm_errors: ArmErrors = ArmErrors()
+    """What moves the tip beside the geometry, as it was drawn."""
+    dial_errors: DialErrors = DialErrors()
+    """What the dial gets wrong beside what the problem declares, as it was drawn."""
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.problem.robot.name}, seed {self.seed}: {self.samples!r}>"
@@ -56,6 +60,41 @@ class Simulation(Value):
             part = Restricted(bound, placed, x)
             x = part.expand(lm(part).x)
         return x
+
+    def true_tips(self, joints: Array, *, readings: Array | None = None, when: Array | float = 0.5) -> Array:
+        """Where the tip truly stands when the controller says `joints`: what an ideal tracker would see.
+
+        Gear waves, sag and growth move it beside the geometry. What differs from time to time at the same posture
+        (repeatability, backlash, rounded encoders) is taken at its mean, zero.
+
+        Args:
+            joints: as the controller says (N, n; rad, mm).
+            readings: how far the plunger truly stands (N,; mm); zero by default.
+            when: place in the session (N,) or for all, 0 at its first row and 1 at its last; by default half-way.
+
+        Returns:
+            Tips (N, 3; mm) in the base frame.
+
+        Raises SimulationError for joints of another shape, and for readings where no plunger shows any.
+
+        """
+        problem, probe = self.problem, self.problem.instrument.probe
+        q = np.asarray(joints, dtype=np.float64)
+        if q.ndim != 2 or q.shape[1] != len(problem.robot.axes):
+            raise SimulationError(
+                f"Joint values came in the shape {q.shape}", f"Give (N, {len(problem.robot.axes)}) of them"
+            )
+        if probe is None:
+            if readings is not None:
+                raise SimulationError(f"{type(problem.instrument).__name__} has no plunger", "Leave the readings out")
+            bound = bind(problem.without_effects, self.samples)
+            return bound.tips(self.truth(bound), waved(self.arm_errors.waves, q))
+        touch = Touch.of(problem.robot, problem.instrument, probe, self.local)
+        ways, places = (
+            np.broadcast_to(np.asarray(v, dtype=np.float64), len(q))
+            for v in (0.0 if readings is None else readings, when)
+        )
+        return self.arm_errors.tips(touch, q, ways, places)
 
 
 MOST_SAMPLES = 1_000_000
@@ -95,57 +134,14 @@ def simulate(problem: Problem, cell: Disturbances | None = None, *, samples: int
         raise SimulationError(f"{came(cell)} came as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     instrument = problem.instrument
     if instrument.probe is None:
-        rows, local = fitting_rows(problem, Disturbances() if cell is None else cell, samples, seed)
-        return Simulation(problem, rows, FrozenMapping(local), Disturbances() if cell is None else cell, seed)
+        cell = Disturbances() if cell is None else cell
+        rows, local, arm = fitting_rows(problem, cell, samples, seed)
+        return Simulation(problem, rows, FrozenMapping(local), cell, seed, arm)
     cell = default_cell(problem) if cell is None else cell
     if not isinstance(cell, Cell):
         raise SimulationError(
             f"{type(instrument).__name__} touches faces, and the disturbances that came have none",
             "Give a Cell(faces=...)",
         )
-    return _touched(problem, instrument, instrument.probe, cell, samples, seed)
-
-
-def _touched(problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int, seed: int) -> Simulation:
-    """Touches on the faces of a cell."""
-    if len(cell.faces) > 1 and probe.label is None:
-        raise SimulationError(
-            f"The cell has {len(cell.faces)} faces and the problem one plane", 'Declare plane=Plane(per="plane")'
-        )
-    truth_rng, pose_rng, noise_rng, form_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
-    local = true_unknowns(problem, probe, cell.error_scale, truth_rng)
-    touch = Touch.of(problem.robot, instrument, probe, local)
-    which = np.arange(samples) % len(cell.faces)
-    noise = probe.noise_std if cell.repeatability is None else cell.repeatability
-    gross = noise_rng.random(samples) < cell.outliers
-    outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
-    # errors of touch and form raise the face under the tip; a dial's own errors come on top of its reading
-    lift = noise_rng.normal(size=samples) * (noise if probe.column is None else probe.contact_std)
-    if probe.column is None:
-        lift = lift + outlier
-    joints, readings = find_touches(touch, probe, cell, which, lift, pose_rng, form_rng)
-    recorded = joints - _sag(touch, joints, readings, cell.compliance)
-    recorded -= noise_rng.normal(size=joints.shape) * cell.joint_std
-    recorded += lag(joints, cell.backlash)
-    columns = {}
-    if probe.column is not None:
-        shown = readings + noise_rng.normal(size=samples) * noise + outlier
-        columns[probe.column] = np.round(shown / cell.resolution) * cell.resolution if cell.resolution > 0 else shown
-    labels = {probe.label: Labels([face.label for face in cell.faces], which)} if probe.label is not None else {}
-    name = f"simulated-{seed}"
-    rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name)
-    return Simulation(problem, rows, FrozenMapping(local), cell, seed)
-
-
-def _sag(touch: Touch, joints: Array, readings: Array, compliance: float) -> Array:
-    """Joint deflections (N, n) under gravity on the tip: each joint yields to its own torque, J' of the height.
-
-    Scaled so that the tip sags by `compliance` mm RMS over the samples.
-    """
-    if compliance == 0:
-        return np.zeros_like(joints)
-    _, _, slope, _ = touch(joints, readings)
-    lever = slope[:, 2, :]
-    yielding = -lever * touch.robot.revolute
-    sags = np.linalg.norm(np.einsum("kai,ki->ka", slope, yielding), axis=1)
-    return np.asarray(yielding * compliance / math.sqrt(float((sags**2).mean())))
+    rows, local, arm, dial = touched_rows(problem, instrument, instrument.probe, cell, samples, seed)
+    return Simulation(problem, rows, FrozenMapping(local), cell, seed, arm, dial)

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.instrument import Probe
-from casacal.problem.cell import Cell, form_error
+from casacal.problem.cell import Cell
 from casacal.robots.joint_space import random_joints
+from casacal.simulation.face_form import form_error
 from casacal.simulation.reach import Touch
 
 EDGE = 0.05
@@ -32,13 +33,17 @@ def find_touches(
     lift: Array,
     rng: np.random.Generator,
     form_rng: np.random.Generator,
+    growth: Array,
 ) -> tuple[Array, Array]:
-    """Joint values (N, n) at which the tip truly touches, and the true readings (N,)."""
+    """Joint values (N, n) at which the tip truly touches, and the true readings (N,).
+
+    lift: by how much each touch stands above its face, mm. growth: times (N,) that the tip is further from the base.
+    """
     seeds = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
     joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
     waiting = np.arange(len(which))
     for _ in range(ROUNDS):
-        found_joints, found_readings, good = try_touches(touch, probe, cell, which, lift, seeds, rng, waiting)
+        found_joints, found_readings, good = try_touches(touch, probe, cell, which, lift, seeds, rng, waiting, growth)
         joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
         waiting = waiting[~good]
         if not waiting.size:
@@ -60,6 +65,7 @@ def try_touches(
     form_seeds: list[int | None],
     rng: np.random.Generator,
     waiting: NDArray[np.intp] | None = None,
+    growth: Array | None = None,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
@@ -67,6 +73,7 @@ def try_touches(
     they are.
     """
     count = len(which)
+    growth = np.ones(count) if growth is None else growth
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
     half = np.array([face.size for face in cell.faces])[which] / 2
@@ -78,6 +85,7 @@ def try_touches(
     starts = random_joints(touch.robot, count * STARTS, rng).reshape(count, STARTS, -1)
     if waiting is not None:
         which, lift, readings, uv = which[waiting], lift[waiting], readings[waiting], uv[waiting]
+        growth = growth[waiting]
         axes, centres, half, targets, directions, starts = (
             each[waiting] for each in (axes, centres, half, targets, directions, starts)
         )
@@ -87,7 +95,9 @@ def try_touches(
     for i, form_seed in enumerate(form_seeds):
         if form_seed is not None:
             here = which == i
-            heights[here] += form_error(np.random.default_rng(form_seed), cell.flatness, uv[here])
+            form_rng = np.random.default_rng(form_seed)
+            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
+    heights = heights / growth  # where the arm without its growth stands as it touches
     joints = touch.land(joints, readings, axes[:, 0], heights)
     tip, direction, *_ = touch(joints, readings)
     offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))

@@ -1,4 +1,4 @@
-"""What is true of a simulated arm: unknowns drawn from the prior, faces where the cell has them, joints that lag."""
+"""What is true of a simulated arm: unknowns drawn from the prior, faces where the cell has them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,9 @@ def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.ra
     return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
 
 
-def lag(joints: Array, backlash: float) -> Array:
-    """How far joints (N, n) stand behind what they were sent to: half the backlash against each joint's last move.
-
-    The arm moves from row to row as they come, to the first one from all joints at zero.
-    """
-    moves = np.diff(joints, axis=0, prepend=np.zeros((1, joints.shape[1])))
-    return np.asarray(np.sign(moves) * backlash / 2)
+def streams(seed: int, count: int) -> tuple[np.random.Generator, ...]:
+    """Independent random numbers for each thing that is drawn; further ones leave the first as they are."""
+    return tuple(np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(count))
 
 
 def plane_coordinates(plane: Unknown, nominal: Array, centre: Array, normal: Array) -> Array:

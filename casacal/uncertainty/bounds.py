@@ -25,13 +25,16 @@ def seen_space(rows: Array) -> tuple[int, Array]:
     return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
 
 
-def bayesian_bound(information: Array, prior_std: Array, tip_jacobian: Array, tips: Array) -> float:
+def bayesian_bound(
+    information: Array, prior_std: Array, tip_jacobian: Array, tips: Array, off: Array | None = None
+) -> float:
     """Smallest RMS tip error (mm) over the workspace, apart from rigid motion, that data and prior allow.
 
     sqrt(trace(H (F + Lambda0)^-1 H') / N): F the data's information (n, n), H the tips' Jacobian (3 N, n) with the
     rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.
+    `off` as for `tip_stds`.
     """
-    stds = tip_stds(posterior_covariance(information, prior_std), without_rigid(tip_jacobian, tips))
+    stds = tip_stds(posterior_covariance(information, prior_std), without_rigid(tip_jacobian, tips), off)
     return math.sqrt(float((stds**2).sum(axis=1).mean()))
 
 

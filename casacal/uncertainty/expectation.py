@@ -32,13 +32,13 @@ def planned_accuracy(bound: Seen) -> tuple[float, float]:
     return expected_accuracy(bound, bound.x0)
 
 
-def expected_accuracy(bound: Seen, x: Array) -> tuple[float, float]:
-    """The same at x (n,)."""
+def expected_accuracy(bound: Seen, x: Array, off: Array | None = None) -> tuple[float, float]:
+    """The same at x (n,); `off` as for `tip_stds`."""
     joints = workspace_joints(bound.problem.robot)
     tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints)
-    information = bound.information(x)
+    information = bound.information(x if off is None else x + off)
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
-    return before, bayesian_bound(information, bound.prior_std, slopes, tips)
+    return before, bayesian_bound(information, bound.prior_std, slopes, tips, off)
 
 
 def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
@@ -52,10 +52,10 @@ def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
     )
 
 
-def accuracy_in_box(bound: Seen, x: Array, box: Box) -> tuple[float, float]:
+def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
-    Both apart from where the base stands.
+    Both apart from where the base stands; `off` as for `tip_stds`.
     Raises CasacalError when the arm hardly reaches the box.
     """
     robot = bound.problem.robot
@@ -74,5 +74,6 @@ def accuracy_in_box(bound: Seen, x: Array, box: Box) -> tuple[float, float]:
     field = up_to_base(
         bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
     )
-    stds = np.linalg.norm(tip_stds(posterior_covariance(bound.information(x), bound.prior_std), field), axis=1)
+    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_std)
+    stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
     return math.sqrt(float((stds**2).mean())), float(stds.max())

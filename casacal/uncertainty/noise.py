@@ -142,7 +142,7 @@ def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = 
     if (freedom < FEWEST).any():
         return None
     if scale is None:
-        if _bartlett(total, freedom) > UNEQUAL or _smooth(bound.residual(result.x).reshape(-1, per_row), faces):
+        if bartlett(total, freedom) > UNEQUAL or _smooth(bound.residual(result.x).reshape(-1, per_row), faces):
             return None
         scale = dict.fromkeys(faces.names, common)
     found = np.sqrt(total / freedom)
@@ -159,7 +159,7 @@ def _smooth(r: Array, faces: Labels) -> bool:
     return False
 
 
-def _bartlett(total: Array, freedom: Array) -> float:
+def bartlett(total: Array, freedom: Array) -> float:
     """Chance that variances, sums of squares (k,) over degrees of freedom (k,), differ so much (Bartlett 1937)."""
     from scipy.special import gammaincc
 

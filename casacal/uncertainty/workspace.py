@@ -51,12 +51,13 @@ def up_to_base(field: Array, tips: Array, frame_field: Array, frame_tips: Array)
     return np.asarray(field - rigid_fields(tips, about) @ motion)
 
 
-def tip_stds(covariance: Array, field: Array) -> Array:
+def tip_stds(covariance: Array, field: Array, off: Array | None = None) -> Array:
     """Standard deviation (N, 3; mm) of each tip along each axis.
 
     Args:
         covariance: of the unknowns (n, n); infinite variances count where the field sees them.
         field: derivative (3 N, n) of the tips by the unknowns, apart from where the base stands if that is wanted.
+        off: by how much the arm that is asked for leaves unknowns (n,) where they are not; it counts as an error.
 
     """
     lost = ~np.isfinite(np.diagonal(covariance))
@@ -65,6 +66,8 @@ def tip_stds(covariance: Array, field: Array) -> Array:
         variance = np.einsum("ij,jk,ik->i", field, held, field)
     else:
         variance = ((field @ held) * field).sum(axis=1)
+    if off is not None:
+        variance += (field @ off) ** 2
     variance[(np.abs(field[:, lost]) > BLIND_FIELD).any(axis=1)] = np.inf
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
 

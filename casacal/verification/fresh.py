@@ -15,6 +15,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS
 from casacal.binding.slots import Slot, make_slots
 from casacal.compensation.arm import CalibratedArm, named_covariance
+from casacal.compensation.motion import sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError, counted
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
@@ -118,6 +119,8 @@ def fresh_rows(
     slots = make_slots(problem, [samples], kept)
     _refuse_held(slots, kept)
     bound = BoundProblem(problem, slots, (samples,))
+    if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
+        bound = bound.under(problem.with_kit).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
     if bound.rows * bound.unknowns > MOST:
@@ -126,7 +129,10 @@ def fresh_rows(
     values, (covariance, names) = _values(result), named_covariance(result)
     places = {name: j for j, name in enumerate(names)}
     known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
-    for slot in slots:
+    for slot in bound.slots:
+        if slot.beside:
+            known[slot.columns] = True
+            continue
         of_arm = slot.key in problem.robot.parameters
         if not (of_arm or slot.name in kept or (not other and _remains(slot))):
             continue
@@ -136,7 +142,6 @@ def fresh_rows(
             elif of_arm or slot.name in kept:
                 fix = "Calibrate again with this version" if of_arm else "Leave it out of --standing"
                 raise CasacalError(f"{result.file}: it does not say how well '{name}' is known", fix)
-    index = [places[name] for name, is_known in zip(bound.names, known, strict=True) if is_known]
     own = int((~known).sum())
     if bound.rows <= own:
         raise SamplesError(
@@ -144,7 +149,16 @@ def fresh_rows(
             f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
             "Take more rows, or name with --standing what still stands where it was calibrated",
         )
-    return Fresh(bound, known, at, covariance[np.ix_(index, index)])
+    return Fresh(bound, known, at, _spread(bound, known, covariance, places))
+
+
+def _spread(bound: BoundProblem, known: NDArray[np.bool_], covariance: Array, places: Mapping[str, int]) -> Array:
+    """Covariance (k, k) of what is known: of the geometry by the result, of effects beside it by their sizes."""
+    found = np.diag(bound.prior_std[known] ** 2)
+    geometry = np.flatnonzero([not bound.beside[j] for j in np.flatnonzero(known)])
+    index = [places[bound.names[j]] for j in np.flatnonzero(known)[geometry]]
+    found[np.ix_(geometry, geometry)] = covariance[np.ix_(index, index)]
+    return found
 
 
 def _remains(slot: Slot) -> bool:

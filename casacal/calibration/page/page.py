@@ -7,6 +7,7 @@ from typing import Any
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.page.markup import Markup, tag
+from casacal.calibration.page.sections.beside import beside_section
 from casacal.calibration.page.sections.expected import expected_section
 from casacal.calibration.page.sections.measured import measured_section
 from casacal.calibration.page.sections.outliers import outliers_section
@@ -44,6 +45,7 @@ def report_page(
         expected_section(touches, document, box),
         parameters_section(calibration, document),
         unseen_section(document),
+        beside_section(document),
         reference_section(calibration, document),
         outliers_section(touches, document),
         provenance_section(document, command),

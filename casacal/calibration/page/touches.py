@@ -152,7 +152,7 @@ def thinned(rows: Rows, most: int) -> Rows:
 
 def _part(calibration: Calibration, bound: BoundProblem, *, held: bool) -> Part:
     count = len(bound.block.samples)
-    pair = calibration.heldout_x if held else (calibration.before.x, calibration.result.x)
+    pair = calibration.heldout_x if held else (calibration.before.x, calibration.used_x)
     before, after = (bound.plain_residual(x).reshape(count, -1) for x in pair)
     weight = np.ones(count) if held else calibration.result.weights.reshape(count, -1).min(axis=1)
     return Part(bound, held, pair[1], before, after, bound.block.noise, weight)

@@ -29,12 +29,13 @@ class Workspace:
     @staticmethod
     def of(calibration: Calibration) -> Workspace:
         """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
-        arm, x = calibration.seen, calibration.seen_x
+        motion = calibration.motion
+        arm, x = motion.arm, motion.x
         frame_joints, frame_tips, frame_slopes = calibration.workspace
         joints = workspace_joints(arm.problem.robot, poses=POSTURES, seed=1)
         tips, slopes = arm.tips(x, joints), arm.tip_jacobian(x, joints)
         field = up_to_base(slopes, tips, frame_slopes, frame_tips)
-        error = np.linalg.norm(tip_stds(calibration.covariance, field), axis=1)
+        error = np.linalg.norm(tip_stds(motion.covariance, field, motion.off), axis=1)
         moved = (tips - arm.tips(arm.x0, joints)).reshape(-1, 1)
         frame_moved = (frame_tips - arm.tips(arm.x0, frame_joints)).reshape(-1, 1)
         correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import tip_extremes
 from casacal.calibration.page.colours import Scale
 from casacal.calibration.page.drawing import Panel, axes, cells, dots, figure, line, picture
 from casacal.calibration.page.markup import Markup, paragraph, section, tag
@@ -17,7 +18,6 @@ from casacal.calibration.page.squares import in_squares
 from casacal.calibration.page.table import NUMBER, WORDS, table
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.page.workspace import POSTURES, Workspace, side_view, top_view
-from casacal.calibration.warnings import tip_extremes
 from casacal.uncertainty.expectation import Box, accuracy_in_box
 
 SQUARES = 24
@@ -53,7 +53,7 @@ def expected_section(touches: Touches, document: Mapping[str, Any], box: Box | N
 
 def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | None) -> Markup:
     tip = document["tip"]
-    moved, worst = tip_extremes(calibration)
+    moved, worst = tip_extremes(calibration.motion, calibration.workspace)
     unseen = f", {count(tip['unseen'], 'direction')} unseen" if tip["unseen"] else ""
     rows = [
         ["Before: priors alone", mm(tip["prior_rms_mm"]), "–"],
@@ -61,7 +61,8 @@ def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | N
         [f"Samples alone, without priors{unseen}", mm(tip["without_prior_rms_mm"]), "–"],
     ]
     if box is not None:
-        rms, most = accuracy_in_box(calibration.seen, calibration.seen_x, box)
+        motion = calibration.motion
+        rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
     columns = [("Expected tip error", WORDS), ("RMS", NUMBER), ("Worst posture", NUMBER)]

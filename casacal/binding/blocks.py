@@ -1,0 +1,126 @@
+"""The rows of each instrument, ready to be evaluated: which of x each row sees, its constants, its data, its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.nominal import row_columns
+from casacal.binding.slots import Slot
+from casacal.discrepancy.effect import Site
+from casacal.discrepancy.survey import Survey
+from casacal.errors import ProblemError
+from casacal.problem.compile import RowModel
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.tables.labels import combinations, rows_by_code
+
+TOGETHER = 16_384
+"""Rows looked at together, so that a million are never copied at once."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """The rows of one instrument: which of x each row sees, its constants and its data."""
+
+    model: RowModel
+    samples: Samples
+    slots: tuple[tuple[Slot, ...], ...]
+    """For each row pattern the slots of the model's unknowns, in the model's order."""
+    pattern: NDArray[np.int32]
+    """Row pattern of each sample (N,)."""
+    columns: NDArray[np.intp]
+    """Positions in x of the model's z, by row pattern (patterns, nz)."""
+    constants: Array
+    """c by row pattern (patterns, nc)."""
+    known: tuple[Array, ...]
+    """Columns of d beside the joint values, each (N,): mm, rad."""
+    elsewhere: Array
+    """What stands in these columns (k,) at postures that are no rows: zero, or what an effect says."""
+    noise: Array
+    """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
+
+    def rows(self, index: NDArray[np.intp] | slice) -> Array:
+        """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
+        return np.column_stack([self.samples.joints[index], *(column[index] for column in self.known)])
+
+    def posture(self, name: str, x: Array, joints: Array) -> list[Array]:
+        """Tips, their slopes or poses at x (n,) and joint values (N, n; rad, mm), at reading zero."""
+        data = np.hstack([joints, np.tile(self.elsewhere, (len(joints), 1))])
+        outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
+        return outputs
+
+    @cached_property
+    def data(self) -> Array:
+        """d of all samples (N, nd)."""
+        return self.rows(slice(None))
+
+
+def make_block(
+    problem: Problem, i: int, slots: Sequence[Slot], samples: Samples, survey: Survey | None = None
+) -> Block:
+    """Gather what the rows of instrument `i` see: positions in x, constants, data, noise.
+
+    Raises ProblemError for a label without unknowns, and for a row whose noise is zero or not finite.
+    """
+    model, instrument = problem.models[i], problem.instruments[i]
+    row_slots, pattern = _patterns(problem, i, slots, samples)
+    nz = sum(unknown.size for unknown in model.unknowns.values())
+    columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
+    index = [list(model.unknowns).index(key) for key in model.constants]
+    constants = np.array([np.concatenate([row[j].nominal for j in index] or [np.zeros(0)]) for row in row_slots])
+    columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), -1)
+    known = tuple(row_columns(problem, i, samples, survey).values())
+    noise = np.empty((len(samples), model.components))
+    block = Block(model, samples, row_slots, pattern, columns, constants, known, _elsewhere(problem, i), noise)
+    for constant, seen in zip(constants, rows_by_code(pattern, len(constants)), strict=True):
+        for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
+            noise[rows] = model.columns.noise(np.zeros(nz), constant, block.rows(rows))
+    good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
+    if not good.all():
+        bad = int(np.flatnonzero(~good)[0])
+        raise ProblemError(
+            f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is {noise[bad][0]:g} "
+            "in this row, as when a plunger lies in the face or a residual does not change with what errs",
+            "Declare a noise of the residual itself (contact_std, residual_std), or remove the row",
+        )
+    return block
+
+
+def _elsewhere(problem: Problem, i: int) -> Array:
+    model = problem.models[i]
+    values = dict.fromkeys(model.names, 0.0)
+    for effect in model.effects:
+        values |= dict.fromkeys(effect.columns(Site(problem.robot, problem.instruments[i])), effect.elsewhere)
+    return np.array(list(values.values()))
+
+
+def _patterns(
+    problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
+) -> tuple[tuple[tuple[Slot, ...], ...], NDArray[np.int32]]:
+    """Different combinations of slots that rows see, and which of them each row (N,) sees."""
+    by_name = {slot.name: slot for slot in slots}
+    label_columns = problem.layout(i).labels
+    shared = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
+    distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
+    patterns = []
+    for labels in distinct:
+        here = dict(zip(label_columns, labels, strict=True))
+        names = []
+        for key, unknown in problem.models[i].unknowns.items():
+            full = key if key in shared else problem.prefix(i) + key
+            if unknown.per is not None:
+                full = f"{full}.{problem.instruments[i].instance(key, here[unknown.per])}"
+            names.append(full)
+            if full not in by_name:
+                raise ProblemError(
+                    f"{samples.file}: some rows are labelled '{here[unknown.per or '']}', the fitted rows are not",
+                    "Fit some rows of each label",
+                )
+        patterns.append(tuple(by_name[name] for name in names))
+    return tuple(patterns), pattern

@@ -1,0 +1,83 @@
+"""What the nominal robot says of samples: poses, tips, plungers, and what each row holds beside its joint values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.discrepancy.effect import Site
+from casacal.discrepancy.survey import Rows, Survey
+from casacal.errors import ProblemError
+from casacal.instruments import Sight
+from casacal.kinematics import stacked_poses
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+
+def row_columns(problem: Problem, i: int, samples: Samples, survey: Survey | None) -> dict[str, Array]:
+    """Columns that were read, those known from labels, and those that effects ask for, each (N,)."""
+    columns = _instrument_columns(problem, i, samples)
+    effects = problem.models[i].effects
+    site = Site(problem.robot, problem.instruments[i])
+    if not any(effect.columns(site) for effect in effects):
+        return columns
+    tips = nominal_tips(problem, i, samples)
+    assert survey is not None
+    rows = Rows(samples, tips, survey)
+    for effect in effects:
+        columns |= effect.values(site, rows)
+    return columns
+
+
+def surveys_of(problem: Problem, samples: Sequence[Samples]) -> tuple[Survey | None, ...]:
+    """What the rows of each instrument say of themselves, where effects want to know."""
+    if not problem.effects:
+        return (None,) * len(samples)
+    return tuple(
+        Survey.of(some, nominal_tips(problem, i, some), problem.instruments[i].groups) for i, some in enumerate(samples)
+    )
+
+
+def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
+    """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
+    poses = stacked_poses(problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples)))
+    model = problem.models[i]
+    plungers = None if model.plunger is None else model.columns.plunger(*_nominal_inputs(problem, i, samples))
+    return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
+
+
+def nominal_tips(problem: Problem, i: int, samples: Samples) -> Array:
+    """Tips (N, 3; mm) of all rows of instrument `i` at the nominal; raises ProblemError when one is not finite."""
+    tips: Array = problem.models[i].columns.tip(*_nominal_inputs(problem, i, samples))
+    if not np.isfinite(tips).all():
+        raise ProblemError(
+            f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal",
+            "Check nominal values, and that tip uses no unknown without one",
+        )
+    return tips
+
+
+def _nominal_inputs(problem: Problem, i: int, samples: Samples) -> tuple[Array, Array, Array]:
+    """(z, c, d) of the nominal robot for all rows."""
+    model = problem.models[i]
+    z = np.zeros(sum(u.size for u in model.unknowns.values()))
+    known = [
+        np.full(model.unknowns[k].nominal_size, np.nan) if (n := model.unknowns[k].nominal) is None else n
+        for k in model.constants
+    ]
+    own = _instrument_columns(problem, i, samples)
+    beside = len(problem.models[i].names) - len(own)  # effects vanish at the nominal, whatever they ask for
+    data = np.column_stack([samples.joints, *own.values(), *np.zeros((beside, len(samples)))])
+    return z, np.concatenate(known or [np.zeros(0)]), data
+
+
+def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:
+    """Columns that were read, then those known from labels, each (N,)."""
+    instrument = problem.instruments[i]
+    columns = {name: samples.columns[name] for name in instrument.columns}
+    for name, values in instrument.known_columns.items():
+        labels = samples.labels[instrument.known_by]
+        columns[name] = np.array([values.get(label, 0.0) for label in labels.names])[labels.codes]
+    return columns

@@ -1,0 +1,88 @@
+"""All that moves the tip: the geometry, and effects beside it, whether they are corrected or only counted as errors."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Marginal, Seen, moving
+from casacal.estimators import lm
+from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.result import Result
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
+
+SMALLEST = 1e-3
+"""Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The tip of a fitted arm as it is used, and what is known of it.
+
+    arm: with s unknowns. x: those of the arm as used (s,). off: by how much the estimate is elsewhere (s,), which is an
+    error of the tip; None where it is nowhere else. covariance: of the estimate (s, s).
+    """
+
+    arm: Seen
+    x: Array
+    off: Array | None
+    covariance: Array
+
+    @staticmethod
+    def of(fit: BoundProblem, result: Result, used: Array) -> Motion:
+        """Of a fit, and of the arm as used (n,)."""
+        arm, estimate = moving(fit, result.x)
+        x = used[arm.shared] if isinstance(arm, Marginal) else used
+        off = estimate - x
+        return Motion(arm, x, off if off.any() else None, among(result, arm))
+
+
+def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> Array:
+    """Unknowns (n,) of the arm as it is used: effects that are not corrected at zero, geometry in their place.
+
+    What an effect does to the tip over the workspace is expected of the arm as much as anything else. Where nobody
+    corrects it, parameters take over what they can mimic of it, in the least squares of the tip; faces follow.
+    """
+    left = np.array([bool(key) and key not in corrected for key in fit.beside], dtype=bool)
+    if not left.any():
+        return result.x
+    arm, x = moving(fit, result.x)
+    assert isinstance(arm, Marginal)
+    joints = workspace_joints(fit.problem.robot)
+    tips = arm.tips(x, joints)
+    field = without_rigid(arm.tip_jacobian(x, joints), tips)
+    geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
+    lost = field[:, left[arm.shared]] @ x[left[arm.shared]]
+    moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
+    used = np.where(left, 0.0, result.x)
+    used[arm.shared[geometry]] += moves * arm.start_std[geometry]
+    faces = Restricted(fit, fit.datum, used)
+    return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
+
+
+def besides(arm: Seen) -> tuple[str, ...]:
+    """For each unknown the effect that it belongs to, empty for those of the geometry."""
+    return tuple(arm.whole.beside[j] for j in arm.shared) if isinstance(arm, Marginal) else arm.beside
+
+
+def among(result: Result, arm: Seen) -> Array:
+    """Covariance (s, s) of some unknowns of a fit."""
+    found = result.spread[0]
+    if isinstance(arm, Marginal) and len(found) == result.problem.unknowns:
+        return np.asarray(found[np.ix_(arm.shared, arm.shared)])
+    return found
+
+
+def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:
+    """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
+
+    Both apart from where the base stands; lengths of the three axes together. Of joint values, tips and slopes there.
+    """
+    joints, tips, slopes = workspace
+    moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)
+    stds = tip_stds(motion.covariance, without_rigid(slopes, tips), motion.off)
+    return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())

@@ -1,0 +1,53 @@
+"""What arm and cell may do beside their geometry: whether the samples show it, how large it is, what it would do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from casacal.calibration.page.markup import Markup, paragraph, section
+from casacal.calibration.page.numbers import mm
+from casacal.calibration.page.table import NUMBER, WORDS, table
+from casacal.uncertainty.score_test import sized
+
+
+def beside_section(document: Mapping[str, Any]) -> Markup | None:
+    """A line for each effect, the likeliest first; None where none was looked for."""
+    tests = document["score_tests"]
+    if not tests:
+        return None
+    rows = [
+        [
+            each["words"][:1].upper() + each["words"][1:],
+            each["shown"],
+            f"{each['p_holm']:.2g}",
+            sized(each["size"], each["unit"]),
+            _or_dash(each["expected_size"], each["unit"]),
+            "–" if math.isnan(each["tip_mm"]) else mm(each["tip_mm"]),
+        ]
+        for each in tests
+    ]
+    columns = [
+        ("Effect", WORDS),
+        ("Do the samples show it?", WORDS),
+        ("Chance without it", NUMBER),
+        ("Likeliest size", NUMBER),
+        ("To expect of any arm", NUMBER),
+        ("At the tip, RMS", NUMBER),
+    ]
+    return section(
+        "beside",
+        "What arm and cell may do beside their geometry",
+        paragraph(
+            "Each was tested as if it were the only one, so that a large effect shows in the lines of others, too: "
+            "these are “explained” by those that are shown. The chance is that of rows like these "
+            "without any such effect, after all that was looked for. “At the tip” is what an effect of that "
+            "size does where only the geometry is fitted."
+        ),
+        table("effects", "Effects beside the geometry, the likeliest first", columns, rows),
+    )
+
+
+def _or_dash(value: float, unit: str) -> str:
+    return "–" if math.isnan(value) else sized(value, unit)

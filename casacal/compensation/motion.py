@@ -1,0 +1,68 @@
+"""What a result says of effects beside the geometry: their sizes, and how far they move the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates
+from casacal.discrepancy.effect import Site
+from casacal.errors import CasacalError
+from casacal.problem.compile import RowModel
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A model of the arm with all that moves it, z (nz,) at the result, and which of z (k,) are known how well (k, k).
+
+    off: by how much these (k,) are elsewhere than the arm is said to be. elsewhere: columns of a row at any posture.
+    """
+
+    model: RowModel
+    z: Array
+    columns: list[int]
+    covariance: Array
+    off: Array | None
+    elsewhere: Array
+
+
+def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
+    """Times by which effects were found larger than expected, by key; None where geometry was all there is."""
+    said = result.document.get("discrepancy")
+    return None if not said else {each["key"]: float(each["times"]) for each in said["effects"]}
+
+
+def moved_arm(result: CalibratedArm) -> Moved:
+    """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
+    problem, said = result.source.problem, result.document.get("discrepancy")
+    covariance, columns = covariance_of(result)
+    z = local_coordinates(result)
+    if not said or "covariance" not in said:
+        index = [j for _, j in columns]
+        found = covariance[np.ix_(index, index)]
+        model = problem.model
+        return Moved(model, z, [i for i, _ in columns], found, None, np.zeros(len(model.names)))
+    model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
+    names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
+    stays = {name for key, unknown in problem.model.unknowns.items() for name in unknown.names(key)}
+    values = {each["name"] for each in said["unknowns"]}
+    places = {name: j for j, name in enumerate(said["covariance_of"])}
+    lost = sorted(values - set(names))
+    if lost:
+        raise CasacalError(
+            f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have",
+            "Give the problem that it was calibrated with, or calibrate again",
+        )
+    whole = np.zeros(len(names))
+    whole[[i for i, name in enumerate(names) if name in stays]] = z
+    at = [i for i, name in enumerate(names) if name in places]
+    index = [places[names[i]] for i in at]
+    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
+    known = dict.fromkeys(model.names, 0.0)
+    for effect in model.effects:
+        known |= dict.fromkeys(effect.columns(site), effect.elsewhere)
+    off = np.array([float(said["off"][j]) for j in index])
+    return Moved(model, whole, at, np.array(rows)[np.ix_(index, index)], off, np.array(list(known.values())))

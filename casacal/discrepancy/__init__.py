@@ -1,0 +1,21 @@
+"""What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines."""
+
+from casacal.discrepancy.arm import Backlash, GearWaves, GravityGive, ThermalGrowth
+from casacal.discrepancy.effect import Effect, weighted
+from casacal.discrepancy.joint_field import JointField
+from casacal.discrepancy.kit import kit, rich_kit
+from casacal.discrepancy.smooth import Drift, FaceForm
+
+__all__ = [
+    "Backlash",
+    "Drift",
+    "Effect",
+    "FaceForm",
+    "GearWaves",
+    "GravityGive",
+    "JointField",
+    "ThermalGrowth",
+    "kit",
+    "rich_kit",
+    "weighted",
+]

@@ -1,0 +1,107 @@
+"""What an effect beside the geometry provides: unknowns about zero, and where they enter a row."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from casacal.array_types import Array
+from casacal.discrepancy.survey import Rows
+from casacal.instruments import Instrument
+from casacal.kinematics import Expression
+from casacal.robots.robot import Robot
+from casacal.unknowns import Parameter
+from casacal.user_code import Portable
+
+
+@dataclass(frozen=True)
+class Site:
+    """Whose effect it is."""
+
+    robot: Robot
+    instrument: Instrument
+
+
+@dataclass(frozen=True)
+class Here(Site):
+    """One row in symbols, as effects see it."""
+
+    p: Any
+    """Values of all unknowns by name, those of the effects among them."""
+    q: Expression
+    """Joint values (n; rad, mm) as the controller says."""
+    pose: Expression
+    """Flange pose (4x4, mm), with the effects that came before."""
+    row: Any
+    """Columns by name: those that were read, and those that effects ask for."""
+
+
+class Effect(Portable, ABC):
+    """Something small that arm or cell do and that no link length, twist or offset describes.
+
+    Its unknowns are zero on average; how far they are from it is their size: what one would expect of such an arm, to
+    be corrected by what the samples show. A subclass, best a frozen dataclass, says `key`, `words`, `size`, `doubt` and
+    `moves`, and gives `unknowns` and one or more of `joints`, `pose`, `reading` and `residual`.
+    """
+
+    size: float
+    """Standard deviation to expect of an unknown of weight one, in its unit."""
+    doubt: float
+    """Times by which the size may well be off, either way; one holds it as it is."""
+    elsewhere: ClassVar[float] = 0.0
+    """Value of its columns at postures that are no rows, where the tip is asked for."""
+    most: ClassVar[float] = 5.0
+    """Times its size that it never exceeds: a gear that is five times as bad is broken, and something else errs."""
+    moves: ClassVar[bool] = False
+    """Whether it moves the tip itself, as a gear does, or only what is read of it, as a dial does."""
+
+    @property
+    @abstractmethod
+    def key(self) -> str:
+        """What the names of its unknowns begin with."""
+
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """How reports call it."""
+
+    @abstractmethod
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Its unknowns, by key, with a nominal of zero; none where it means nothing to this robot or instrument."""
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """Names of what it wants to know of each row beside what the instrument reads."""
+        del site
+        return ()
+
+    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+        """Those columns (N,) of some rows."""
+        del site, rows
+        return {}
+
+    def joints(self, here: Here) -> Expression | None:
+        """By how much joints (n; rad, mm) stand off what the controller says."""
+        del here
+        return None
+
+    def pose(self, here: Here) -> Expression | None:
+        """The flange pose (4x4, mm) as it truly is."""
+        del here
+        return None
+
+    def reading(self, here: Here) -> Mapping[str, Expression]:
+        """What has to be added to columns that were read, by name."""
+        del here
+        return {}
+
+    def residual(self, here: Here) -> Expression | None:
+        """What has to be added to the residual, in its unit."""
+        del here
+        return None
+
+
+def weighted(weights: Array, size: float, unit: str, per: str | None = None) -> Parameter:
+    """Unknowns about zero whose standard deviations are a size times their weights (m,)."""
+    return Parameter([0.0] * len(weights), unit=unit, prior_std=[size * float(weight) for weight in weights], per=per)

@@ -1,0 +1,132 @@
+"""What is tested beside a geometry: columns of the residual by each effect, and which rows would err together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, identity
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import factors
+from casacal.binding.nominal import nominal_tips
+from casacal.discrepancy import GearWaves
+from casacal.instruments.dial_parts import dial_cycle, dial_gain
+from casacal.problem.problem import Problem
+from casacal.samples.repeats import repeats_of
+from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
+
+STEP = 0.5
+"""Millimetres by which readings are shifted for their slope: a distance from a plane is linear in them."""
+
+REPEATS, JOINTS = "repeats", "repeatability"
+
+WAVE = GearWaves(order=1).key
+"""Sine and cosine of a joint value, times its slope: their squares are that of the slope, whatever the posture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Whitened rows (N, m) and tips (3 M, m; mm) by the unknowns of an effect of the size that one expects of it."""
+
+    key: str
+    words: str
+    expected: float
+    unit: str
+    rows: Array
+    tip: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """Which rows err together or err more: what is tested, if it is here, and the covariance of size one behind it.
+
+    own: tip motion (mm RMS) of size one that comes of itself.
+    """
+
+    key: str
+    words: str
+    unit: str
+    tested: csr_matrix | None
+    covariance: csr_matrix
+    own: float = 0.0
+
+
+def columns_of(bound: BoundProblem, x: Array, problem: Problem, joints: Array) -> dict[str, Columns]:
+    """Of every effect of a problem, and of the errors of the dial that it does not declare, by key.
+
+    Args:
+        bound: of the geometry alone.
+        x: its estimate (n,).
+        problem: the same geometry; its effects, or those to expect of any arm where it has none.
+        joints: where the tip is looked at (M, joints; rad, mm).
+
+    """
+    whole = bound.under(problem.with_kit)
+    at, found = whole.x0.copy(), []
+    at[~np.array(whole.beside, dtype=bool)] = x
+    rows, tips = whole.jacobian(at), whole.tip_jacobian(at, joints)
+    for effect in whole.problem.effects:
+        mine = np.flatnonzero(np.array(whole.beside) == effect.key)
+        if mine.size and np.isfinite(stds := whole.prior_std[mine]).all():
+            scaled, unit = (rows[:, mine] * stds, tips[:, mine] * stds), whole.units[mine[0]]
+            found.append(Columns(effect.key, effect.words, effect.size, unit, *scaled))
+    return {each.key: each for each in (*found, *_dial_columns(bound, x, len(tips)))}
+
+
+def _dial_columns(bound: BoundProblem, x: Array, tips: int) -> Iterator[Columns]:
+    """Gain, and what comes back with every turn of the pointer; at reading zero, where tips are asked for, no error."""
+    probe, declared = bound.problem.instrument.probe, bound.problem.instrument.unknowns
+    if probe is None or probe.column is None or not probe.turn:
+        return
+    samples = bound.block.samples
+    shown = samples.columns[probe.column]
+    shifted = [
+        bound.on(replace(samples, columns={**samples.columns, probe.column: shown + step})).plain_residual(x)
+        for step in (STEP, -STEP)
+    ]
+    slope = (shifted[0] - shifted[1]) / (2 * STEP) / bound.block.noise.ravel()
+    gain, cycle = dial_gain(), dial_cycle()
+    if "gain" not in declared:
+        size = float(gain.prior_stds[0])
+        way = size / 100 * slope * shown
+        yield Columns("gain", "gain of the dial", size, gain.unit, way[:, None], np.zeros((tips, 1)))
+    if "cycle" not in declared:
+        size, angle = float(cycle.prior_stds[0]), 2 * math.pi * shown / probe.turn
+        ways = size / 1000 * slope[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        words = "errors with every turn of the dial's pointer"
+        yield Columns("cycle", words, size, cycle.unit, ways, np.zeros((tips, 2)))
+
+
+def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Form]:
+    """Rows that are near one another on a face, follow one another, repeat one another, or see more of the joints."""
+    samples, noise, instrument = bound.block.samples, bound.block.noise, bound.problem.instrument
+    places = repeats_of(samples, instrument.groups)
+    near = following(samples.lines, places.codes)
+    pairs = {"succession": ("touches err like those just before and after", near)}
+    if instrument.probe is not None:
+        tips, faces = nominal_tips(bound.problem, 0, samples), samples.faces(instrument.groups).codes
+        near = near_on_faces(tips, faces, places.codes)
+        pairs["neighbours"] = ("touches err like their neighbours on the face", near)
+    for key, (words, form) in pairs.items():
+        if form.nnz:
+            shared = csr_matrix(form + identity(len(samples)))
+            yield Form(key, words, instrument.words.unit, whitened(form, noise), whitened(shared, noise))
+    if places.any:
+        words = "repeats agree better with one another than with the fit"
+        yield Form(REPEATS, words, instrument.words.unit, None, whitened(alike(places.codes), noise))
+    if WAVE in columns:
+        wave = columns[WAVE]
+        moved = diagonal((wave.rows**2).sum(axis=1) / wave.expected**2)
+        own = math.sqrt(3 * float((wave.tip**2).sum()) / len(wave.tip)) / wave.expected
+        yield Form(JOINTS, "repeatability of the joints", "rad", moved, moved, own)
+
+
+def noise_mm(bound: BoundProblem) -> float:
+    """Noise of a touch as stated, its median, in the unit of the residual."""
+    scale = bound.noise_scale[0] if bound.noise_scale else {}
+    stated = bound.block.noise / factors(bound.block.samples, bound.problem.instrument.groups, scale)[:, None]
+    return float(np.median(stated))
