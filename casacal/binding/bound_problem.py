@@ -128,6 +128,11 @@ class BoundProblem(Postures, LeastSquares):
         """The same rows, their stated noise times a factor for each face of each instrument; "" stands for others."""
         return self._like(self.slots, self.samples, scale)
 
+    @property
+    def scale(self) -> Mapping[str, float]:
+        """These factors of the first instrument; none where noise is as stated."""
+        return self.noise_scale[0] if self.noise_scale else {}
+
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], noise_scale: Scales) -> BoundProblem:
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys)
 

@@ -44,3 +44,9 @@ def factors(samples: Samples, groups: str | None, scale: Mapping[str, float]) ->
         again = repeats_of(samples, groups)
         found = found * np.sqrt(1 + (again.sizes[again.codes] - 1) * shared)
     return np.asarray(found)
+
+
+def times(scale: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Factors of the noise, each times another; what repeats share is a part of the noise and stays."""
+    found = {name: value if name == SHARED else value * factor for name, value in scale.items()}
+    return found if found.keys() - {SHARED} else {**found, OTHERS: factor}

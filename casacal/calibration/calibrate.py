@@ -13,11 +13,12 @@ import numpy as np
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.further import bind_further
 from casacal.calibration.calibrated import Calibrated
+from casacal.calibration.corrections import tried_corrections
 from casacal.calibration.methods import RANDOM, Method, Progress, chosen, estimate
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
-from casacal.errors import CasacalError, SamplesError, came
+from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.estimators import ipopt, lm, plane_only
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
@@ -100,18 +101,20 @@ def calibrate(
         bare, aside = _geometry(source.problem, chosen_rows, noise, outliers, loss, backend, threads)
         fit = bare
         if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
-            fit = with_effects(fit, source.problem, find_noise=noise == "found")
+            fit = with_effects(bare, source.problem, find_noise=noise == "found")
+            if outliers == "set aside" and fit is not bare:
+                fit, bare, aside = _second_look(fit, bare, aside, chosen_rows, source.problem, noise)
         heldout = bind_further(fit, single.take(held)) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
         result = estimate(run, name, fit, seed, loss, progress)
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
-        before = plane_only(fit)
+        before, tried = plane_only(fit), tried_corrections(fit, result)
         checked = _check(fit, name, result) if reference and loss is None else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibrated(
-        name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, (), bare
+        name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare
     )
 
 
@@ -134,6 +137,31 @@ def _geometry(
             bare = bind(bare.problem, rows.take(np.flatnonzero(~bad)), backend=backend, threads=threads)
     scale = found_noise(bare, loss).scale if noise == "found" else {}
     return (bare.with_noise(scale) if scale else bare), aside
+
+
+def _second_look(
+    fit: BoundProblem,
+    bare: BoundProblem,
+    aside: tuple[Finding, ...],
+    rows: Samples,
+    problem: Problem,
+    noise: str,
+) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+    """The same with other rows set aside, where those look gross once effects and noise are known.
+
+    Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
+    """
+    try:
+        bad, found = gross(fit.on(rows))
+    except ProblemError:  # a face all of whose rows were set aside
+        return fit, bare, aside
+    kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
+    if kept.lines == bare.block.samples.lines:
+        return fit, bare, aside
+    bare = bind(bare.problem, kept, backend=bare.backend)
+    scale = found_noise(bare, None).scale if noise == "found" else {}
+    bare = bare.with_noise(scale) if scale else bare
+    return with_effects(bare, problem, find_noise=noise == "found"), bare, found
 
 
 def _refuse_too_few(fit: BoundProblem) -> None:

@@ -124,8 +124,8 @@ class Calibration(Fitted):
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
         stays.
         """
-        found = cures(self.bare, self.bare_x)
-        geometry, x = seen(self.bare, self.bare_x)
+        found = cures(self.weighed, self.bare_x)
+        geometry, x = seen(self.weighed, self.bare_x)
         stays = max(self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2, 0.0)
         return tuple(replace(cure, expected_rms_mm=math.sqrt(cure.expected_rms_mm**2 + stays)) for cure in found)
 
@@ -136,7 +136,7 @@ class Calibration(Fitted):
         directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
         if all(direction.tip_mm < HARMLESS for direction in directions):
             return (NOT_NEEDED,) * len(directions)
-        geometry, x = seen(self.bare, self.bare_x)
+        geometry, x = seen(self.weighed, self.bare_x)
         now = posterior_covariance(geometry.information(x), geometry.prior_std)
         return tuple(
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
@@ -150,7 +150,7 @@ class Calibration(Fitted):
 
         if not any(self.fit.beside):
             return ()
-        return score_tests(self.bare.with_noise(*self.fit.noise_scale), self.fit.problem)
+        return score_tests(self.weighed, self.fit.problem)
 
     @cached_property
     def prior_moves(self) -> PriorMoves:

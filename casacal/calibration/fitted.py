@@ -11,6 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.further import extended
+from casacal.calibration.corrections import Tried
 from casacal.calibration.motion import used_arm
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
@@ -51,8 +52,8 @@ class Fitted(Value):
     """What is wrong with the rows that were set aside, with their lines."""
     heldout_by: str = "rows"
     """What was held out together: rows, region, face, or the name of a column."""
-    corrected: tuple[str, ...] = ()
-    """Keys of the effects beside the geometry that are corrected; others count as errors."""
+    tried: tuple[Tried, ...] = ()
+    """Effects beside the geometry that could be corrected, and which are."""
     geometry: BoundProblem | None = None
     """The same rows without effects beside the geometry, and with the noise as it was found so; None where it is `fit`.
 
@@ -71,6 +72,11 @@ class Fitted(Value):
         object.__setattr__(self, "seconds", FrozenMapping(self.seconds))
 
     @property
+    def corrected(self) -> tuple[str, ...]:
+        """Keys of the effects beside the geometry that are corrected; others count as errors."""
+        return tuple(each.key for each in self.tried if each.corrected)
+
+    @property
     def passed(self) -> bool:
         """Whether the method converged and, where it promises the minimum, the reference agrees."""
         if not self.result.converged:
@@ -81,6 +87,11 @@ class Fitted(Value):
     def bare(self) -> BoundProblem:
         """The fitted rows under the geometry alone."""
         return self.fit if self.geometry is None else self.geometry
+
+    @cached_property
+    def weighed(self) -> BoundProblem:
+        """The same with the noise as it was found beside effects: what a single touch tells of the geometry."""
+        return self.bare if self.bare is self.fit else self.bare.with_noise(*self.fit.noise_scale)
 
     @property
     def bare_x(self) -> Array:
@@ -123,6 +134,11 @@ class Fitted(Value):
     def used_x(self) -> Array:
         """Unknowns (n,) of the arm as it is used: the estimate, with effects that are not corrected at zero."""
         return used_arm(self.fit, self.result, self.corrected)
+
+    @cached_property
+    def uncorrected_x(self) -> Array:
+        """Unknowns (n,) of the arm where nobody can correct an effect, as in a table of lengths and angles."""
+        return used_arm(self.fit, self.result, ()) if self.corrected else self.used_x
 
     @cached_property
     def heldout_x(self) -> tuple[Array, Array]:

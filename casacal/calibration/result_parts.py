@@ -14,6 +14,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.corrected_words import tip_without_corrections
 from casacal.calibration.motion import besides
 from casacal.calibration.reference import Reference
 from casacal.calibration.withheld import without_motion, without_tips
@@ -105,7 +106,21 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
-    return {"effects": effects, "corrected": list(calibration.corrected), "unknowns": unknowns, **known}
+    tried = [asdict(each) for each in calibration.tried]
+    if denied:
+        tried = [{**each, "before_mm": math.nan, "after_mm": math.nan} for each in tried]
+    parts = {"effects": effects, "tried": tried, "corrected": list(calibration.corrected), "unknowns": unknowns}
+    return {**parts, **_without_corrections(calibration, denied), **known}
+
+
+def _without_corrections(calibration: Calibration, denied: bool) -> dict[str, Any]:
+    """The arm for those who cannot correct an effect, and the tip error to expect of it; nothing where none is."""
+    if not calibration.corrected:
+        return {}
+    rows = zip(calibration.fit.names, calibration.uncorrected_x, calibration.fit.beside, strict=True)
+    values = [{"name": name, "value": float(value)} for name, value, beside in rows if not beside]
+    error = math.nan if denied else tip_without_corrections(calibration)
+    return {"without_corrections": values, "expected_rms_mm_without_corrections": error}
 
 
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.calibration.brief import together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
+from casacal.calibration.corrected_words import corrected_words, tried_words
 from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
@@ -124,6 +125,7 @@ def _accuracy(calibration: Calibration) -> str:
             f"{_mm(before)}),",
             *([f"of the flange {_mm(flange)} (priors alone: {_mm(drawn)}),"] if math.isfinite(flange) else []),
             f"if {calibration.assumed} are right and nothing else bends the arm.",
+            *corrected_words(calibration),
             f"From the samples alone, without any prior: {samples_alone}.",
         ]
     )
@@ -189,7 +191,7 @@ def _beside(calibration: Calibration, denied: bool) -> str:
     left = len(tests) - len(shown)
     nothing = f"nothing of {left}{' more' if shown else ''} that were looked for"
     lines.append(f"  The rows show {nothing}; result.json has them all.")
-    return "\n".join(lines)
+    return "\n".join([*lines, *tried_words(calibration)])
 
 
 def _reference(calibration: Calibration) -> str:

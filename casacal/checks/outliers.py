@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS
+from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_tips
 from casacal.checks.finding import Finding, counted
 from casacal.checks.revolutions import lost_turns
@@ -119,7 +119,7 @@ def robust_fit(bound: BoundProblem) -> tuple[BoundProblem, Result] | None:
     noise = 1.4826 * float(np.median(size))
     if not float(size.max(initial=0.0)) > -float(ndtri(WORTH_A_LOOK / (2 * bound.rows))) * noise:
         return None
-    used = bound.with_noise({OTHERS: max(noise, 1.0)})
+    used = bound.with_noise(times(bound.scale, max(noise, 1.0)))
     return used, lm(used, loss=huber())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.noise_scale import OTHERS
+from casacal.binding.noise_scale import times
 from casacal.checks.check import strays
 from casacal.checks.finding import Finding
 from casacal.checks.outliers import (
@@ -40,7 +40,8 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
     whether it is worth looking for these, so that clean samples cost one fit.
 
     Args:
-        bound: a problem with one instrument and the samples that are to be fitted.
+        bound: a problem with one instrument and the samples that are to be fitted; with effects beside the geometry,
+            their sizes and the noise as found.
 
     """
     samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
@@ -70,8 +71,9 @@ def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None
         return bound
     if bad.sum() > MOST * len(bad):
         return None
+    rest = bound.block.samples.take(np.flatnonzero(~bad))
     try:
-        return bind(bound.problem, bound.block.samples.take(np.flatnonzero(~bad)))
+        return bound.on(rest) if any(bound.beside) else bind(bound.problem, rest)
     except CasacalError:
         return None
 
@@ -79,9 +81,14 @@ def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None
 def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
     """Rows (N,) that a robust fit of them all cannot explain."""
     found = np.zeros(len(bound.block.samples), dtype=bool)
-    if bound.rows > bound.unknowns and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
+    if bound.rows > _geometry(bound) and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
         found[list(studentised_outliers(*fitted).rows)] = True
     return found
+
+
+def _geometry(bound: BoundProblem) -> int:
+    """How many unknowns the rows must hold: those of effects stand at zero unless rows say more."""
+    return bound.beside.count("")
 
 
 def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -103,7 +110,7 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
 def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:
     """What is wrong with rows that a fit has not seen."""
     size = np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1)[rows]
-    limit = most_by_chance(judged.rows, judged.rows - judged.unknowns)
+    limit = most_by_chance(judged.rows, judged.rows - _geometry(judged))
     return single_rows(judged, result, Outliers(tuple(rows.tolist()), float(size.max()), limit, 1.0))
 
 
@@ -111,7 +118,7 @@ def _judged(rest: BoundProblem, samples: Samples) -> tuple[BoundProblem, Result]
     """All rows with the noise that the rest shows, and a fit of the rest alone."""
     result = lm(rest)
     noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
-    return rest.on(samples).with_noise({OTHERS: max(noise, 1.0)}), result
+    return rest.on(samples).with_noise(times(rest.scale, max(noise, 1.0))), result
 
 
 def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:

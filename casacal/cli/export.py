@@ -53,10 +53,10 @@ def run(options: argparse.Namespace) -> int:
     prefix = options.prefix if options.to == "c" else None
     export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
     if options.json:
-        said = {"form": options.to, "verdict": verdict_part(result), "remarks": remark(result)}
+        said = {"form": options.to, "verdict": verdict_part(result), "remarks": remark(result, form=options.to)}
         say_json({**said, "written": [options.out]})
         return DONE
     say_paragraph(f"Written: {options.out}")
-    for line in remark(result):
+    for line in remark(result, form=options.to):
         say_paragraph(line)
     return DONE

@@ -13,6 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
+from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.unknowns import Parameter
 from casacal.values import Value
@@ -36,23 +37,62 @@ class CalibratedArm(Value):
         return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
 
 
+def corrections(result: CalibratedArm) -> tuple[str, ...]:
+    """Keys of the effects beside the geometry that a result corrects; none of a truth."""
+    return tuple((result.document.get("discrepancy") or {}).get("corrected", ()))
+
+
+def as_used(result: CalibratedArm) -> Problem:
+    """The problem of a result with the effects that it corrects, and no others, in its pose.
+
+    Raises CasacalError where the problem does not have one of them.
+    """
+    problem, keys = result.source.problem, corrections(result)
+    if not keys:
+        return problem.without_effects
+    known = {effect.key: effect for effect in problem.with_kit.effects}
+    if lost := [key for key in keys if key not in known]:
+        raise CasacalError(
+            f"{result.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",
+            "Give the problem that it was calibrated with, or calibrate again",
+        )
+    return problem.with_effects(*(known[key] for key in keys))
+
+
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
-    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM)."""
+    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM).
+
+    As they are best where nobody corrects an effect beside the geometry.
+    """
     values = {}
     for key, unknown in result.source.problem.robot.parameters.items():
         if unknown.nominal is None:
             raise CasacalError(f"'{key}' of the arm has no nominal value", "Give it one in the problem file")
-        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal)))
+        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal, alone=True)))
     return SimpleNamespace(**values)
 
 
-def local_coordinates(result: CalibratedArm, *, nominal: bool = False) -> Array:
+def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Problem | None = None) -> Array:
     """Local coordinates (nz,) of the first instrument's row model at the result, or at the nominal values.
 
+    Args:
+        result: a calibration or a truth.
+        nominal: all zero.
+        of: the problem with effects that are corrected, as of `as_used`, or with more; by default without any, and then
+            the values are those for an arm that nobody corrects beyond its geometry.
+
     Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
+
     """
-    unknowns = result.source.problem.model.unknowns
-    return np.concatenate([np.zeros(0), *(_local(key, unknown, result, nominal) for key, unknown in unknowns.items())])
+    geometry = result.source.problem.without_effects
+    model, known = (of or geometry).model, geometry.model.unknowns
+    values = [
+        _local(key, unknown, result, nominal, alone=not model.effects)
+        if key in known
+        else _of_effect(key, unknown, result, nominal)
+        for key, unknown in model.unknowns.items()
+    ]
+    return np.concatenate([np.zeros(0), *values])
 
 
 def denial(result: CalibratedArm) -> str | None:
@@ -104,7 +144,7 @@ def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:
     return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]
 
 
-def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Array:
+def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alone: bool) -> Array:
     """Local coordinates of an unknown at the result; zero for those that differ by label."""
     if nominal or unknown.per is not None or not unknown.size:
         return np.zeros(unknown.size)
@@ -114,7 +154,19 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Arra
         known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
         if not known.keys() & set(unknown.names(key)):  # held by the calibration
             return np.zeros(unknown.size)
+    if alone:
+        said = result.document.get("discrepancy") or {}
+        known |= {row["name"]: float(row["value"]) for row in said.get("without_corrections", ())}
     missing = [name for name in unknown.names(key) if name not in known]
     if missing:
         raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
     return np.array([known[name] for name in unknown.names(key)])
+
+
+def _of_effect(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Array:
+    """Unknowns of an effect beside the geometry: as found where it is corrected, else zero."""
+    if nominal or unknown.per is not None:
+        return np.zeros(unknown.size)
+    said, keys = result.document.get("discrepancy") or {}, corrections(result)
+    found = {row["name"]: float(row["value"]) for row in said.get("unknowns", ()) if row.get("effect") in keys}
+    return np.array([found.get(name, 0.0) for name in unknown.names(key)])

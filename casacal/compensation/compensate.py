@@ -18,6 +18,7 @@ from casacal.array_types import Array, Rows
 from casacal.compensation.arm import (
     FRAMES,
     CalibratedArm,
+    as_used,
     check_usable,
     denial,
     infinite_variances,
@@ -86,8 +87,11 @@ def compensate(
     if denial(result) is None:
         _trusted(result, frame)
     rounding = rounding or Rounding()
-    nominal = PosedArm.of(result.source.problem, local_coordinates(result, nominal=True), frame)
-    arm = replace(nominal, local=local_coordinates(result))
+    nominal = PosedArm.of(result.source.problem.without_effects, local_coordinates(result, nominal=True), frame)
+    used = as_used(result)
+    arm = replace(nominal, local=local_coordinates(result, of=used))
+    if used.effects:
+        arm = PosedArm.of(used, arm.local, frame)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))

@@ -124,10 +124,19 @@ def _check_discrepancy(file: str, part: Any) -> None:
     if not whole:
         raise CasacalError(f"{file}: its 'discrepancy' is {_short(part)}", FIX)
     for effect in _rows(file, "effects", part["effects"]):
-        _check(file, "effects", effect, {"key": is_text, "times": _is_size})
+        _check(file, "effects", effect, {"key": is_text, "words": is_text, "times": _is_size})
     unknowns = _rows(file, "effects", part["unknowns"])
     for row in unknowns:
-        _check(file, "effects", row, {"name": is_text, "value": is_number})
+        _check(file, "effects", row, {**UNKNOWN, "effect": is_text})
+    corrected = part.get("corrected", [])
+    if not isinstance(corrected, list) or not set(map(str, corrected)) <= {effect["key"] for effect in part["effects"]}:
+        raise CasacalError(f"{file}: the 'corrected' of its discrepancy is {_short(corrected)}", FIX)
+    alone = _rows(file, "values without corrections", part.get("without_corrections", []))
+    if corrected and not alone:
+        raise CasacalError(f"{file}: its discrepancy does not say how the arm stands without corrections", FIX)
+    for row in alone:
+        _check(file, "values without corrections", row, UNKNOWN)
+        _check_size(file, row["name"], row["value"])
     if "covariance" in part:
         names = part.get("covariance_of")
         if not isinstance(names, list) or not all(map(is_text, names)) or len(set(names)) < len(names):

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates
+from casacal.compensation.arm import (
+    CalibratedArm,
+    corrections,
+    covariance_of,
+    local_coordinates,
+    named_covariance,
+)
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.problem.compile import RowModel
@@ -35,19 +41,35 @@ def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
     return None if not said else {each["key"]: float(each["times"]) for each in said["effects"]}
 
 
+def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
+    """Unknowns of the effects that are corrected, by name, as they were found."""
+    said, keys = result.document.get("discrepancy") or {}, corrections(result)
+    return {row["name"]: float(row["value"]) for row in said.get("unknowns", ()) if row["effect"] in keys}
+
+
+def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) of all that a result corrects and of its other unknowns, and their names.
+
+    Raises CasacalError where it holds none.
+    """
+    said = result.document.get("discrepancy") or {}
+    if not corrections(result) or "covariance" not in said:
+        return named_covariance(result)
+    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
+    return np.array(rows), list(said["covariance_of"])
+
+
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
     problem, said = result.source.problem, result.document.get("discrepancy")
     covariance, columns = covariance_of(result)
-    z = local_coordinates(result)
     if not said or "covariance" not in said:
         index = [j for _, j in columns]
         found = covariance[np.ix_(index, index)]
-        model = problem.model
+        model, z = problem.model, local_coordinates(result, of=problem)
         return Moved(model, z, [i for i, _ in columns], found, None, np.zeros(len(model.names)))
     model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    stays = {name for key, unknown in problem.model.unknowns.items() for name in unknown.names(key)}
     values = {each["name"] for each in said["unknowns"]}
     places = {name: j for j, name in enumerate(said["covariance_of"])}
     lost = sorted(values - set(names))
@@ -56,8 +78,7 @@ def moved_arm(result: CalibratedArm) -> Moved:
             f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have",
             "Give the problem that it was calibrated with, or calibrate again",
         )
-    whole = np.zeros(len(names))
-    whole[[i for i, name in enumerate(names) if name in stays]] = z
+    whole = local_coordinates(result, of=problem.with_kit)
     at = [i for i, name in enumerate(names) if name in places]
     index = [places[names[i]] for i in at]
     rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]

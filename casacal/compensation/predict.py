@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates
+from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates
 from casacal.compensation.given import arm_from
 from casacal.compensation.motion import moved_arm
 from casacal.errors import CasacalError, UnknownNameError
@@ -120,9 +120,9 @@ def predict(
     joints = joints_from(joints, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
-    problem = result.source.problem
+    problem = result.source.problem.without_effects if nominal else as_used(result)
     model, instrument = problem.model, problem.instrument
-    z = local_coordinates(result, nominal=nominal)
+    z = local_coordinates(result, nominal=nominal, of=problem)
     data = np.zeros((len(joints), model.pose.numel_in(2)))
     data[:, : joints.joints.shape[1]] = joints.joints
     for i, name in enumerate(instrument.columns):
@@ -142,8 +142,8 @@ def predict(
 def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
 
-    Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry count as
-    errors, by what they do and by how well that is known.
+    Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
+    corrected count as errors, by what they do and by how well that is known.
     """
     arm, joints = moved_arm(result), len(result.source.problem.robot.axes)
     evaluate = arm.model.batch.tip_jacobian if frame == "tip" else arm.model.batch.flange_jacobian

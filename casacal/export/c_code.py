@@ -7,9 +7,10 @@ import re
 import casadi as ca
 import numpy as np
 
-from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
+from casacal.export.functions import pose_at
 from casacal.export.remark import remark
 
 LEVER = 300.0
@@ -92,7 +93,7 @@ def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     robot = result.source.problem.robot
     count = len(robot.axes)
     q, target, damping = ca.SX.sym("q", count), ca.SX.sym("target", 16), ca.SX.sym("damping")
-    pose = ca.SX(robot.pose(arm_values(result), q))
+    pose = pose_at(result, q)
     turn = pose[:3, :3]
     slopes = ca.jacobian(ca.vec(turn), q)
     spins = []

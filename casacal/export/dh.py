@@ -43,12 +43,12 @@ def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bo
         )
     table = arm.at(arm_values(result))
     if source is None:
-        return _remarked(dh_file_text(table, "arm.toml" if toml else "arm.csv"), remark(result))
+        return _remarked(dh_file_text(table, "arm.toml" if toml else "arm.csv"), remark(result, form="dh"))
     _check_source(source, arm)
     text = decode(Path(source))
     written = written_into_toml(text, table) if is_toml(source) else written_into_csv(text, table)
     marked = Path(source).read_bytes()[:2] in (b"\xef\xbb", b"\xff\xfe", b"\xfe\xff")  # a byte-order mark
-    written = ("\ufeff" if marked else "") + _remarked(written, remark(result))
+    written = ("\ufeff" if marked else "") + _remarked(written, remark(result, form="dh"))
     _check_written(written, source, table)
     return written
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm, check_usable, denial
+from casacal.compensation.arm import CalibratedArm, check_usable, corrections, denial
 from casacal.compensation.caution import caution
 from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
@@ -69,9 +69,9 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     A comment holds no two hyphens.
     """
     text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
-    if denial(arm) is None and caution(arm) is None:
+    if denial(arm) is None and caution(arm) is None and not corrections(arm):
         return text
-    words = "\n".join(remark(arm)).replace("--", "- -")
+    words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None
     return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates
+from casacal.compensation.arm import CalibratedArm, arm_values, as_used, local_coordinates
 from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 
@@ -19,7 +19,8 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     Args:
         arm: what was calibrated.
         nominal: as drawn in place of as calibrated.
-        free: the robot's parameters are inputs too, by name and before q; `values_of` gives what they are.
+        free: the robot's parameters are inputs too, by name and before q; `values_of` gives what they are. Effects
+            beside the geometry are then no part of it.
 
     Raises CasacalError when both nominal and free are asked for.
 
@@ -30,8 +31,19 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     if free:
         return problem.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
-    pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=nominal), q))
+    pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q)) if nominal else pose_at(arm, q)
     return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+
+
+def pose_at(arm: CalibratedArm, q: ca.SX) -> ca.SX:
+    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included."""
+    problem = as_used(arm)
+    if not problem.effects:
+        return ca.SX(problem.robot.pose(arm_values(arm), q))
+    symbols = problem.symbols
+    d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
+    z = ca.DM(local_coordinates(arm, of=problem))
+    return ca.reshape(symbols.functions["pose"](z, ca.DM.zeros(symbols.c.numel()), d), 4, 4)
 
 
 def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
@@ -42,10 +54,11 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     """
     _check(nominal, free)
     arm = arm_from(arm)
-    symbols = arm.source.problem.symbols
     if free:
-        return symbols.value_functions["tip"]
-    q, z = ca.SX.sym("q", symbols.q.numel()), local_coordinates(arm, nominal=nominal)
+        return arm.source.problem.without_effects.symbols.value_functions["tip"]
+    problem = arm.source.problem.without_effects if nominal else as_used(arm)
+    symbols = problem.symbols
+    q, z = ca.SX.sym("q", symbols.q.numel()), local_coordinates(arm, nominal=nominal, of=problem)
     d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
     tip = symbols.functions["tip"](z, ca.DM.zeros(symbols.c.numel()), d)
     return ca.Function("tip", [q], [ca.densify(each) for each in ca.cse([tip])], ["q"], ["tip"])
@@ -64,7 +77,7 @@ def values_of(
         known = arm_values(arm, nominal=nominal)
         unknowns = problem.robot.parameters
         return {key: _array(ca.DM(unknown.packed(getattr(known, key)))) for key, unknown in unknowns.items()}
-    symbols = problem.symbols
+    symbols = problem.without_effects.symbols
     trace = symbols.trace
     wanted = [key for key in symbols.value_functions["tip"].name_in() if key in trace.unknowns]
     if unsure := set(wanted) & set(trace.constants):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.arm import CalibratedArm, corrections, denial
 from casacal.compensation.caution import caution
 from casacal.compensation.given import arm_from
 from casacal.version import __version__
@@ -13,8 +13,11 @@ MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
 
 
-def remark(result: CalibratedArm) -> list[str]:
-    """Lines, without comment signs, on the origin and the expected accuracy of what is exported."""
+def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
+    """Lines, without comment signs, on the origin and the expected accuracy of what is exported.
+
+    form: every form but "c" holds lengths and angles alone, and none of the effects beside them that a result corrects.
+    """
     result = arm_from(result)
     document = result.document
     name = result.source.name
@@ -27,7 +30,14 @@ def remark(result: CalibratedArm) -> list[str]:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
     if (care := caution(result)) is not None:
         lines.append(f"{MARK}the result's verdict: {care}")
+    said, keys = document.get("discrepancy") or {}, corrections(result)
     error = (document.get("tip") or {}).get("expected_rms_mm")
+    named = " and ".join(effect["words"] for effect in said.get("effects", ()) if effect["key"] in keys)
+    if keys and form != "c":
+        error = said.get("expected_rms_mm_without_corrections")
+        lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the form c correct")
+    elif keys:
+        lines.append(f"{MARK}corrected beside the geometry: {named}")
     shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [
         *lines,

@@ -51,7 +51,7 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
             f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles", fix
         )
     origins, rest = _origins(arm, arm_values(result), conventions)
-    lines = [f"# {line}" for line in remark(result)]
+    lines = [f"# {line}" for line in remark(result, form="ur")]
     if not np.allclose(rest, np.eye(4), rtol=0, atol=1e-12):
         shift = " ".join(_fixed(v, 6) for v in rest[:3, 3])
         turn = " ".join(_fixed(math.degrees(v), 6) for v in roll_pitch_yaw(rest[:3, :3]))

@@ -68,7 +68,7 @@ def zeros_text(result: CalibratedArm) -> str:
     found = zero_corrections(result)
     axes = result.source.problem.robot.axes
     slides = any(joint.kind == "prismatic" for joint in axes)
-    lines = [f"# {line}" for line in remark(result)]
+    lines = [f"# {line}" for line in remark(result, form="zeros")]
     lines += [
         f"# {MARK}where the controller shows q, the arm stands as the drawn arm would at q + correction; so do one of "
         "two, never both:",

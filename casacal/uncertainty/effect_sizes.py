@@ -21,8 +21,8 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 
 from casacal.array_types import Array
-from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.objective import LeastSquares
+from casacal.uncertainty.marginal_likelihood import Told, told
 from casacal.values import FrozenMapping
 
 MORE = 1.3
@@ -45,17 +45,6 @@ class Sizes:
     """Logarithm of the marginal likelihood, hyper-priors included."""
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """The rows where the fit stands: A (n, n), b = J'y (n,), y'y, how many, and the prior's information (n,)."""
-
-    information: Array
-    toward: Array
-    square: float
-    rows: int
-    prior: Array
-
-
 def effect_sizes(
     problem: LeastSquares,
     x: Array,
@@ -63,7 +52,7 @@ def effect_sizes(
     known: Mapping[str, tuple[float, float]],
     *,
     stated: float = 1.0,
-    find_noise: bool = True,
+    least: float | None = 1.0,
 ) -> Sizes:
     """Sizes of effects and of the noise at which the rows are likeliest.
 
@@ -72,47 +61,42 @@ def effect_sizes(
         x: where it is fitted (n,).
         beside: for each of its unknowns (n,) the effect that it belongs to, empty for those of the geometry.
         known: for each effect the times by which its size may well be off (one holds it), and those that it never is.
-        stated: stated noise over that with which the problem weighs its rows, the least that there is. These weights
-            are the most: what geometry alone leaves in the rows is explained by effects in part, never made more.
-        find_noise: whether noise is found, too; else it stays as it is.
+        stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
+            alone leaves in the rows is explained by effects in part, never made more.
+        least: part of the stated noise that there is at least; None leaves the noise as it is.
 
     """
-    rows = _linear(problem, x)
     keys = [key for key in dict.fromkeys(beside) if key]
     groups = [np.flatnonzero(np.array(beside) == key) for key in keys]
     spread = np.array([math.log(known[key][0]) for key in keys] + [math.log(NOISE_DOUBT)])
     most = np.array([math.log(known[key][1]) for key in keys])
     bounds = [(-m, m) if s > 0 else (0.0, 0.0) for s, m in zip(spread[:-1], most, strict=True)]
-    bounds.append((math.log(stated), 0.0) if find_noise else (0.0, 0.0))
+    bounds.append((math.log(stated * least), 0.0) if least else (0.0, 0.0))
     expected = np.append(np.zeros(len(keys)), math.log(stated))
     starts = [np.zeros(len(spread))]
-    if stated < 1 / MORE:  # the likelihood has several tops where something large errs
+    if stated * (least or 1.0) < 1 / MORE:  # the likelihood has several tops where something large errs
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
-    given = (rows, groups, expected, spread)
+    given = (told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
     tops = [minimize(_objective, start, given, "L-BFGS-B", jac=True, bounds=bounds) for start in starts]
     found = min(tops, key=lambda top: float(top.fun))
     times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, found.x[:-1], strict=True)})
     return Sizes(times, float(np.exp(found.x[-1])), -float(found.fun) / 2)
 
 
-def _linear(problem: LeastSquares, x: Array) -> _Linear:
-    """The rows at x (n,)."""
-    normal, r = problem.normal(x), problem.residual(x)
-    told = normal.information
-    information = np.asarray(told.dense() if isinstance(told, Arrow) else told, dtype=np.float64)
-    toward = information @ x - normal.gradient
-    square = float(r @ r) - 2 * float(x @ normal.gradient) + float(x @ information @ x)
-    return _Linear(information, toward, square, problem.rows, problem.prior_information)
-
-
 def _objective(
-    logs: Array, rows: _Linear, groups: Sequence[NDArray[np.intp]], expected: Array, spread: Array
+    logs: Array,
+    seen: Told,
+    rows: int,
+    beforehand: Array,
+    groups: Sequence[NDArray[np.intp]],
+    expected: Array,
+    spread: Array,
 ) -> tuple[float, Array]:
     """-2 log of the marginal likelihood and of the hyper-priors, and its gradient, by logarithms of sizes and noise."""
-    variance, prior = math.exp(2 * logs[-1]), rows.prior.copy()
+    variance, prior = math.exp(2 * logs[-1]), beforehand.copy()
     for log, group in zip(logs[:-1], groups, strict=True):
         prior[group] *= math.exp(-2 * log)
-    posterior = rows.information / variance
+    posterior = seen.information / variance
     posterior.flat[:: len(prior) + 1] += prior
     scale = 1.0 / np.sqrt(np.diagonal(posterior))
     root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
@@ -120,15 +104,15 @@ def _objective(
         return math.inf, np.zeros_like(logs)
     covariance = dpotri(root, lower=1)[0]
     covariance = (np.tril(covariance) + np.tril(covariance, -1).T) * scale[:, None] * scale
-    x = covariance @ (rows.toward / variance)
-    left = rows.square - 2 * float(rows.toward @ x) + float(x @ rows.information @ x)
+    x = covariance @ (seen.toward / variance)
+    left = seen.square - 2 * float(seen.toward @ x) + float(x @ seen.information @ x)
     held = prior > 0
     determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - float(np.log(prior[held]).sum())
-    value = rows.rows * 2 * logs[-1] + determinant + left / variance + float((prior * x**2).sum())
+    value = rows * 2 * logs[-1] + determinant + left / variance + float((prior * x**2).sum())
     moved = prior * (np.diagonal(covariance) + x**2)
     gradient = [2 * (group.size - float(moved[group].sum())) for group in groups]
-    told = len(prior) - float((prior * np.diagonal(covariance)).sum())
-    gradient.append(2 * (rows.rows - told - left / variance))
+    learnt = len(prior) - float((prior * np.diagonal(covariance)).sum())
+    gradient.append(2 * (rows - learnt - left / variance))
     free = spread > 0
     hyper = np.where(free, (logs - expected) / np.where(free, spread, 1.0), 0.0)
     slope = np.where(free, hyper / np.where(free, spread, 1.0), 0.0)

@@ -147,7 +147,7 @@ class Known:
         new = [slot for slot in make_slots(problem, [rows.take(there)]) if slot.name not in old] if strange else []
         new = [_placed(slot, strange) for slot in new]
         slots, x = _in_row([*old.values(), *new], np.concatenate([self.x, np.zeros(sum(s.unknown.size for s in new))]))
-        scale = _scale(self.bound.noise_scale[0] if self.bound.noise_scale else {}, noise)
+        scale = _scale(self.bound.scale, noise)
         extra = BoundProblem(problem, slots, (rows,), "blocks", noise_scale=(scale,))
         information = extra.information(x)
         information[: self.x.size, : self.x.size] += self.information

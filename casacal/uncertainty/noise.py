@@ -103,7 +103,7 @@ def noise_over_stated(result: Result) -> Noise:
     """What the residuals of a fit show over the noise as stated, whatever factors it was used with."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    scale, column = bound.noise_scale[0] if bound.noise_scale else {}, bound.problem.instrument.groups
+    scale, column = bound.scale, bound.problem.instrument.groups
     stated = bound.block.noise / factors(bound.block.samples, column, scale)[:, None]
     by_face = {name: value for name, value in scale.items() if name != SHARED}
     of_a_touch = stated * factors(bound.block.samples, column, by_face)[:, None]
@@ -121,7 +121,7 @@ def _interval(result: Result, again: Repeats | None) -> tuple[float, float, floa
     """Found over used noise; of groups of repeats where they share what the model leaves out."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    if again is None or not (bound.noise_scale and bound.noise_scale[0].get(SHARED, 0.0)):
+    if again is None or not bound.scale.get(SHARED, 0.0):
         return noise_interval(result)
     rows, free = condensed(result, again)
     return ratio_interval(float((rows**2).sum()), free)

@@ -61,7 +61,7 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     assert isinstance(bound, BoundProblem)
     if not again.any:
         return None
-    scale = bound.noise_scale[0] if bound.noise_scale else {}
+    scale = bound.scale
     column, samples, per_row = (
         bound.problem.instrument.groups,
         bound.block.samples,

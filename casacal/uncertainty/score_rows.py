@@ -127,6 +127,6 @@ def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Fo
 
 def noise_mm(bound: BoundProblem) -> float:
     """Noise of a touch as stated, its median, in the unit of the residual."""
-    scale = bound.noise_scale[0] if bound.noise_scale else {}
+    scale = bound.scale
     stated = bound.block.noise / factors(bound.block.samples, bound.problem.instrument.groups, scale)[:, None]
     return float(np.median(stated))

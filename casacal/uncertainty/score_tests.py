@@ -63,7 +63,7 @@ def _rows_of(bound: BoundProblem, problem: Problem) -> _Rows | None:
     A rough face and joints that see more of one face look alike until one asks whether faces, with what the joints do
     taken into account, still differ.
     """
-    scale = dict(bound.noise_scale[0]) if bound.noise_scale else {}
+    scale = dict(bound.scale)
     faces = {name: scale.pop(name) for name in list(scale) if name not in (OTHERS, SHARED)}
     if not faces:
         return _Rows.of(bound, problem)

@@ -14,8 +14,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS
 from casacal.binding.slots import Slot, make_slots
-from casacal.compensation.arm import CalibratedArm, named_covariance
-from casacal.compensation.motion import sizes_of
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.motion import corrected_values, known_motion, sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError, counted
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
@@ -126,12 +126,13 @@ def fresh_rows(
     if bound.rows * bound.unknowns > MOST:
         most = MOST // bound.unknowns
         raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
-    values, (covariance, names) = _values(result), named_covariance(result)
-    places = {name: j for j, name in enumerate(names)}
+    values, (covariance, names) = _values(result), known_motion(result)
+    places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
     known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
     for slot in bound.slots:
         if slot.beside:
             known[slot.columns] = True
+            at[slot.columns] = [corrected.get(bound.names[j], 0.0) for j in slot.columns]
             continue
         of_arm = slot.key in problem.robot.parameters
         if not (of_arm or slot.name in kept or (not other and _remains(slot))):
@@ -149,15 +150,22 @@ def fresh_rows(
             f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
             "Take more rows, or name with --standing what still stands where it was calibrated",
         )
-    return Fresh(bound, known, at, _spread(bound, known, covariance, places))
+    return Fresh(bound, known, at, _spread(bound, known, covariance, places, corrected))
 
 
-def _spread(bound: BoundProblem, known: NDArray[np.bool_], covariance: Array, places: Mapping[str, int]) -> Array:
-    """Covariance (k, k) of what is known: of the geometry by the result, of effects beside it by their sizes."""
+def _spread(
+    bound: BoundProblem,
+    known: NDArray[np.bool_],
+    covariance: Array,
+    places: Mapping[str, int],
+    corrected: Collection[str],
+) -> Array:
+    """Covariance (k, k) of what is known: geometry and corrections by the result, other effects by their sizes."""
     found = np.diag(bound.prior_std[known] ** 2)
-    geometry = np.flatnonzero([not bound.beside[j] for j in np.flatnonzero(known)])
-    index = [places[bound.names[j]] for j in np.flatnonzero(known)[geometry]]
-    found[np.ix_(geometry, geometry)] = covariance[np.ix_(index, index)]
+    columns = np.flatnonzero(known)
+    said = np.flatnonzero([not bound.beside[j] or bound.names[j] in corrected for j in columns])
+    index = [places[bound.names[j]] for j in columns[said]]
+    found[np.ix_(said, said)] = covariance[np.ix_(index, index)]
     return found
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from casacal.calibration.corrections import VERY_STRONG
 from casacal.calibration.page.markup import Markup, paragraph, section
 from casacal.calibration.page.numbers import mm
 from casacal.calibration.page.table import NUMBER, WORDS, table
@@ -46,7 +47,43 @@ def beside_section(document: Mapping[str, Any]) -> Markup | None:
             "size does where only the geometry is fitted."
         ),
         table("effects", "Effects beside the geometry, the likeliest first", columns, rows),
+        *_tried(document["discrepancy"]),
     )
+
+
+def _tried(part: Mapping[str, Any] | None) -> list[Markup]:
+    """Which effects could be corrected, and which are."""
+    tried = [] if part is None else part["tried"]
+    if not tried:
+        return []
+    splits = list(dict.fromkeys(name for each in tried for name in each["unseen"]))
+    rows = [
+        [
+            each["words"][:1].upper() + each["words"][1:],
+            "yes" if each["corrected"] else "no",
+            f"{each['evidence']:.1f}",
+            *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
+            *("–" if math.isnan(each[key]) else mm(each[key]) for key in ("before_mm", "after_mm")),
+        ]
+        for each in tried
+    ]
+    columns = [
+        ("Effect", WORDS),
+        ("Corrected?", WORDS),
+        ("Gain, all rows", NUMBER),
+        *((f"left out by {name}", NUMBER) for name in splits),
+        ("Tip without", NUMBER),
+        ("Tip with", NUMBER),
+    ]
+    return [
+        paragraph(
+            "What moves the tip and can be worked out from the joint values alone may be corrected, by "
+            "casacal predict, compensate and the C export. That is done where it tells of rows that were left out "
+            "of the fit: the logarithm of their density must gain more than "
+            f"{VERY_STRONG:g} whatever is left out together, and the tip error to expect must be smaller."
+        ),
+        table("tried", "Corrections that were tried", columns, rows),
+    ]
 
 
 def _or_dash(value: float, unit: str) -> str:

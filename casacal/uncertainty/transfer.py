@@ -1,0 +1,127 @@
+"""Whether an effect tells of rows that it has not seen: whole faces, sessions, regions of postures left out in turn.
+
+With sizes and noise as found and everything linear where the fit stands, the density of some rows given the others is
+p(all) / p(others): two marginal likelihoods, which need J'J of all rows and of those that are left out. An effect gains
+the logarithm of that density with it less the same without it, summed over the parts of a split. Rows that err together
+stand on one side, so that what only knows its neighbours gains nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.marginal_likelihood import Told, evidence, told
+
+FACES, REGIONS = "faces", "regions"
+"""Splits that samples have of themselves; further ones have the names of columns."""
+
+MOST_PARTS = 12
+"""Parts of a split; where labels are more, some are left out together."""
+
+HALVINGS = 2
+"""How often the postures are halved into regions."""
+
+GONE = 1e12
+"""Times a prior's information by which an effect is taken away."""
+
+MOST_ROWS = 5_000
+"""Rows that are looked at; more add memory, not insight."""
+
+Rows = NDArray[np.intp]
+
+
+def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
+    """By how much the logarithm of the rows' likelihood is larger with each effect than without it, at its size.
+
+    That is what the whole adds up to, row by row; an effect that gains little there gains nothing elsewhere.
+
+    Args:
+        bound: with effects of sizes as found, and noise as found.
+        x: its fit (n,).
+        keys: of the effects.
+
+    """
+    rows, prior = told(bound, x), bound.prior_information
+    whole = evidence(rows, prior)
+    return {key: whole - evidence(rows, _without(bound, prior, key)) for key in keys}
+
+
+def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
+    """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
+
+    Args:
+        bound, x, keys: as for `in_sample_gains`; one instrument. Of very many rows some stand for all.
+
+    Returns no split where there is no face beside another, and no region that could be left out.
+
+    """
+    bound = _some(bound)
+    slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information
+    heights, per_row = slopes @ x - r, bound.rows // len(bound.block.samples)
+    priors = {key: _without(bound, prior, key) for key in keys}
+    found: dict[str, dict[str, float]] = {key: {} for key in priors}
+    for name, parts in splits(bound.block.samples, bound.problem.instrument.groups).items():
+        rows = [(part[:, None] * per_row + np.arange(per_row)).ravel() for part in parts]
+        seen = [Told.of(slopes[part], heights[part]) for part in rows]
+        whole = _densities(seen, prior)
+        for key, without in priors.items():
+            found[key][name] = whole - _densities(seen, without)
+    return found
+
+
+def _some(bound: BoundProblem) -> BoundProblem:
+    samples = bound.block.samples
+    if len(samples) <= MOST_ROWS:
+        return bound
+    return bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
+
+
+def _densities(seen: list[Told], prior: Array) -> float:
+    """Sum over some parts of the logarithm of each one's density given the others, but for a constant."""
+    whole, total = evidence(sum(seen[1:], seen[0]), prior), 0.0
+    for k in range(len(seen)):
+        others = [part for j, part in enumerate(seen) if j != k]
+        rest = sum(others[1:], others[0])
+        known = (prior > 0) | (np.diagonal(rest.information) > 0)  # a face that is left out stands where it likes
+        total += whole - evidence(
+            Told(rest.information[np.ix_(known, known)], rest.toward[known], rest.square), prior[known]
+        )
+    return total
+
+
+def splits(samples: Samples, face: str | None) -> dict[str, list[Rows]]:
+    """Rows that are left out together, by the name of the split: faces, regions, values of further columns."""
+    columns = {FACES if name == face else name: labels for name, labels in samples.labels.items()}
+    found = {}
+    for name, labels in columns.items():
+        groups = np.array_split(np.arange(len(labels.names)), min(MOST_PARTS, len(labels.names)))
+        if len(groups) > 1:
+            found[name] = [np.flatnonzero(np.isin(labels.codes, group)) for group in groups]
+    regions = [np.arange(len(samples))]
+    for _ in range(HALVINGS):
+        regions = [half for region in regions for half in _halves(samples.joints, region)]
+    if len(regions) > 1:
+        found[REGIONS] = regions
+    return found
+
+
+def _halves(joints: Array, rows: Rows) -> list[Rows]:
+    """Rows on either side of the middle of the direction in which their postures spread most, joints all alike."""
+    spread = joints.std(axis=0)
+    places = joints[rows] / np.where(spread > 0, spread, 1.0)
+    places = places - places.mean(axis=0)
+    along = places @ np.linalg.svd(places, full_matrices=False)[2][0]
+    order = rows[np.argsort(along, kind="stable")]
+    halves = [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]
+    return [half for half in halves if half.size]
+
+
+def _without(bound: BoundProblem, prior: Array, key: str) -> Array:
+    """A prior's information (n,) with an effect gone."""
+    return np.where(np.array(bound.beside) == key, prior * GONE, prior)
