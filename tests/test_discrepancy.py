@@ -16,7 +16,8 @@ from casacal.cli.main import main
 from casacal.compensation.seal import sealed
 from casacal.discrepancy import Backlash, Effect, FaceForm, GearWaves, JointField, ThermalGrowth, kit
 from casacal.discrepancy.effect import weighted
-from casacal.uncertainty.effect_sizes import _linear, _objective, effect_sizes
+from casacal.uncertainty.effect_sizes import _objective, effect_sizes
+from casacal.uncertainty.marginal_likelihood import told
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent
@@ -186,7 +187,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     """Restricted: flat unknowns projected out of a covariance N x N. Differences, for constants have no meaning."""
     bound = bind(hsr.problem.with_kit, clean)
     x = lm(bound).x
-    rows, j, r = _linear(bound, x), bound.jacobian(x), bound.residual(x)
+    rows, j, r = told(bound, x), bound.jacobian(x), bound.residual(x)
     y = j @ x - r
     keys = [key for key in dict.fromkeys(bound.beside) if key]
     groups = [np.flatnonzero(np.array(bound.beside) == key) for key in keys]
@@ -207,7 +208,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
     zero = np.zeros(len(keys) + 1)
     for _ in range(3):
         logs = rng.normal(size=len(keys) + 1) * 0.5
-        given = (rows, groups, expected, spread)
+        given = (rows, bound.rows, bound.prior_information, groups, expected, spread)
         ours = _objective(logs, *given)[0] - _objective(zero, *given)[0]
         assert ours == pytest.approx(dense(logs) - dense(zero), rel=1e-5, abs=1e-4)
     slope = _objective(logs, *given)[1]
@@ -238,6 +239,7 @@ def test_sizes_follow_what_errs_and_stay_where_nothing_does(hsr, clean):
 
 def test_tip_figures_count_what_is_not_corrected(sagging):
     _, made, found = sagging
+    found = dataclasses.replace(found, tried=())
     motion, joints = found.motion, workspace_joints(found.fit.problem.robot)
     tips = motion.arm.tips(motion.x, joints)
     field = without_rigid(motion.arm.tip_jacobian(motion.x, joints), tips)
@@ -255,7 +257,7 @@ def test_tip_figures_count_what_is_not_corrected(sagging):
 @pytest.mark.parametrize("which", [0, 1])
 def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calibrated, which):
     """The arm as used differs from the estimate by what no parameter can mimic, in the least squares of the tip."""
-    found, mimicked = ((sagging[2], 0.999), (calibrated, 0.85))[which]
+    found, mimicked = ((dataclasses.replace(sagging[2], tried=()), 0.999), (calibrated, 0.85))[which]
     motion, joints = found.motion, workspace_joints(found.fit.problem.robot)
     tips = motion.arm.tips(motion.x, joints)
     field = without_rigid(motion.arm.tip_jacobian(motion.x, joints), tips)

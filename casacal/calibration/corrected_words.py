@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.corrections import VERY_STRONG, Tried
 from casacal.calibration.motion import Motion
@@ -42,4 +40,4 @@ def became(tried: Tried) -> str:
     told = f"{tried.words}, {{}}: logarithm of the density of left-out rows by {splits}, {VERY_STRONG:g} asked of each"
     if tried.corrected:
         return told.format("corrected")
-    return told.format("not corrected") + ("" if math.isnan(tried.before_mm) else ", but no gain for the tip")
+    return told.format("not corrected") + ("" if tried.before_mm is None else ", but no gain for the tip")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.motion import Motion, used_arm
 from casacal.discrepancy.effect import Site
@@ -26,15 +24,15 @@ class Tried(Value):
 
     evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
     left out, by what was left out together; empty where the first was too little to ask. before_mm, after_mm: tip error
-    to expect without and with the correction, RMS over the workspace; NaN where it was not asked.
+    to expect without and with the correction, RMS over the workspace; None where it was not asked.
     """
 
     key: str
     words: str
     evidence: float
     unseen: Mapping[str, float]
-    before_mm: float
-    after_mm: float
+    before_mm: float | None
+    after_mm: float | None
     corrected: bool
 
     def __post_init__(self) -> None:
@@ -69,10 +67,12 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     for key in sorted(known, key=lambda key: -told[key]):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG
-        before, after = (_tip(fit, result, stands), _tip(fit, result, [*stands, key])) if wins else (np.nan, np.nan)
-        corrected = wins and after < before
-        stands += [key] if corrected else []
-        found.append(Tried(key, known[key], told[key], elsewhere, before, after, corrected))
+        if not wins:
+            found.append(Tried(key, known[key], told[key], elsewhere, None, None, False))
+            continue
+        before, after = _tip(fit, result, stands), _tip(fit, result, [*stands, key])
+        stands += [key] if after < before else []
+        found.append(Tried(key, known[key], told[key], elsewhere, before, after, after < before))
     return tuple(found)
 
 

@@ -108,7 +108,7 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
     tried = [asdict(each) for each in calibration.tried]
     if denied:
-        tried = [{**each, "before_mm": math.nan, "after_mm": math.nan} for each in tried]
+        tried = [{**each, "before_mm": None, "after_mm": None} for each in tried]
     parts = {"effects": effects, "tried": tried, "corrected": list(calibration.corrected), "unknowns": unknowns}
     return {**parts, **_without_corrections(calibration, denied), **known}
 

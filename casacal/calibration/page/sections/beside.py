@@ -63,7 +63,7 @@ def _tried(part: Mapping[str, Any] | None) -> list[Markup]:
             "yes" if each["corrected"] else "no",
             f"{each['evidence']:.1f}",
             *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
-            *("–" if math.isnan(each[key]) else mm(each[key]) for key in ("before_mm", "after_mm")),
+            *("–" if each[key] is None else mm(each[key]) for key in ("before_mm", "after_mm")),
         ]
         for each in tried
     ]
