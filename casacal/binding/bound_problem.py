@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.blocks import Block, make_block
@@ -69,15 +70,19 @@ class BoundProblem(Postures, LeastSquares):
         threads: int | None = None,
         noise_scale: Scales = (),
         surveys: Sequence[Survey | None] = (),
+        stated: Sequence[Block] = (),
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.noise_scale = tuple(FrozenMapping(scale) for scale in noise_scale)
+        self.scale: Mapping[str, float] = next(iter(self.noise_scale), {})
         at = coordinates(self.slots)
         self.names, self.units, self.beside = at.names, at.units, at.beside
         self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
         self.surveys = tuple(surveys) or surveys_of(problem, samples)
-        blocks = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
-        self.blocks = scaled_noise(blocks, [instrument.groups for instrument in problem.instruments], self.noise_scale)
+        made = (make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples))
+        self._stated = tuple(stated) or tuple(made)  # with the noise as it was stated
+        groups = [instrument.groups for instrument in problem.instruments]
+        self.blocks = scaled_noise(self._stated, groups, self.noise_scale)
         self._asked, self._threads = backend, thread_count(threads)
         self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
@@ -128,13 +133,9 @@ class BoundProblem(Postures, LeastSquares):
         """The same rows, their stated noise times a factor for each face of each instrument; "" stands for others."""
         return self._like(self.slots, self.samples, scale)
 
-    @property
-    def scale(self) -> Mapping[str, float]:
-        """These factors of the first instrument; none where noise is as stated."""
-        return self.noise_scale[0] if self.noise_scale else {}
-
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], noise_scale: Scales) -> BoundProblem:
-        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys)
+        stated = self._stated if samples is self.samples else ()
+        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys, stated)
 
     @property
     def backend(self) -> str:
@@ -185,9 +186,7 @@ class BoundProblem(Postures, LeastSquares):
 
     def compact_jacobian(self, x: Array) -> Array:
         """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
-        if self.rows <= COMPACT:
-            return self.jacobian(x)
-        return self._sums.triangles(x)
+        return self.jacobian(x) if self.rows <= COMPACT else self._sums.triangles(x)
 
     @cached_property
     def _sums(self) -> Sums:
@@ -204,10 +203,9 @@ class BoundProblem(Postures, LeastSquares):
 
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
         """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
-        i = int(np.searchsorted(self._starts, first, side="right")) - 1
-        start = int(self._starts[i])
-        done = self._groups[i].filter_pass(first - start, self.x0, self.start_std, mean, root)
-        return replace(done, stop=start + done.stop)
+        groups, row = self._locate(first)
+        done = groups.filter_pass(row, self.x0, self.start_std, mean, root)
+        return replace(done, stop=first - row + done.stop)
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
         """Let an extended filter take in all rows, in C where there is a compiler."""
@@ -226,6 +224,11 @@ class BoundProblem(Postures, LeastSquares):
         """Whitened residual k and its gradient (n,) at x (n,)."""
         groups, row = self._locate(k)
         return groups.row_jacobian(row, x)
+
+    def first_part(self) -> tuple[BoundProblem, NDArray[np.intp]] | None:
+        """The geometry alone, where there are effects beside it."""
+        geometry = np.flatnonzero([not key for key in self.beside])
+        return (self.under(self.problem.without_effects), geometry) if geometry.size < self.unknowns else None
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Numbers of all parameters but those of effects: name, unit, nominal, position in x (None when held)."""

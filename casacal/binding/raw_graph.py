@@ -18,7 +18,7 @@ from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
 from casacal.kernels.replay import Buffered
 from casacal.tables.labels import rows_by_code
-from casacal.unknowns import Unknown
+from casacal.unknowns import Parameter, Unknown
 
 Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]]
 
@@ -134,6 +134,9 @@ def _prior_of(unknown: Unknown, nominal: Array) -> tuple[ca.SX, ...]:
     """Symbols v, information and x0 of one unknown; its part of the prior's cost, gradient and upper Hessian."""
     v = ca.SX.sym("v", unknown.raw_size)
     information, x0 = ca.SX.sym("information", unknown.size), ca.SX.sym("x0", unknown.size)
+    if isinstance(unknown, Parameter):  # v less its nominal: no derivative is asked for
+        away = unknown.raw_local(nominal, v) - x0
+        return v, information, x0, ca.dot(information, away**2) / 2, information * away, ca.diag(information)
     cost = ca.dot(information, (unknown.raw_local(nominal, v) - x0) ** 2) / 2 if unknown.size else ca.SX(0)
     hessian, gradient = ca.hessian(cost, v)
     return v, information, x0, *ca.cse([cost, gradient, ca.triu(hessian)])

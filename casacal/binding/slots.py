@@ -82,15 +82,16 @@ class Coordinates:
 
 def coordinates(slots: Sequence[Slot]) -> Coordinates:
     """Of all slots, in their order."""
-    pairs = [(slot, j) for slot in slots for j in range(slot.unknown.size)]
+    seen = [slot for slot in slots if slot.unknown.size]
+    sizes, none = [slot.unknown.size for slot in seen], np.zeros(0)
     return Coordinates(
-        tuple(slot.unknown.names(slot.name)[j] for slot, j in pairs),
-        tuple(slot.unknown.units[j] for slot, j in pairs),
-        tuple(slot.beside for slot, _ in pairs),
-        read_only(np.zeros(len(pairs))),
-        read_only(np.array([slot.unknown.prior_stds[j] for slot, j in pairs], dtype=np.float64)),
-        read_only(np.array([slot.unknown.start_stds[j] for slot, j in pairs], dtype=np.float64)),
-        read_only(np.array([slot.datum for slot, _ in pairs], dtype=bool)),
+        tuple(name for slot in seen for name in slot.unknown.names(slot.name)),
+        tuple(unit for slot in seen for unit in slot.unknown.units),
+        tuple(slot.beside for slot, size in zip(seen, sizes, strict=True) for _ in range(size)),
+        read_only(np.zeros(sum(sizes))),
+        read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)])),
+        read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)])),
+        read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool)),
     )
 
 

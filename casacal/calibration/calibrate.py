@@ -152,7 +152,8 @@ def _second_look(
     Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
     """
     try:
-        bad, found = gross(fit.on(rows))
+        whole = rows.lines == fit.block.samples.lines
+        bad, found = gross(fit if whole else fit.on(rows), drawn=bare if whole else bare.on(rows))
     except ProblemError:  # a face all of whose rows were set aside
         return fit, bare, aside
     kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows

@@ -33,7 +33,7 @@ WORTH_ANOTHER_LOOK = 10.0
 """Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
 
 
-def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
+def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
     """Rows (N,) of samples that chance does not explain, and what is wrong with them; none where they are many.
 
     First those far off their face with the arm as drawn, then those that a robust fit cannot explain. A plain fit says
@@ -42,10 +42,11 @@ def gross(bound: BoundProblem) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
     Args:
         bound: a problem with one instrument and the samples that are to be fitted; with effects beside the geometry,
             their sizes and the noise as found.
+        drawn: the same rows under the geometry alone, which says what lies far off with the arm as drawn.
 
     """
     samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
-    stray, findings = _off_their_face(bound, samples)
+    stray, findings = _off_their_face(drawn or bound, samples)
     bad = stray.copy()
     for _ in range(ROUNDS):
         rest = _without(bound, bad)

@@ -100,6 +100,6 @@ class Objective:
         for block, corner, places in self._blocks:
             some, slope, bend = block(v)
             cost += some
-            np.add.at(gradient, block.columns, slope)
-            np.add.at(entries, places, bend[corner])
+            gradient[block.columns] += slope  # no coordinate stands twice among those of a block
+            entries[places] += bend[corner]
         return cost, gradient, entries

@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
+from casacal.array_types import Array
 from casacal.estimators.lm import MAX_STEPS, lm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
@@ -31,8 +34,8 @@ def sckf_lm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf-lm")
-    filtered = sckf(problem, progress=progress)
-    start = filtered.x if filtered.converged else None
+    filtered, path = _filtered(problem, progress)
+    start = path[-1] if filtered.converged else None
     tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, progress=progress)]
     if start is not None and _doubtful(tried[0]):
         tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, progress=progress))
@@ -40,10 +43,23 @@ def sckf_lm(
     return replace(
         refined,
         method="sckf-lm",
-        trace={**refined.trace, "filter_x": filtered.trace["x"]},
+        trace={**refined.trace, "filter_x": path},
         residual_rows=filtered.residual_rows + sum(found.residual_rows for found in tried),
         jacobian_rows=filtered.jacobian_rows + sum(found.jacobian_rows for found in tried),
     )
+
+
+def _filtered(problem: LeastSquares, progress: Callable[[int, float], None] | None) -> tuple[Result, Array]:
+    """The filter's result, and its means (rows + 1, n) of all unknowns, those that it was spared at the nominal."""
+    part = problem.first_part()
+    if part is None:
+        found = sckf(problem, progress=progress)
+        return found, found.trace["x"]
+    first, places = part
+    found = sckf(first, progress=progress)
+    path = np.tile(problem.x0, (len(found.trace["x"]), 1))
+    path[:, places] = found.trace["x"]
+    return found, path
 
 
 def _doubtful(found: Result) -> bool:

@@ -132,6 +132,13 @@ class LeastSquares(ABC):
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
 
+    def first_part(self) -> tuple[LeastSquares, NDArray[np.intp]] | None:
+        """The same rows in the unknowns that matter most, and where these stand; None where that is all of them.
+
+        A filter that is to give a start, no more, need not follow the others.
+        """
+        return None
+
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
         """Let a cubature filter take in rows from `first` on; None where it cannot. Beliefs: (x - x0) / start_std.
 

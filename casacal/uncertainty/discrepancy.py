@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from casacal.array_types import Array
@@ -12,6 +14,7 @@ from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
 from casacal.problem.problem import Problem
 from casacal.uncertainty.effect_sizes import effect_sizes
+from casacal.uncertainty.marginal_likelihood import Told, told
 
 ENOUGH = 300
 """Rows from which on a field of many unknowns can be told."""
@@ -39,40 +42,51 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     geometry = lm(bound)
     if not geometry.converged:
         return bound
+    standard = _Linear.of(bound, problem.with_kit, geometry.x)
     many = find_noise and not problem.effects and bound.rows > ENOUGH
-    if many and _errs_together(_sized(bound, problem.with_kit, geometry.x, PART)):
-        found = _sized(bound, problem.with_rich_kit, geometry.x, PART)
+    if many and _errs_together(standard.sized(PART)):
+        found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
         if _error_of_a_row(found) >= float(np.median(bound.with_noise().block.noise)):
             return found
-    return _sized(bound, problem.with_kit, geometry.x, 1.0 if find_noise else None)
+    return standard.sized(1.0 if find_noise else None)
 
 
-def _sized(bound: BoundProblem, problem: Problem, geometry: Array, least: float | None) -> BoundProblem:
-    """The rows under a problem with effects, its sizes and noise as found where the geometry stands at x (n,).
+@dataclass(frozen=True)
+class _Linear:
+    """The rows under a problem with effects where the geometry stands, with noise as it was and, second, all alike.
 
-    The noise is at least a part of what was stated; None holds it. Faces that differed in noise may differ in what
-    effects do to them instead: what makes the rows likelier is taken.
+    Faces that differed in noise may differ in what effects do to them instead: what makes the rows likelier is taken.
     """
-    whole = bound.under(problem)
-    x = whole.x0.copy()
-    x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
-    found, scale = [_likeliest(whole, x, least)], whole.scale
-    if least is not None and set(scale) - {OTHERS, SHARED}:
-        alike = {OTHERS: min(value for name, value in scale.items() if name != SHARED)}
-        shared = {name: value for name, value in scale.items() if name == SHARED}
-        found.append(_likeliest(whole.with_noise({**alike, **shared}), x, least))
-    return max(found, key=lambda each: each[0])[1]
 
+    x: Array
+    ways: tuple[tuple[BoundProblem, Told], ...]
 
-def _likeliest(whole: BoundProblem, x: Array, least: float | None) -> tuple[float, BoundProblem]:
-    """Logarithm of the likelihood of the rows at the sizes and the noise that make it greatest, and the rows so."""
-    scale = whole.scale
-    stated = 1 / min((factor for name, factor in scale.items() if name != SHARED), default=1.0)
-    known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
-    sizes = effect_sizes(whole, x, whole.beside, known, stated=stated, least=least)
-    density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
-    rows = whole.with_sizes(sizes.times, noise=times(scale, sizes.noise) if sizes.noise != 1 else None)
-    return sizes.evidence - density, rows
+    @staticmethod
+    def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
+        """Of the geometry alone, which stands at x (n,)."""
+        whole = bound.under(problem)
+        x = whole.x0.copy()
+        x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
+        ways, scale = [whole], whole.scale
+        if set(scale) - {OTHERS, SHARED}:
+            alike = {OTHERS: min(value for name, value in scale.items() if name != SHARED)}
+            ways.append(whole.with_noise({**alike, **{k: value for k, value in scale.items() if k == SHARED}}))
+        return _Linear(x, tuple((way, told(way, x)) for way in ways))
+
+    def sized(self, least: float | None) -> BoundProblem:
+        """Sizes and noise as found, the noise at least a part of what was stated; None holds it."""
+        ways = self.ways if least is not None else self.ways[:1]
+        return max((self._likeliest(*way, least) for way in ways), key=lambda each: each[0])[1]
+
+    def _likeliest(self, whole: BoundProblem, seen: Told, least: float | None) -> tuple[float, BoundProblem]:
+        """Logarithm of the likelihood of the rows at the sizes and noise that make it greatest, and the rows so."""
+        scale = whole.scale
+        stated = 1 / min((factor for name, factor in scale.items() if name != SHARED), default=1.0)
+        known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
+        sizes = effect_sizes(whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen)
+        density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
+        rows = whole.with_sizes(sizes.times, noise=times(scale, sizes.noise) if sizes.noise != 1 else None)
+        return sizes.evidence - density, rows
 
 
 def _errs_together(whole: BoundProblem) -> bool:

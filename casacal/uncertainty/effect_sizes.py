@@ -35,6 +35,10 @@ NOISE_DOUBT = 3.0
 """Times by which noise may well exceed what was stated."""
 
 
+STOP = {"ftol": 1e-7}
+"""Change of -2 log L, relative, below which sizes are found: a thousandth of what would be any evidence."""
+
+
 @dataclass(frozen=True)
 class Sizes:
     """Times by which effects are larger than was expected of them, by key, and noise over what was used."""
@@ -53,6 +57,7 @@ def effect_sizes(
     *,
     stated: float = 1.0,
     least: float | None = 1.0,
+    seen: Told | None = None,
 ) -> Sizes:
     """Sizes of effects and of the noise at which the rows are likeliest.
 
@@ -64,6 +69,7 @@ def effect_sizes(
         stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
             alone leaves in the rows is explained by effects in part, never made more.
         least: part of the stated noise that there is at least; None leaves the noise as it is.
+        seen: what the rows say at x, where that is known.
 
     """
     keys = [key for key in dict.fromkeys(beside) if key]
@@ -76,8 +82,8 @@ def effect_sizes(
     starts = [np.zeros(len(spread))]
     if stated * (least or 1.0) < 1 / MORE:  # the likelihood has several tops where something large errs
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
-    given = (told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
-    tops = [minimize(_objective, start, given, "L-BFGS-B", jac=True, bounds=bounds) for start in starts]
+    given = (seen or told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
+    tops = [minimize(_objective, start, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for start in starts]
     found = min(tops, key=lambda top: float(top.fun))
     times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, found.x[:-1], strict=True)})
     return Sizes(times, float(np.exp(found.x[-1])), -float(found.fun) / 2)

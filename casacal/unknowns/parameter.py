@@ -152,7 +152,8 @@ class Parameter(Unknown):
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Deviations from nominal."""
-        return ca.vertcat(*(raw[j] - nominal[int(i)] for j, i in enumerate(np.flatnonzero(self._free))))
+        free = np.flatnonzero(self._free).tolist()
+        return ca.vertcat(raw - nominal[free]) if free else ca.vertcat()
 
     def with_free(self, free: Sequence[bool]) -> Parameter:
         """Copy that keeps free only the flagged ones of its free components."""
