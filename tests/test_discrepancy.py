@@ -9,6 +9,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf_lm, simulate, verify
 from casacal.binding.marginal import moving, seen
@@ -16,6 +17,7 @@ from casacal.cli.main import main
 from casacal.compensation.seal import sealed
 from casacal.discrepancy import Backlash, Effect, FaceForm, GearWaves, JointField, ThermalGrowth, kit
 from casacal.discrepancy.effect import weighted
+from casacal.least_squares.objective import LeastSquares
 from casacal.uncertainty.effect_sizes import _objective, effect_sizes
 from casacal.uncertainty.marginal_likelihood import told
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
@@ -387,3 +389,50 @@ def test_backlash_costs_less_with_the_kit(hsr):
             found.append(tip_rms(without_rigid((motion.arm.tips(motion.x, joints) - true).ravel(), true)))
     kit_rms, alone = (math.sqrt(np.mean(np.square(errors[way]))) for way in ("kit", "none"))
     assert kit_rms < 0.8 * alone
+
+
+class Shifted(LeastSquares):
+    """Rows of which x is the truth, with an error each, under priors a part as wide."""
+
+    def __init__(self, bound, x, errors, part):
+        self.bound, self.shift = bound, errors - bound.residual(x)
+        self.names, self.units, self.datum = bound.names, bound.units, bound.datum
+        self.x0, self.prior_std, self.start_std = bound.x0, bound.prior_std * part, bound.start_std * part
+
+    rows = property(lambda self: self.bound.rows)
+
+    def residual(self, x):
+        return self.bound.residual(x) + self.shift
+
+    def jacobian(self, x):
+        return self.bound.jacobian(x)
+
+    def row(self, k, states):
+        return self.bound.row(k, states) + self.shift[k]
+
+    def row_jacobian(self, k, x):
+        r, slope = self.bound.row_jacobian(k, x)
+        return r + self.shift[k], slope
+
+
+def test_geometry_and_effects_err_by_what_their_covariance_says(hsr, clean):
+    """NEES: arms and effects drawn from what is expected of them, rows with noise, fitted again. Chi-square, 95 %."""
+    bound, rng = bind(hsr.problem.with_kit, clean), np.random.default_rng(5)
+    firm = np.isfinite(bound.prior_std)
+    beside = np.array(bound.beside, dtype=bool)
+    draws, found = 60, {"geometry": 0.0, "effects": 0.0, "all": 0.0}
+    freedom = dict.fromkeys(found, 0)
+    for _ in range(draws):
+        x = np.where(firm, rng.normal(size=bound.unknowns) * np.where(firm, bound.prior_std, 0.0) * 0.3, 0.0)
+        # a third of the sizes: tangents stay good, and what is known beforehand says a third as well
+        drawn = Shifted(bound, x, rng.normal(size=bound.rows), 0.3)
+        result = lm(drawn)
+        assert result.converged
+        error, covariance = result.x - x, result.covariance
+        for name, some in (("geometry", firm & ~beside), ("effects", beside), ("all", firm)):
+            part = np.flatnonzero(some)
+            found[name] += error[part] @ np.linalg.solve(covariance[np.ix_(part, part)], error[part])
+            freedom[name] += part.size
+    for name, total in found.items():
+        low, high = chi2.ppf([0.025, 0.975], freedom[name])
+        assert low < total < high, name
