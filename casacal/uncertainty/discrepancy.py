@@ -46,7 +46,7 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     many = find_noise and not problem.effects and bound.rows > ENOUGH
     if many and _errs_together(standard.sized(PART)):
         found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
-        if _error_of_a_row(found) >= float(np.median(bound.with_noise().block.noise)):
+        if err_as_stated(found):
             return found
     return standard.sized(1.0 if find_noise else None)
 
@@ -95,10 +95,11 @@ def _errs_together(whole: BoundProblem) -> bool:
     return bool(sizes) and float(sizes[0]) > float(np.median(whole.block.noise))
 
 
-def _error_of_a_row(whole: BoundProblem) -> float:
-    """Noise and all effects of one row together (mm), root mean square."""
+def err_as_stated(whole: BoundProblem) -> bool:
+    """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
     beside = np.array(whole.beside, dtype=bool)
     normal = whole.normal(whole.x0).information
     told = np.diagonal(normal.dense() if isinstance(normal, Arrow) else normal)
     noise = float(np.median(whole.block.noise))
-    return noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
+    together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
+    return together >= float(np.median(whole.with_noise().block.noise))
