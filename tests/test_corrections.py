@@ -10,6 +10,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, Problem, bind, calibrate, load, load_problem, simulate, verify
+from casacal.calibration import corrections
+from casacal.calibration.corrected_words import became
 from casacal.cli.main import main
 from casacal.compensation.seal import sealed
 from casacal.discrepancy import Backlash, GearWaves, GravityGive
@@ -115,6 +117,27 @@ def test_a_sag_that_transfers_is_corrected_and_the_tip_follows(sagging):
     assert error < 0.35 * uncorrected
     assert 0.5 < error / found.tip_std[1] < 1.6
     assert 0.5 < uncorrected / alone.tip_std[1] < 1.6
+
+
+@pytest.mark.parametrize(("faces", "regions", "wins"), [(99.0, 4.9, False), (4.9, 99.0, False), (5.1, 5.1, True)])
+def test_every_split_must_speak_for_a_correction(sagging, monkeypatch, faces, regions, wins):
+    found = sagging[1]
+    told = {key: {FACES: faces, REGIONS: regions} for key in ("give", "wave1", "wave2")}
+    monkeypatch.setattr(corrections, "gains", lambda fit, x, keys: {key: told[key] for key in keys})
+    tried = {each.key: each for each in corrections.tried_corrections(found.fit, found.result)}
+    assert tried["give"].corrected is wins
+    assert not tried["wave1"].unseen  # the rows as a whole do not speak for it, so nobody asks
+    assert not tried["wave1"].corrected
+
+
+def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatch):
+    found = sagging[1]
+    monkeypatch.setattr(corrections, "_tip", lambda fit, result, keys: 0.1 + len(keys))
+    told = next(each for each in corrections.tried_corrections(found.fit, found.result) if each.key == "give")
+    assert not told.corrected
+    assert (told.before_mm, told.after_mm) == (0.1, 1.1)
+    assert "not corrected" in became(told)
+    assert "no gain for the tip" in became(told)
 
 
 def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):
