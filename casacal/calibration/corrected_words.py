@@ -40,4 +40,4 @@ def became(tried: Tried) -> str:
     told = f"{tried.words}, {{}}: logarithm of the density of left-out rows by {splits}, {VERY_STRONG:g} asked of each"
     if tried.corrected:
         return told.format("corrected")
-    return told.format("not corrected") + ("" if tried.before_mm is None else ", but no gain for the tip")
+    return told.format("not corrected") + ("" if tried.helps is None else ", but no gain for the tip")

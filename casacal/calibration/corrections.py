@@ -23,20 +23,23 @@ class Tried(Value):
     """An effect that could be corrected, and what became of it.
 
     evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
-    left out, by what was left out together; empty where the first was too little to ask. before_mm, after_mm: tip error
-    to expect without and with the correction, RMS over the workspace; None where it was not asked.
+    left out, by what was left out together; empty where the first was too little to ask. helps: whether the tip error
+    to expect is smaller with it; None where that was not asked.
     """
 
     key: str
     words: str
     evidence: float
     unseen: Mapping[str, float]
-    before_mm: float | None
-    after_mm: float | None
-    corrected: bool
+    helps: bool | None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unseen", FrozenMapping(self.unseen))
+
+    @property
+    def corrected(self) -> bool:
+        """Whether `predict` and all that follows it make up for it."""
+        return bool(self.helps)
 
 
 def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
@@ -67,12 +70,9 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     for key in sorted(known, key=lambda key: -told[key]):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG
-        if not wins:
-            found.append(Tried(key, known[key], told[key], elsewhere, None, None, False))
-            continue
-        before, after = _tip(fit, result, stands), _tip(fit, result, [*stands, key])
-        stands += [key] if after < before else []
-        found.append(Tried(key, known[key], told[key], elsewhere, before, after, after < before))
+        helps = _tip(fit, result, [*stands, key]) < _tip(fit, result, stands) if wins else None
+        stands += [key] if helps else []
+        found.append(Tried(key, known[key], told[key], elsewhere, helps))
     return tuple(found)
 
 

@@ -106,9 +106,7 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
-    tried = [asdict(each) for each in calibration.tried]
-    if denied:
-        tried = [{**each, "before_mm": None, "after_mm": None} for each in tried]
+    tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
     parts = {"effects": effects, "tried": tried, "corrected": list(calibration.corrected), "unknowns": unknowns}
     return {**parts, **_without_corrections(calibration, denied), **known}
 

@@ -63,7 +63,7 @@ def _tried(part: Mapping[str, Any] | None) -> list[Markup]:
             "yes" if each["corrected"] else "no",
             f"{each['evidence']:.1f}",
             *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
-            *("–" if each[key] is None else mm(each[key]) for key in ("before_mm", "after_mm")),
+            {None: "–", True: "yes", False: "no"}[each["helps"]],
         ]
         for each in tried
     ]
@@ -72,8 +72,7 @@ def _tried(part: Mapping[str, Any] | None) -> list[Markup]:
         ("Corrected?", WORDS),
         ("Gain, all rows", NUMBER),
         *((f"left out by {name}", NUMBER) for name in splits),
-        ("Tip without", NUMBER),
-        ("Tip with", NUMBER),
+        ("Tip error smaller?", WORDS),
     ]
     return [
         paragraph(
