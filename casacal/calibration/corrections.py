@@ -9,6 +9,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.motion import Motion, used_arm
 from casacal.discrepancy.effect import Site
 from casacal.least_squares.result import Result
+from casacal.uncertainty.discrepancy import at_most
 from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.transfer import gains, in_sample_gains
 from casacal.values import FrozenMapping, Value
@@ -47,7 +48,7 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
 
     One is corrected where all splits of the rows, by faces, regions of postures and further columns, say with very
     strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
-    that stand already count.
+    that stand already count. A gear that would have to be broken to be so bad is none: something else errs.
 
     Args:
         fit: with the effects in it; one instrument.
@@ -55,6 +56,7 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
 
     """
     site = Site(fit.problem.robot, fit.problem.instrument)
+    doubtful = {effect.key for effect in at_most(fit) if not effect.elastic}
     known = {
         effect.key: effect.words
         for effect in fit.problem.effects
@@ -69,7 +71,7 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     found = []
     for key in sorted(known, key=lambda key: -told[key]):
         elsewhere = unseen.get(key, {})
-        wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG
+        wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
         helps = _tip(fit, result, [*stands, key]) < _tip(fit, result, stands) if wins else None
         stands += [key] if helps else []
         found.append(Tried(key, known[key], told[key], elsewhere, helps))

@@ -20,6 +20,7 @@ from casacal.calibration.reference import Reference
 from casacal.calibration.withheld import without_motion, without_tips
 from casacal.discrepancy.effect import Site
 from casacal.least_squares.result import Result
+from casacal.uncertainty.discrepancy import times_found
 from casacal.uncertainty.identifiability import verdict
 from casacal.version import __version__
 
@@ -89,13 +90,10 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     fit, motion = calibration.fit, calibration.motion
     if not any(fit.beside):
         return None
-    effects = []
+    effects, site, found = [], Site(fit.problem.robot, fit.problem.instrument), times_found(fit)
     for effect in fit.problem.effects:
-        expected = effect.unknowns(Site(fit.problem.robot, fit.problem.instrument))
-        sized = next((slot.unknown for slot in fit.slots if slot.beside == effect.key), None)
-        if sized is not None:
-            times = float(sized.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
-            unit = expected[effect.key].unit
+        if (times := found.get(effect.key)) is not None:
+            unit = effect.unit or effect.unknowns(site)[effect.key].unit
             size = {"unit": unit, "expected_size": effect.size, "size": effect.size * times, "times": times}
             effects.append({"key": effect.key, "words": effect.words, "moves": effect.moves, **size})
     places = {name: j for j, name in enumerate(fit.names)}

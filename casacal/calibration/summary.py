@@ -63,6 +63,8 @@ def parameter_table(calibration: Calibration) -> str:
         )
     if held:
         lines.append(f"held at nominal: {', '.join(held)}")
+    if calibration.corrected:
+        lines.append("These go with what is corrected beside them. Alone they are best as casacal export writes them.")
     return "\n".join(lines)
 
 

@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubt import Doubt
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, Doubt, doubts, moves, suspicious
+from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, doubts, moves, suspicious
 from casacal.checks import Finding
 from casacal.uncertainty.prior_scatter import prior_scatter
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.calibration.beside_doubts import dial_is_off, larger_than_any
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubt import Doubt
 from casacal.calibration.motion import tip_extremes
 from casacal.checks.rows import repeated
 from casacal.least_squares.result import Result
@@ -45,18 +46,6 @@ REPEAT = (
 """What settles a doubt whose cause nobody knows."""
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """Something that a figure of accuracy must not be without: a clause to put after "but", and a sentence.
-
-    step: what settles it; empty where the data check, which has not been asked, may tell the cause.
-    """
-
-    clause: str
-    sentence: str
-    step: str = ""
-
-
 def warnings(calibration: Calibration) -> list[str]:
     """Sentences, most telling first; empty when there is nothing to warn of."""
     return [doubt.sentence for doubt in doubts(calibration)]
@@ -75,6 +64,8 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _noise,
         _loose_priors,
         _unknown_places,
+        dial_is_off,
+        larger_than_any,
         _ignored_rows,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]

@@ -59,6 +59,9 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
     if (bad & ~stray).any():
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
+    if rest is not None and any(bound.beside):  # where much is known beside the geometry, others may expect a row so
+        bad &= stray | ~_expected(*_judged(rest, samples))
+        rest = _without(bound, bad)
     if rest is None:
         return none, ()
     if (bad & ~stray).any():
@@ -106,6 +109,12 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     held[np.flatnonzero(~held)[_outliers(more)]] = True
     held &= bad
     return held
+
+
+def _expected(judged: BoundProblem, result: Result) -> NDArray[np.bool_]:
+    """Rows (N,) that stand where chance may put them for a fit, whether it has seen them or not."""
+    size = np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1)
+    return np.asarray(size <= most_by_chance(judged.rows, judged.rows - _geometry(judged)))
 
 
 def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:

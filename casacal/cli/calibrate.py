@@ -57,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--discrepancy",
         choices=("kit", "none"),
         default="kit",
-        help="kit (default): what arm and cell do beside their geometry counts; none: geometry is all there is",
+        help="kit (default): what arm and cell do beside their geometry counts, and is corrected where it wins by "
+        "transfer; none: geometry is all there is",
     )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
     parser.add_argument(
@@ -116,6 +117,7 @@ def run(options: argparse.Namespace) -> int:
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
     from casacal.calibration.brief import MOST_LINES, brief
+    from casacal.calibration.corrected_words import corrected_words
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import summary
     from casacal.calibration.verdict import verdict_of
@@ -130,6 +132,8 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     expected = []
     if inside is not None:
         expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
+    if not denied:
+        expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples cannot tell: --verbose"
     if folder is not None:

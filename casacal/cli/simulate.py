@@ -107,6 +107,11 @@ def run(options: argparse.Namespace) -> int:
         "Samples like these can bring the tip error over the workspace, apart from where the base stands, from "
         f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
     )
+    if simulation.moves_beyond_geometry:
+        say_paragraph(
+            "The truth file holds the geometry alone: what else moves the tip, such as sag and gear waves, is in "
+            "Simulation.true_tips (Python)"
+        )
     say_paragraph(f"Written: {', '.join(written)}")
     return DONE
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -82,6 +83,8 @@ class GravityGive(Effect):
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     moves = True
+    elastic = True
+    unit = "mm"
     key = "give"
     words = "giving under gravity"
 
@@ -96,7 +99,8 @@ class GravityGive(Effect):
     def joints(self, here: Here) -> Expression:
         """u dh/dq, h the way of flange and tip along gravity, in metres."""
         u, each = getattr(here.p, self.key), iter(range(2, getattr(here.p, self.key).numel()))
-        places = (position(here.pose), here.instrument.tip(here.pose, here.p, here.row))
+        at_zero = SimpleNamespace(**{**vars(here.row), **dict.fromkeys(here.instrument.columns, 0.0)})  # of readings
+        places = (position(here.pose), here.instrument.tip(here.pose, here.p, at_zero))
         flange, tip = (ca.gradient(ca.dot(ca.DM(self.down), place) / 1000, here.q) for place in places)
         given = [
             u[0] * flange[j] + (u[1] + u[next(each)]) * tip[j] if turns else 0

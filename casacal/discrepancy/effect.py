@@ -54,6 +54,10 @@ class Effect(Portable, ABC):
     """Value of its columns at postures that are no rows, where the tip is asked for."""
     most: ClassVar[float] = 5.0
     """Times its size that it never exceeds: a gear that is five times as bad is broken, and something else errs."""
+    unit: ClassVar[str] = ""
+    """Unit of its size; that of its unknowns where empty."""
+    elastic: ClassVar[bool] = False
+    """Whether a size at the most that it may have is still what it says, as of an arm that is softer than expected."""
     moves: ClassVar[bool] = False
     """Whether it moves the tip itself, as a gear does, or only what is read of it, as a dial does."""
 

@@ -7,22 +7,28 @@ from casacal.discrepancy.effect import Effect
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.smooth import Drift, FaceForm
 
-
-def kit() -> tuple[Effect, ...]:
-    """The standard effects; those that mean nothing to a robot or an instrument have no unknowns there."""
-    return _with(JointField())
+DOWN = (0.0, 0.0, -1.0)
+"""Gravity in the base frame of an arm that stands."""
 
 
-def rich_kit() -> tuple[Effect, ...]:
+def kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
+    """The standard effects; those that mean nothing to a robot or an instrument have no unknowns there.
+
+    down: direction of gravity in the base frame; of an arm that hangs or stands at a wall it is another.
+    """
+    return _with(JointField(), down)
+
+
+def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
     """The same for rows that err together by more than each of them does alone: much more of what has no name."""
-    return _with(JointField(reach=0.7, rank=120))
+    return _with(JointField(reach=0.7, rank=120), down)
 
 
-def _with(field: JointField) -> tuple[Effect, ...]:
+def _with(field: JointField, down: tuple[float, float, float]) -> tuple[Effect, ...]:
     return (
         GearWaves(order=1),
         GearWaves(order=2),
-        GravityGive(),
+        GravityGive(down=down),
         Backlash(),
         FaceForm(),
         field,

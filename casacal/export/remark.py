@@ -28,8 +28,6 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
     if (words := denial(result)) is not None:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
-    if (care := caution(result)) is not None:
-        lines.append(f"{MARK}the result's verdict: {care}")
     said, keys = document.get("discrepancy") or {}, corrections(result)
     error = (document.get("tip") or {}).get("expected_rms_mm")
     named = " and ".join(effect["words"] for effect in said.get("effects", ()) if effect["key"] in keys)
@@ -38,6 +36,9 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the form c correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
+    if (care := caution(result)) is not None:
+        level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
+        lines.append(f"{MARK}the result's verdict: {level if keys and form != 'c' else care}")
     shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
     return [
         *lines,

@@ -44,6 +44,12 @@ class Simulation(Value):
     def __repr__(self) -> str:
         return f"<Simulation of {self.problem.robot.name}, seed {self.seed}: {self.samples!r}>"
 
+    @property
+    def moves_beyond_geometry(self) -> bool:
+        """Whether more than lengths, twists and offsets moves the true tip: `true_tips` knows, `local` does not."""
+        cell = self.cell
+        return bool(cell.gear_waves) or any(getattr(cell, name, 0.0) for name in ("compliance", "thermal"))
+
     def truth(self, bound: BoundProblem) -> Array:
         """The true x (n,) of a problem bound to these samples (or a part of them)."""
         x, placed = np.zeros(bound.unknowns), np.zeros(bound.unknowns, dtype=bool)

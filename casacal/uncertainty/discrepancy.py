@@ -9,6 +9,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, SHARED, times
+from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.joint_field import JointField
 from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
@@ -18,6 +19,9 @@ from casacal.uncertainty.marginal_likelihood import Told, told
 
 ENOUGH = 300
 """Rows from which on a field of many unknowns can be told."""
+
+NEARLY = 0.98
+"""Part of the most that an effect may be from which it is taken to stand there."""
 
 PART = 0.05
 """Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""
@@ -93,6 +97,23 @@ def _errs_together(whole: BoundProblem) -> bool:
     """Whether rows err together by more than each does alone."""
     sizes = [slot.unknown.prior_stds[0] for slot in whole.slots if slot.beside == JointField.key]
     return bool(sizes) and float(sizes[0]) > float(np.median(whole.block.noise))
+
+
+def times_found(whole: BoundProblem) -> dict[str, float]:
+    """Times by which each effect came out larger than it was expected to be, by key."""
+    problem, found = whole.problem, {}
+    for effect in problem.effects:
+        expected = effect.unknowns(Site(problem.robot, problem.instrument))
+        slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
+        if slot is not None:
+            found[effect.key] = float(slot.unknown.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
+    return found
+
+
+def at_most(whole: BoundProblem) -> tuple[Effect, ...]:
+    """Effects that are as large as they may be: no arm is so bad, and something else may stand behind them."""
+    found = times_found(whole)
+    return tuple(each for each in whole.problem.effects if found.get(each.key, 0.0) > NEARLY * each.most)
 
 
 def err_as_stated(whole: BoundProblem) -> bool:

@@ -73,7 +73,7 @@ def columns_of(bound: BoundProblem, x: Array, problem: Problem, joints: Array) -
         mine = np.flatnonzero(np.array(whole.beside) == effect.key)
         if mine.size and np.isfinite(stds := whole.prior_std[mine]).all():
             scaled, unit = (rows[:, mine] * stds, tips[:, mine] * stds), whole.units[mine[0]]
-            found.append(Columns(effect.key, effect.words, effect.size, unit, *scaled))
+            found.append(Columns(effect.key, effect.words, effect.size, effect.unit or unit, *scaled))
     return {each.key: each for each in (*found, *_dial_columns(bound, x, len(tips)))}
 
 

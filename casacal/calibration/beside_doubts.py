@@ -1,0 +1,48 @@
+"""Doubts about what errs beside the geometry: a dial whose gain nobody declared, effects larger than any arm has."""
+
+from __future__ import annotations
+
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubt import Doubt
+from casacal.uncertainty.discrepancy import at_most
+from casacal.uncertainty.score_test import CLEAR
+
+OF_THE_DIAL = ("gain", "cycle")
+"""Keys of the tests of a dial's own errors; they are made where these are no unknowns."""
+
+DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
+
+
+def dial_is_off(calibration: Calibration) -> Doubt | None:
+    """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
+    now = calibration.tip_std[1]
+    shown = [
+        test
+        for test in calibration.score_tests
+        if test.key in OF_THE_DIAL and test.p_holm < CLEAR and test.tip_mm > now
+    ]
+    if not shown:
+        return None
+    worst = max(shown, key=lambda test: test.tip_mm)
+    return Doubt(
+        f"the rows show a {worst.words} that nobody declared",
+        f"The rows show a {worst.words} of about {worst.shown_size}, which the problem takes for none and which would "
+        f"put the tip off by {worst.tip_mm:.2g} mm RMS: no figure counts it. {DECLARE[0].upper()}{DECLARE[1:]}.",
+        DECLARE,
+    )
+
+
+def larger_than_any(calibration: Calibration) -> Doubt | None:
+    """An effect stands at the most that it may be."""
+    found = at_most(calibration.fit) if any(calibration.fit.beside) else ()
+    if not found:
+        return None
+    words = [effect.words for effect in found]
+    named = f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+    times = f"{found[0].most:g} times what is expected of an arm"
+    return Doubt(
+        f"{named} would be larger than any arm's",
+        f"{named[0].upper()}{named[1:]} came out at {times}, the most that is believed: something larger, or something "
+        "else, errs as well, and figures count only a part of it. What it is, casacal check may tell; touches in other "
+        "postures and on other faces tell it apart.",
+    )
