@@ -12,11 +12,12 @@ from conftest import ROOT
 from casacal import CasacalError, Problem, bind, calibrate, load, load_problem, simulate, verify
 from casacal.calibration import corrections
 from casacal.calibration.corrected_words import became
+from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.seal import sealed
-from casacal.discrepancy import Backlash, GearWaves, GravityGive
+from casacal.discrepancy import Backlash, GearWaves, GravityGive, kit
 from casacal.export.forms import export
-from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.discrepancy import at_most, with_effects
 from casacal.uncertainty.marginal_likelihood import Told, evidence
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
@@ -183,6 +184,8 @@ def test_tables_of_lengths_and_angles_hold_the_arm_for_those_who_cannot_correct(
     assert "not in this form: giving under gravity" in text
     assert f"expected tip error: {alone.tip_std[1]:.3f} mm" in text
     assert "corrected beside the geometry: giving under gravity" in found.export("c")
+    assert f"expected tip error: {found.tip_std[1]:.3f} mm" in found.export("c")
+    assert f"{found.tip_std[1]:.3f} mm" not in text  # not even in the words of a verdict
     assert f"with these alone expect {alone.tip_std[1]:.3f} mm RMS" in told
     assert "giving under gravity, corrected" in told
     found.save(tmp_path)
@@ -297,3 +300,68 @@ def test_noise_is_less_than_stated_only_where_all_errors_of_a_row_are_not(stated
     fit = with_effects(bare.with_noise(found_noise(bare, None).scale), problem)
     least = bare.block.noise * (1 - 1e-9)
     assert (fit.block.noise < 0.06).all() if shared else (fit.block.noise >= least).all()
+
+
+def test_an_effect_at_the_most_that_it_may_be_is_doubted_and_a_gear_not_corrected():
+    """Waves of 1 mrad are twenty-five times what is expected: a gear like that is broken, or it is something else."""
+    source = load_problem(UR5)
+    broken = dataclasses.replace(source.cell, gear_waves=((2, 1e-3),))
+    found = calibrate(source, simulate(source.problem, broken, samples=120, seed=3).samples, reference=False)
+    assert "wave2" in {effect.key for effect in at_most(found.fit)}
+    assert "wave2" not in found.corrected
+    verdict = verdict_of(found)
+    assert verdict.level != "calibrated"
+    if verdict.level == "use with care":
+        assert any("the most that is believed" in reason for reason in verdict.reasons)
+
+
+def test_a_soft_arm_is_doubted_but_corrected():
+    source = load_problem(UR5)
+    soft = dataclasses.replace(source.cell, compliance=6.0)
+    found = calibrate(source, simulate(source.problem, soft, samples=120, seed=1).samples, reference=False)
+    assert [effect.key for effect in at_most(found.fit)] == ["give"]
+    assert "give" in found.corrected
+    assert any("giving under gravity came out at 5 times" in text.lower() for text in verdict_of(found).reasons)
+
+
+def test_a_dial_whose_gain_nobody_declared_is_doubted():
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    made = simulate(source.problem, source.cell, samples=120, seed=1).samples
+    wrong = dataclasses.replace(made, columns={"reading": made.columns["reading"] * 1.004})
+    assert verdict_of(calibrate(source, made, reference=False)).level == "calibrated"
+    verdict = verdict_of(calibrate(source, wrong, reference=False))
+    assert verdict.level != "calibrated"
+    assert any("gain of the dial" in reason and "declare" in reason for reason in verdict.reasons)
+
+
+def test_gravity_may_pull_another_way(sagging):
+    """An arm at a wall: what sags sideways is found where the kit is told so, and not where it is not."""
+    made = sagging[0]
+    source = load_problem(UR5)
+    own = dataclasses.replace(source, problem=source.problem.with_effects(*kit(down=(0.0, 1.0, 0.0))))
+    right, wrong = (calibrate(each, made.samples, reference=False).tried for each in (source, own))
+    gains = [next(each.evidence for each in tried if each.key == "give") for tried in (right, wrong)]
+    assert gains[0] > 5 * max(gains[1], 1.0)
+
+
+def test_the_flange_does_not_depend_on_a_reading(sagging):
+    found = sagging[1]
+    joints = workspace_joints(found.fit.problem.robot)[:5]
+    shown = dataclasses.replace(found.fit.block.samples.take(np.arange(5)), joints=joints)
+    assert np.abs(shown.columns["reading"]).max() > 0.1
+    np.testing.assert_allclose(found.predict(shown).positions, found.predict(joints).positions, atol=1e-12)
+
+
+def test_the_first_row_is_not_blamed_for_backlash():
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    cell = dataclasses.replace(source.cell, backlash=200e-6)
+    for seed in range(3):
+        samples = simulate(source.problem, cell, samples=120, seed=seed).samples
+        assert calibrate(source, samples, method="lm", reference=False).aside_lines == ()
+
+
+def test_simulated_files_say_when_more_than_geometry_moves_the_tip(tmp_path, capsys):
+    for options, told in (([], False), (["--compliance", "0.3"], True), (["--gear-wave", "1=1e-4"], True)):
+        command = ["simulate", str(UR5), "--samples", "20", "--out", str(tmp_path / "x.csv"), *options]
+        assert main(command) == 0
+        assert ("geometry alone" in capsys.readouterr().out) is told

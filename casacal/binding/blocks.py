@@ -96,7 +96,7 @@ def _elsewhere(problem: Problem, i: int) -> Array:
     model = problem.models[i]
     values = dict.fromkeys(model.names, 0.0)
     for effect in model.effects:
-        values |= dict.fromkeys(effect.columns(Site(problem.robot, problem.instruments[i])), effect.elsewhere)
+        values |= effect.away(Site(problem.robot, problem.instruments[i]))
     return np.array(list(values.values()))
 
 

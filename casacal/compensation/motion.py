@@ -84,6 +84,6 @@ def moved_arm(result: CalibratedArm) -> Moved:
     rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
     known = dict.fromkeys(model.names, 0.0)
     for effect in model.effects:
-        known |= dict.fromkeys(effect.columns(site), effect.elsewhere)
+        known |= effect.away(site)
     off = np.array([float(said["off"][j]) for j in index])
     return Moved(model, whole, at, np.array(rows)[np.ix_(index, index)], off, np.array(list(known.values())))

@@ -130,6 +130,8 @@ POSTURES = 64
 class Backlash(Effect):
     """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
 
+    Nobody knows how the joints came to the first row, so that each stands there where it likes within its play.
+
     Args:
         size: of half the play, rad.
         doubt: times by which that may be off.
@@ -140,30 +142,39 @@ class Backlash(Effect):
     doubt: float = 2.5
 
     moves = True
-    elsewhere = 1.0  # either way: what the tip may stand off is the same for both
     key = "play"
     words = "backlash"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Half the play of each joint, rad; of a sliding one `PER_RAD` mm count as one."""
-        return {self.key: weighted(np.ones(len(site.robot.axes)), self.size, "rad")}
+        """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
+        return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
 
     def columns(self, site: Site) -> tuple[str, ...]:
-        """Which way each joint came: -1, 0 or 1."""
-        return tuple(f"came{j + 1}" for j in range(len(site.robot.axes)))
+        """Which way each joint came: -1, 0 or 1; and whether it is the first row."""
+        return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
+
+    def away(self, site: Site) -> Mapping[str, float]:
+        """Either way: what the tip may stand off is the same for both; never the first row."""
+        return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """Signs of the steps from row to row; none is known of the first."""
         order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
-        ways = np.zeros_like(rows.samples.joints)
-        ways[order[1:]] = np.sign(np.diff(rows.samples.joints[order], axis=0))
-        return {name: ways[:, j] for j, name in enumerate(self.columns(site))}
+        ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
+        ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))
+        ways[order[:1], -1] = 1.0
+        return dict(zip(self.columns(site), ways.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
-        """-u sign(way)."""
-        u = getattr(here.p, self.key)
+        """-u sign(way), and anything within the play where that is not known."""
+        u, n = getattr(here.p, self.key), len(here.robot.axes)
         scales = [1.0 if turns else PER_RAD for turns in here.robot.revolute]
-        return ca.vertcat(*(-u[j] * scale * getattr(here.row, f"came{j + 1}") for j, scale in enumerate(scales)))
+        return ca.vertcat(
+            *(
+                -scale * (u[j] * getattr(here.row, f"came{j + 1}") + u[n + j] * here.row.first)
+                for j, scale in enumerate(scales)
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,6 +85,10 @@ class Effect(Portable, ABC):
         del site, rows
         return {}
 
+    def away(self, site: Site) -> Mapping[str, float]:
+        """What stands in those columns at postures that are no rows, where the tip is asked for."""
+        return dict.fromkeys(self.columns(site), self.elsewhere)
+
     def joints(self, here: Here) -> Expression | None:
         """By how much joints (n; rad, mm) stand off what the controller says."""
         del here
