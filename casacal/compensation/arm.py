@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,6 +34,20 @@ class CalibratedArm(Value):
     source: ProblemFile
     document: Mapping[str, Any]
 
+    @cached_property
+    def used(self) -> Problem:
+        """The problem with the effects that are corrected, and no others; see `as_used`."""
+        problem, keys = self.source.problem, corrections(self)
+        if not keys:
+            return problem.without_effects
+        known = {effect.key: effect for effect in problem.with_kit.effects}
+        if lost := [key for key in keys if key not in known]:
+            raise CasacalError(
+                f"{self.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",
+                "Give the problem that it was calibrated with, or calibrate again",
+            )
+        return problem.with_effects(*(known[key] for key in keys))
+
     def __repr__(self) -> str:
         return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
 
@@ -47,16 +62,7 @@ def as_used(result: CalibratedArm) -> Problem:
 
     Raises CasacalError where the problem does not have one of them.
     """
-    problem, keys = result.source.problem, corrections(result)
-    if not keys:
-        return problem.without_effects
-    known = {effect.key: effect for effect in problem.with_kit.effects}
-    if lost := [key for key in keys if key not in known]:
-        raise CasacalError(
-            f"{result.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",
-            "Give the problem that it was calibrated with, or calibrate again",
-        )
-    return problem.with_effects(*(known[key] for key in keys))
+    return result.used
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
