@@ -10,13 +10,14 @@ All of it is linear in the size, so one line serves for any: half the size, half
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, simulate
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from studies.cell_mistakes import robots
-from studies.reporting import number, script, table
+from studies.reporting import figure, number, palette, save, script, table
 
 ROWS = 120
 SIZES = {
@@ -92,6 +93,7 @@ quick = dataclasses.replace(study, settings=settings(("ur5",), tuple(SIZES)[2:4]
 
 def report(run: Run) -> list[str]:
     """One table for each robot."""
+    draw(run, run.out / "misled.png")
     lines = [
         "# What effects of usual sizes mean at the tip",
         "",
@@ -101,15 +103,43 @@ def report(run: Run) -> list[str]:
         "left of that with the best lengths, twists and offsets, found by someone who sees the tip everywhere.",
         "*Misleads*: tip error after a calibration from the touches that takes geometry for all there is: a dial that",
         "errs moves no tip, but its reader bends the arm. All grows in proportion to the size.",
+        "",
+        "![tip error after a calibration that takes geometry for all there is, by effect and robot](misled.png)",
     ]
-    for robot in dict.fromkeys(name.partition(": ")[2] for name in run.study.settings):
+    for robot in robots_of(run):
         rows = []
         for setting in (name for name in run.study.settings if name.endswith(f": {robot}")):
-            figures = [run.values(setting, "geometry alone", key) for key in ("moved_mm", "beyond_mm", "misled_mm")]
-            rows.append((setting.partition(": ")[0], *(number(math.sqrt(float(np.mean(f**2)))) for f in figures)))
+            figures = (rms(run, setting, key) for key in ("moved_mm", "beyond_mm", "misled_mm"))
+            rows.append((setting.partition(": ")[0], *map(number, figures)))
         header = ("effect", "moves the tip", "beyond geometry", "misleads")
         lines += ["", f"## {robot}", "", *table(header, rows)]
     return lines
+
+
+def robots_of(run: Run) -> list[str]:
+    """Robots of this run, in order."""
+    return list(dict.fromkeys(name.partition(": ")[2] for name in run.study.settings))
+
+
+def rms(run: Run, setting: str, name: str) -> float:
+    """Root mean square of a figure (mm) over the trials of a setting."""
+    return math.sqrt(float(np.mean(run.values(setting, "geometry alone", name) ** 2)))
+
+
+def draw(run: Run, path: Path) -> None:
+    """What misleads by how much, a row for each effect, a mark for each robot."""
+    effects = list(dict.fromkeys(name.partition(": ")[0] for name in run.study.settings))
+    made = figure(8, 0.32 * len(effects) + 1.4)
+    axes = made.subplots()
+    for robot, colour in zip(robots_of(run), palette(4), strict=False):
+        found = [rms(run, f"{effect}: {robot}", "misled_mm") for effect in effects]
+        axes.plot(found, range(len(effects)), "o", color=colour, label=robot)
+    axes.set_yticks(range(len(effects)), effects)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.set_xlabel("tip error after a calibration of the geometry alone, mm RMS")
+    axes.legend(frameon=False, fontsize=8)
+    save(made, path)
 
 
 if __name__ == "__main__":

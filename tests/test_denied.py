@@ -73,7 +73,7 @@ def forced(found):
     kinds = {
         "tip": (*bare.tip_std, bare.tip_std_without_prior[0]),
         "flange": bare.flange_std,
-        "std": bare.result.std,
+        "std": bare.result.std[bare.result.std < 0.999 * bare.fit.prior_std],  # what nobody found out is no figure
         "covariance": bare.covariance.ravel(),
         "cure": [cure.expected_rms_mm for cure in bare.cures],
         "direction": [each.tip_mm for each in directions],

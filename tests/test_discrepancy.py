@@ -416,7 +416,7 @@ class Shifted(LeastSquares):
 
 
 def test_geometry_and_effects_err_by_what_their_covariance_says(hsr, clean):
-    """NEES: arms and effects drawn from what is expected of them, rows with noise, fitted again. Chi-square, 95 %."""
+    """NEES: arms and effects drawn from what is expected of them, rows with noise, fitted again; 95 % for all three."""
     bound, rng = bind(hsr.problem.with_kit, clean), np.random.default_rng(5)
     firm = np.isfinite(bound.prior_std)
     beside = np.array(bound.beside, dtype=bool)
@@ -434,5 +434,5 @@ def test_geometry_and_effects_err_by_what_their_covariance_says(hsr, clean):
             found[name] += error[part] @ np.linalg.solve(covariance[np.ix_(part, part)], error[part])
             freedom[name] += part.size
     for name, total in found.items():
-        low, high = chi2.ppf([0.025, 0.975], freedom[name])
+        low, high = chi2.ppf([0.025 / 3, 1 - 0.025 / 3], freedom[name])
         assert low < total < high, name

@@ -16,7 +16,7 @@ from casacal.study.study_file import load_study
 
 FILES = sorted(path for path in (ROOT / "studies").glob("*.py") if "\ndef report(" in path.read_text(encoding="utf-8"))
 NAMES = [path.stem for path in FILES]
-REAL = {"real_arm"}
+REAL = {"real_arm", "real_arm_effects"}
 
 
 @pytest.fixture(params=FILES, ids=NAMES)
@@ -24,7 +24,8 @@ def file(request, monkeypatch):
     if request.param.stem in REAL:
         folder = request.getfixturevalue("motoman_data")
         monkeypatch.setenv("CASACAL_MOTOMAN", str(folder))
-        sys.modules.pop(f"studies.{request.param.stem}", None)
+        for name in REAL:  # where the measurements are is asked for as they are imported
+            sys.modules.pop(f"studies.{name}", None)
     return request.param
 
 

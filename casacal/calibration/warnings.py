@@ -13,7 +13,7 @@ from casacal.calibration.doubt import Doubt
 from casacal.calibration.motion import tip_extremes
 from casacal.checks.rows import repeated
 from casacal.least_squares.result import Result
-from casacal.uncertainty.discrepancy import err_as_stated
+from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_scatter import prior_scatter
 
@@ -177,7 +177,7 @@ def _lack_of_fit(calibration: Calibration) -> Doubt | None:
 def _noise(calibration: Calibration) -> Doubt | None:
     noise = calibration.noise
     ratio, low, high = noise.ratio, noise.low, noise.high
-    if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and err_as_stated(calibration.fit)):
+    if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(calibration.fit)):
         return None
     said = f"The residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:

@@ -116,6 +116,12 @@ def at_most(whole: BoundProblem) -> tuple[Effect, ...]:
     return tuple(each for each in whole.problem.effects if found.get(each.key, 0.0) > NEARLY * each.most)
 
 
+def errors_are_shared(whole: BoundProblem) -> bool:
+    """Whether rows have less noise of their own than was stated, and with what they share as much or more."""
+    own, stated = (float(np.median(each.block.noise)) for each in (whole, whole.with_noise()))
+    return own < stated and err_as_stated(whole)
+
+
 def err_as_stated(whole: BoundProblem) -> bool:
     """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
     beside = np.array(whole.beside, dtype=bool)
