@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf_lm, simulate, verify
+from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf, sckf_lm, simulate, verify
 from casacal.binding.marginal import moving, seen
 from casacal.cli.main import main
 from casacal.compensation.seal import sealed
@@ -171,6 +171,14 @@ def test_all_solvers_meet_at_one_minimum_with_the_kit(hsr, clean):
     assert three.converged
     assert one.cost == pytest.approx(three.cost, rel=1e-8)
     assert one.cost == pytest.approx(two.cost, rel=1e-8)
+
+
+def test_the_default_method_filters_the_geometry_and_starts_from_there(hsr, clean):
+    """Small effects need no filter: `filter_x` is the path of the geometry alone, effects where they were."""
+    bound, bare = bind(hsr.problem.with_kit, clean), bind(hsr.problem, clean)
+    path, beside = sckf_lm(bound).trace["filter_x"], np.array(bound.beside, dtype=bool)
+    assert not path[:, beside].any()
+    np.testing.assert_allclose(path[:, ~beside], sckf(bare).trace["x"], rtol=1e-6, atol=1e-9)
 
 
 def test_effects_taken_out_leave_the_information_of_the_dense_formula(hsr, clean):
