@@ -26,8 +26,8 @@ def dial_is_off(calibration: Calibration) -> Doubt | None:
     worst = max(shown, key=lambda test: test.tip_mm)
     return Doubt(
         f"the rows show a {worst.words} that nobody declared",
-        f"The rows show a {worst.words} of about {worst.shown_size}, which the problem takes for none and which would "
-        f"put the tip off by {worst.tip_mm:.2g} mm RMS: no figure counts it. {DECLARE[0].upper()}{DECLARE[1:]}.",
+        f"The rows show a {worst.words} of about {worst.shown_size}, which the problem takes for none: it bends the "
+        f"arm by more than is promised, and no figure counts it. {DECLARE[0].upper()}{DECLARE[1:]}.",
         DECLARE,
     )
 
@@ -37,8 +37,7 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
     found = at_most(calibration.fit) if any(calibration.fit.beside) else ()
     if not found:
         return None
-    words = [effect.words for effect in found]
-    named = f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+    named = " and ".join(effect.words for effect in found)
     times = f"{found[0].most:g} times what is expected of an arm"
     return Doubt(
         f"{named} would be larger than any arm's",

@@ -103,7 +103,7 @@ def calibrate(
         if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
             fit = with_effects(bare, source.problem, find_noise=noise == "found")
             if outliers == "set aside" and fit is not bare:
-                fit, bare, aside = _second_look(fit, bare, aside, chosen_rows, source.problem, noise)
+                fit, bare, aside = _second_look(fit, bare, aside, chosen_rows, source.problem, noise, threads)
         heldout = bind_further(fit, single.take(held)) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
@@ -135,8 +135,13 @@ def _geometry(
         bad, aside = gross(bare)
         if bad.any():
             bare = bind(bare.problem, rows.take(np.flatnonzero(~bad)), backend=backend, threads=threads)
+    return _noise_settled(bare, noise, loss), aside
+
+
+def _noise_settled(bare: BoundProblem, noise: str, loss: Loss | None = None) -> BoundProblem:
+    """The rows with the noise as it is to be used: as found, or as stated."""
     scale = found_noise(bare, loss).scale if noise == "found" else {}
-    return (bare.with_noise(scale) if scale else bare), aside
+    return bare.with_noise(scale) if scale else bare
 
 
 def _second_look(
@@ -146,6 +151,7 @@ def _second_look(
     rows: Samples,
     problem: Problem,
     noise: str,
+    threads: int | None,
 ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
     """The same with other rows set aside, where those look gross once effects and noise are known.
 
@@ -159,9 +165,7 @@ def _second_look(
     kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
     if kept.lines == bare.block.samples.lines:
         return fit, bare, aside
-    bare = bind(bare.problem, kept, backend=bare.backend)
-    scale = found_noise(bare, None).scale if noise == "found" else {}
-    bare = bare.with_noise(scale) if scale else bare
+    bare = _noise_settled(bind(bare.problem, kept, backend=bare.backend, threads=threads), noise)
     return with_effects(bare, problem, find_noise=noise == "found"), bare, found
 
 

@@ -10,10 +10,9 @@ from casacal.uncertainty.expectation import expected_accuracy
 
 def corrected_words(calibration: Calibration) -> list[str]:
     """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
-    words = [each.words for each in calibration.tried if each.corrected]
-    if not words:
+    named = " and ".join(each.words for each in calibration.tried if each.corrected)
+    if not named:
         return []
-    named = f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
     return [
         f"That corrects {named}, as predict, compensate and the C export do. Tables of lengths",
         f"and angles cannot: with these alone expect {tip_without_corrections(calibration):.3f} mm RMS.",
@@ -35,7 +34,7 @@ def tried_words(calibration: Calibration) -> list[str]:
 
 
 def became(tried: Tried) -> str:
-    """What became of an effect that the rows speak for, and why, without a full stop inside."""
+    """What became of an effect that the rows speak for, and why, as a clause."""
     splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in tried.unseen.items())
     told = f"{tried.words}, {{}}: logarithm of the density of left-out rows by {splits}, {VERY_STRONG:g} asked of each"
     if tried.corrected:

@@ -56,7 +56,6 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
 
     """
     site = Site(fit.problem.robot, fit.problem.instrument)
-    doubtful = {effect.key for effect in at_most(fit) if not effect.elastic}
     known = {
         effect.key: effect.words
         for effect in fit.problem.effects
@@ -67,6 +66,7 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     told = in_sample_gains(fit, result.x, known)
     likely = [key for key in known if told[key] > VERY_STRONG]
     unseen = gains(fit, result.x, likely) if likely else {}
+    doubtful = {effect.key for effect in at_most(fit) if not effect.elastic} if likely else set()
     stands: list[str] = []
     found = []
     for key in sorted(known, key=lambda key: -told[key]):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
 from casacal.checks.check import strays
@@ -101,7 +102,7 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     if rest is None:
         return bad
     judged, result = _judged(rest, bound.block.samples)
-    again = bad & ~stray & (np.abs(judged.residual(result.x)).reshape(len(bad), -1).max(axis=1) < WORTH_ANOTHER_LOOK)
+    again = bad & ~stray & (_sizes(judged, result) < WORTH_ANOTHER_LOOK)
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
         return bad
@@ -113,15 +114,23 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
 
 def _expected(judged: BoundProblem, result: Result) -> NDArray[np.bool_]:
     """Rows (N,) that stand where chance may put them for a fit, whether it has seen them or not."""
-    size = np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1)
-    return np.asarray(size <= most_by_chance(judged.rows, judged.rows - _geometry(judged)))
+    return np.asarray(_sizes(judged, result) <= _most(judged))
+
+
+def _sizes(judged: BoundProblem, result: Result) -> Array:
+    """How far rows (N,) are off, in standard deviations of their noise."""
+    return np.asarray(np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1))
+
+
+def _most(judged: BoundProblem) -> float:
+    """How far chance may put the farthest of them."""
+    return most_by_chance(judged.rows, judged.rows - _geometry(judged))
 
 
 def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:
     """What is wrong with rows that a fit has not seen."""
-    size = np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1)[rows]
-    limit = most_by_chance(judged.rows, judged.rows - _geometry(judged))
-    return single_rows(judged, result, Outliers(tuple(rows.tolist()), float(size.max()), limit, 1.0))
+    worst = float(_sizes(judged, result)[rows].max())
+    return single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
 
 
 def _judged(rest: BoundProblem, samples: Samples) -> tuple[BoundProblem, Result]:

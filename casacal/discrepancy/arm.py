@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.over_time import OverTime
 from casacal.discrepancy.survey import Rows
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
@@ -178,7 +179,7 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalGrowth(Effect):
+class ThermalGrowth(OverTime):
     """An arm that grows as it warms up, over the order of the lines: evenly, and soon and then no more.
 
     Args:
@@ -200,16 +201,6 @@ class ThermalGrowth(Effect):
         """Even growth, and growth that ends soon."""
         del site
         return {self.key: weighted(np.ones(2), self.size, "1")}
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """When a row was measured, 0 to 1."""
-        del site
-        return ("when",)
-
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """By the number of its line."""
-        del site
-        return {"when": rows.survey.when(rows.samples)}
 
     def pose(self, here: Here) -> Expression:
         """The flange, its place stretched."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.over_time import OverTime
 from casacal.discrepancy.survey import Rows
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter
@@ -86,7 +87,7 @@ class FaceForm(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drift(Effect):
+class Drift(OverTime):
     """A zero that wanders over the order of the lines: a slope, and slow waves.
 
     Args:
@@ -107,16 +108,6 @@ class Drift(Effect):
         """Slope and three waves, each about a third of the one before, as of a random walk; mm."""
         del site
         return {self.key: weighted(np.array([1.0, 0.45, 0.22, 0.15]), self.size, "mm")}
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """When a row was measured, 0 to 1."""
-        del site
-        return ("when",)
-
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """By the number of its line."""
-        del site
-        return {"when": rows.survey.when(rows.samples)}
 
     def residual(self, here: Here) -> Expression:
         """Slope and waves."""
