@@ -130,6 +130,13 @@ def test_every_split_must_speak_for_a_correction(sagging, monkeypatch, faces, re
     assert not tried["wave1"].corrected
 
 
+def test_more_touches_of_a_corrected_arm_do_not_make_it_worse(sagging):
+    """Cures weigh a touch by the noise that is left beside the effects, not by what geometry alone leaves."""
+    found = sagging[1]
+    assert found.cures
+    assert max(cure.expected_rms_mm for cure in found.cures) < 1.02 * found.tip_std[1]
+
+
 def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatch):
     found = sagging[1]
     monkeypatch.setattr(corrections, "_tip", lambda fit, result, keys: 0.1 + len(keys))
@@ -287,7 +294,7 @@ def test_a_gross_row_that_hides_in_smooth_errors_is_set_aside(sagging):
     assert calibrate(source, spoilt, reference=False, outliers="keep").aside_lines == ()
 
 
-@pytest.mark.parametrize(("stated", "shared"), [(0.05, True), (0.2, True), (2.0, False)])
+@pytest.mark.parametrize(("stated", "shared"), [(0.05, True), (0.2, True), (0.5, False), (0.8, False), (2.0, False)])
 def test_noise_is_less_than_stated_only_where_all_errors_of_a_row_are_not(stated, shared):
     """A user states what one touch errs by; where most of that is alike in like postures, rows share it."""
     source = load_problem(ROOT / "problems" / "hsr_jr680")
