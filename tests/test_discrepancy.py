@@ -286,7 +286,8 @@ def test_the_file_says_what_memory_says(calibrated, tmp_path):
     calibrated.save(tmp_path)
     document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     part = document["discrepancy"]
-    assert {effect["key"] for effect in part["effects"]} == {effect.key for effect in kit()}
+    expected = {effect.key for effect in kit()} - {"ripple"}  # nobody said what ratios the gears have
+    assert {effect["key"] for effect in part["effects"]} == expected
     assert all(effect["size"] > 0 for effect in part["effects"])
     assert not any(row["name"].startswith("wave1") for row in document["parameters"] + document["unknowns"])
     joints = workspace_joints(calibrated.fit.problem.robot)

@@ -15,6 +15,7 @@ from casacal.binding.slots import Slot
 from casacal.discrepancy.effect import Site
 from casacal.discrepancy.survey import Survey
 from casacal.errors import ProblemError
+from casacal.kernels.columnwise import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -56,6 +57,19 @@ class Block:
         return outputs
 
     @cached_property
+    def joint_noise(self) -> Array:
+        """Standard deviation (N, m) of each residual at the nominal where every joint errs by one radian of its own."""
+        return self.at_nominal(self.model.columns.joint_noise)
+
+    def at_nominal(self, function: Columnwise) -> Array:
+        """Values (N, m) of a function of one row at the nominal."""
+        found = np.empty((len(self.samples), self.model.components))
+        for constant, seen in zip(self.constants, rows_by_code(self.pattern, len(self.constants)), strict=True):
+            for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
+                found[rows] = function(np.zeros(self.columns.shape[1]), constant, self.rows(rows))
+        return found
+
+    @cached_property
     def data(self) -> Array:
         """d of all samples (N, nd)."""
         return self.rows(slice(None))
@@ -78,9 +92,7 @@ def make_block(
     known = tuple(row_columns(problem, i, samples, survey).values())
     noise = np.empty((len(samples), model.components))
     block = Block(model, samples, row_slots, pattern, columns, constants, known, _elsewhere(problem, i), noise)
-    for constant, seen in zip(constants, rows_by_code(pattern, len(constants)), strict=True):
-        for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
-            noise[rows] = model.columns.noise(np.zeros(nz), constant, block.rows(rows))
+    noise[:] = block.at_nominal(model.columns.noise)
     good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])

@@ -1,4 +1,4 @@
-"""Noise as it was found: what was stated, times a factor for each face."""
+"""Noise as it was found: what was stated, times a factor for each face, and what the joints do not repeat."""
 
 from __future__ import annotations
 
@@ -18,21 +18,30 @@ OTHERS = ""
 SHARED = "\0shared"
 """Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
 
+REPEATABILITY = "\0joints"
+"""Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest."""
+
 
 def scaled_noise(
     blocks: Sequence[Block], groups: Sequence[str | None], scale: Sequence[Mapping[str, float]]
 ) -> tuple[Block, ...]:
-    """Blocks whose noise is what was stated times the factor of each row's face; as they are without factors."""
+    """Blocks whose noise is what was stated times the factor of each row's face, with what joints do not repeat.
+
+    As they are without factors.
+    """
     if not scale:
         return tuple(blocks)
-    return tuple(
-        replace(block, noise=block.noise * factors(block.samples, column, some)[:, None])
-        for block, column, some in zip(blocks, groups, scale, strict=True)
-    )
+    triples = zip(blocks, groups, scale, strict=True)
+    return tuple(replace(block, noise=_scaled(block, column, some)) for block, column, some in triples)
+
+
+def _scaled(block: Block, groups: str | None, scale: Mapping[str, float]) -> Array:
+    noise = block.noise * factors(block.samples, groups, scale)[:, None]
+    return np.hypot(noise, joints * block.joint_noise) if (joints := scale.get(REPEATABILITY, 0.0)) > 0 else noise
 
 
 def factors(samples: Samples, groups: str | None, scale: Mapping[str, float]) -> Array:
-    """The factor of each row (N,).
+    """The factor of each row's stated noise (N,).
 
     Where repeats share the part c of their variance, m of them weigh together like one of variance (1 + (m - 1) c) / m,
     the design effect of samples in clusters (Kish, Survey Sampling, 1965).
@@ -46,7 +55,17 @@ def factors(samples: Samples, groups: str | None, scale: Mapping[str, float]) ->
     return np.asarray(found)
 
 
+def by_face(scale: Mapping[str, float]) -> dict[str, float]:
+    """The factors of faces alone."""
+    return {name: value for name, value in scale.items() if name not in (SHARED, REPEATABILITY)}
+
+
+def without_joints(scale: Mapping[str, float]) -> dict[str, float]:
+    """The same without what joints do not repeat."""
+    return {name: value for name, value in scale.items() if name != REPEATABILITY}
+
+
 def times(scale: Mapping[str, float], factor: float) -> dict[str, float]:
-    """Factors of the noise, each times another; what repeats share is a part of the noise and stays."""
+    """All noise times another factor; what repeats share is a part of the noise and stays."""
     found = {name: value if name == SHARED else value * factor for name, value in scale.items()}
-    return found if found.keys() - {SHARED} else {**found, OTHERS: factor}
+    return found if by_face(found) else {**found, OTHERS: factor}

@@ -13,6 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import REPEATABILITY, without_joints
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.corrected_words import tip_without_corrections
 from casacal.calibration.motion import besides
@@ -66,19 +67,23 @@ def tip_part(calibration: Calibration) -> dict[str, Any]:
 
 
 def noise_part(calibration: Calibration) -> dict[str, Any]:
-    """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face."""
-    found, block = calibration.noise, calibration.fit.block
-    stated = calibration.fit.with_noise({}).block.noise
-    faces = block.samples.faces(calibration.fit.problem.instrument.groups).rows()
-    pairs = {
-        name: (float(np.median(stated[rows])), float(np.median(block.noise[rows]))) for name, rows in faces.items()
-    }
+    """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face.
+
+    `without_joints_mm` is of what was used without that which the joints do not repeat, where that was told apart.
+    """
+    found, fit = calibration.noise, calibration.fit
+    scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
+    noise = {key: fit.with_noise(scale).block.noise for key, scale in scales.items()}
+    faces = fit.block.samples.faces(fit.problem.instrument.groups).rows()
     return {
         "ratio": found.ratio,
         "low": found.low,
         "high": found.high,
         "repeats": None if found.repeats is None else asdict(found.repeats),
-        "by_face": {name: {"stated_mm": one, "used_mm": two} for name, (one, two) in pairs.items()},
+        "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
+        "by_face": {
+            name: {key: float(np.median(each[rows])) for key, each in noise.items()} for name, rows in faces.items()
+        },
     }
 
 

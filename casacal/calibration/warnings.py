@@ -14,8 +14,10 @@ from casacal.calibration.motion import tip_extremes
 from casacal.checks.rows import repeated
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import errors_are_shared
+from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.score_test import sized
 
 FAR = 4.0
 """Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""
@@ -177,7 +179,10 @@ def _lack_of_fit(calibration: Calibration) -> Doubt | None:
 def _noise(calibration: Calibration) -> Doubt | None:
     noise = calibration.noise
     ratio, low, high = noise.ratio, noise.low, noise.high
-    if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(calibration.fit)):
+    fit = calibration.fit
+    if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(fit)):
+        return None
+    if is_usual(fit, NOISE_BAND[1]):
         return None
     said = f"The residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:
@@ -186,6 +191,8 @@ def _noise(calibration: Calibration) -> Doubt | None:
     if noise.scale:
         found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
         advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; {_what_check_says(calibration)}."
+        if (rad := repeats_to(fit)) > 0:
+            advice += f" It grows with what a touch sees of the joints, as where they repeat to {sized(rad, 'rad')}."
     else:
         advice = "The standard deviations are too small by about as much. Raise noise_std, or find what is missing."
     return Doubt(

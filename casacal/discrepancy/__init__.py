@@ -1,7 +1,8 @@
 """What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines."""
 
-from casacal.discrepancy.arm import Backlash, GearWaves, GravityGive, ThermalGrowth
+from casacal.discrepancy.arm import GravityGive, ThermalGrowth
 from casacal.discrepancy.effect import Effect, weighted
+from casacal.discrepancy.gears import Backlash, GearRipple, GearWaves
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.kit import kit, rich_kit
 from casacal.discrepancy.smooth import Drift, FaceForm
@@ -11,6 +12,7 @@ __all__ = [
     "Drift",
     "Effect",
     "FaceForm",
+    "GearRipple",
     "GearWaves",
     "GravityGive",
     "JointField",

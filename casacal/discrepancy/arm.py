@@ -1,4 +1,4 @@
-"""What gears, gravity and warmth do to an arm."""
+"""What gravity and warmth do to an arm."""
 
 from __future__ import annotations
 
@@ -9,61 +9,11 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.over_time import OverTime
-from casacal.discrepancy.survey import Rows
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
 from casacal.unknowns import Parameter
-
-PER_RAD = 100.0
-"""Millimetres of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GearWaves(Effect):
-    """A wave of each turning joint, once or more often per turn: eccentric encoders, run-out of wheels.
-
-    Args:
-        order: waves per turn of the joint; a gear's own where its ratio is given.
-        size: of sine and cosine, rad.
-        doubt: times by which that may be off.
-
-    """
-
-    order: int = 1
-    size: float = 40e-6
-    doubt: float = 2.5
-
-    moves = True
-
-    @property
-    def key(self) -> str:
-        """One for each order."""
-        return f"wave{self.order}"
-
-    @property
-    def words(self) -> str:
-        """As people call it."""
-        return "gear waves once per turn" if self.order == 1 else f"gear waves {self.order} times per turn"
-
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Cosine and sine of each turning joint, rad."""
-        count = 2 * int(site.robot.revolute.sum())
-        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
-
-    def joints(self, here: Here) -> Expression:
-        """u_c cos(k q) + u_s sin(k q)."""
-        u, found = getattr(here.p, self.key), []
-        turning = iter(range(u.numel() // 2))
-        for j, turns in enumerate(here.robot.revolute):
-            if not turns:
-                found.append(0)
-                continue
-            k = 2 * next(turning)
-            found.append(u[k] * ca.cos(self.order * here.q[j]) + u[k + 1] * ca.sin(self.order * here.q[j]))
-        return ca.vertcat(*found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,57 +75,6 @@ LEAST_SAG = 1.0
 
 POSTURES = 64
 """Joint values over which an arm's sag is averaged."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Backlash(Effect):
-    """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
-
-    Nobody knows how the joints came to the first row, so that each stands there where it likes within its play.
-
-    Args:
-        size: of half the play, rad.
-        doubt: times by which that may be off.
-
-    """
-
-    size: float = 20e-6
-    doubt: float = 2.5
-
-    moves = True
-    key = "play"
-    words = "backlash"
-
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
-        return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """Which way each joint came: -1, 0 or 1; and whether it is the first row."""
-        return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
-
-    def away(self, site: Site) -> Mapping[str, float]:
-        """Either way: what the tip may stand off is the same for both; never the first row."""
-        return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
-
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """Signs of the steps from row to row; none is known of the first."""
-        order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
-        ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
-        ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))
-        ways[order[:1], -1] = 1.0
-        return dict(zip(self.columns(site), ways.T, strict=True))
-
-    def joints(self, here: Here) -> Expression:
-        """-u sign(way), and anything within the play where that is not known."""
-        u, n = getattr(here.p, self.key), len(here.robot.axes)
-        scales = [1.0 if turns else PER_RAD for turns in here.robot.revolute]
-        return ca.vertcat(
-            *(
-                -scale * (u[j] * getattr(here.row, f"came{j + 1}") + u[n + j] * here.row.first)
-                for j, scale in enumerate(scales)
-            )
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

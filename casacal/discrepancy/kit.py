@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from casacal.discrepancy.arm import Backlash, GearWaves, GravityGive, ThermalGrowth
+from casacal.discrepancy.arm import GravityGive, ThermalGrowth
 from casacal.discrepancy.effect import Effect
+from casacal.discrepancy.gears import Backlash, GearRipple, GearWaves
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.smooth import Drift, FaceForm
 
@@ -28,6 +29,7 @@ def _with(field: JointField, down: tuple[float, float, float]) -> tuple[Effect, 
     return (
         GearWaves(order=1),
         GearWaves(order=2),
+        GearRipple(),
         GravityGive(down=down),
         Backlash(),
         FaceForm(),

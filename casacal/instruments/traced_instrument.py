@@ -11,13 +11,13 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.instruments.dial_on_plane import touched_plane
-from casacal.instruments.instrument import Dimension, Instrument, Sight
+from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.packed import packed_symbols
 from casacal.values import FrozenMapping, frozen
 
-DECLARED = ("columns", "unknowns", "known_columns", "known_by", "datum", "column_stds", "residual_std")
+DECLARED = ("columns", "unknowns", "known_columns", "known_by", "datum", "column_stds", "residual_std", "probe")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,11 @@ class TracedInstrument(Instrument):
     def residual_std(self) -> float:
         """As declared."""
         return float(self.declared["residual_std"])
+
+    @property
+    def probe(self) -> Probe | None:
+        """As declared; None in files from before it was."""
+        return self.declared.get("probe")
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """The residual that was traced."""

@@ -19,6 +19,7 @@ import numpy as np
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
 from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint
+from casacal.instruments.instrument import Probe
 from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.problem.problem import Problem
 from casacal.robots.conventions import Conventions
@@ -35,7 +36,7 @@ from casacal.values import FrozenMapping
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
 INSTRUMENTS = (DialOnPlane, DialOnBody, TrackedPoint, Step, TracedInstrument)
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, TracedPose)}
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, Probe, TracedPose)}
 """What may stand in such data: nothing else is ever made of them."""
 
 

@@ -25,7 +25,7 @@ from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.native_filter import NativeCubature
 from casacal.kernels.steps import cubature_pass
 from casacal.kinematics import position
-from casacal.problem.jacobian import position_jacobian, residual_jacobian, residual_noise
+from casacal.problem.jacobian import joint_noise, position_jacobian, residual_jacobian, residual_noise
 from casacal.problem.trace import Trace
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
@@ -60,6 +60,8 @@ class RowModel:
     """(z, c, d) -> direction of the plunger (3) in the base frame; None for an instrument without one."""
     raw_residual: ca.Function
     """(v, c, d) -> residual e (m) at raw coordinates v, for the IPOPT reference."""
+    joint_noise: ca.Function
+    """(z, c, d) -> standard deviation (m) of e where every joint errs by a radian, or what counts as one."""
 
     def same_as(self, other: RowModel) -> bool:
         """Whether another model computes the same, operation by operation."""
@@ -100,7 +102,7 @@ class RowModel:
     @cached_property
     def columns(self) -> SimpleNamespace:
         """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
-        names = ("noise", "tip", "pose") + (("plunger",) if self.plunger is not None else ())
+        names = ("noise", "joint_noise", "tip", "pose") + (("plunger",) if self.plunger is not None else ())
         return SimpleNamespace(**{name: Columnwise(getattr(self, name)) for name in names})
 
     @cached_property
@@ -151,6 +153,7 @@ def compile_rows(traced: Trace) -> RowModel:
         pose=row_function("pose", inputs, [ca.SX(seen.pose)]),
         plunger=None if seen.plunger is None else row_function("plunger", inputs, [seen.plunger]),
         raw_residual=row_function("raw_residual", [v, *inputs[1:]], [raw_residual]),
+        joint_noise=row_function("joint_noise", inputs, [joint_noise(traced.robot, seen.residual, traced.q)]),
     )
 
 

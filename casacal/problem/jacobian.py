@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from casacal.discrepancy.gears import per_radian
 from casacal.instruments import Instrument
 from casacal.robots.robot import Robot
 
@@ -37,3 +38,9 @@ def residual_noise(
         if joint.repeatability_std > 0:
             variance += (ca.jacobian(residual, q[j]) * joint.repeatability_std) ** 2
     return ca.sqrt(variance)
+
+
+def joint_noise(robot: Robot, residual: ca.SX, q: ca.SX) -> ca.SX:
+    """Standard deviation (m) of the residual where every joint errs on its own, by a radian or what counts as one."""
+    slopes = ca.jacobian(residual, q) @ ca.diag(ca.DM(per_radian(robot)))
+    return ca.sqrt(ca.sum2(slopes**2))

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from casacal.errors import ProblemError
 
 MOST_JOINTS = 100
 
+MOST_RATIO = 1000.0
+"""Largest gear ratio of a robot's joint."""
+
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint: its kind, its limits and its repeatability, in rad (revolute) or mm (prismatic)."""
+    """One joint: its kind, its limits and its repeatability, in rad (revolute) or mm (prismatic).
+
+    gear_ratio: turns of the motor for one of a revolute joint; zero where it is not known.
+    """
 
     kind: Literal["revolute", "prismatic"] = "revolute"
     lower: float = -math.pi
     upper: float = math.pi
     repeatability_std: float = 0.0
+    gear_ratio: float = 0.0
 
     @property
     def turns(self) -> bool:
@@ -35,6 +42,9 @@ class Joint:
             )
         if not 0 <= self.repeatability_std < math.inf:
             raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
+        if not (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO):
+            fix = f"Give the motor's turns for one of the joint, 1 to {MOST_RATIO:g}, or leave it out"
+            raise ProblemError(f"A joint has the gear ratio {self.gear_ratio!r}", fix)
 
 
 def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
@@ -51,3 +61,11 @@ def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
             raise ProblemError(f"joints is '{joints}'", "Use R for revolute and P for prismatic, such as 'RRPR'")
         return tuple(Joint() if letter == "R" else Joint("prismatic", -1000.0, 1000.0) for letter in joints)
     return tuple(joints)
+
+
+def geared(joints: Sequence[Joint], ratios: Sequence[float]) -> tuple[Joint, ...]:
+    """The same joints with known gear ratios, zero where one is not; raises ProblemError."""
+    if len(ratios) != len(joints):
+        fix = "Give one for each joint, 0 where it is not known"
+        raise ProblemError(f"{len(ratios)} gear ratios came for {len(joints)} joints", fix)
+    return tuple(replace(joint, gear_ratio=float(ratio)) for joint, ratio in zip(joints, ratios, strict=True))

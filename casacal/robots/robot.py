@@ -16,7 +16,7 @@ from casacal.kinematics import Expression
 from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
-from casacal.robots.joints import Joint, joints_of
+from casacal.robots.joints import Joint, geared, joints_of
 from casacal.robots.screws import Screws, triples
 from casacal.robots.traced_pose import TracedPose, travels
 from casacal.robots.urdf_chain import UrdfChain
@@ -84,6 +84,10 @@ class Robot(Value):
     def traced(self) -> TracedPose:
         """The pose function as a graph; lets pass what the function raises."""
         return TracedPose.of(self.pose, self.parameters, len(self.axes))
+
+    def with_gear_ratios(self, *ratios: float) -> Robot:
+        """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""
+        return replace(self, joints=geared(self.axes, ratios))
 
     def __eq__(self, other: object) -> bool:
         """Whether both are the same arm: names, joints, parameters, and the graph that the pose function builds."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED, times
+from casacal.binding.noise_scale import OTHERS, SHARED, by_face, times
 from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.joint_field import JointField
 from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
 from casacal.problem.problem import Problem
 from casacal.uncertainty.effect_sizes import effect_sizes
+from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 from casacal.uncertainty.marginal_likelihood import Told, told
 
 ENOUGH = 300
@@ -73,24 +75,48 @@ class _Linear:
         x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
         ways, scale = [whole], whole.scale
         if set(scale) - {OTHERS, SHARED}:
-            alike = {OTHERS: min(value for name, value in scale.items() if name != SHARED)}
+            alike = {OTHERS: min(by_face(scale).values())}
             ways.append(whole.with_noise({**alike, **{k: value for k, value in scale.items() if k == SHARED}}))
         return _Linear(x, tuple((way, told(way, x)) for way in ways))
 
     def sized(self, least: float | None) -> BoundProblem:
         """Sizes and noise as found, the noise at least a part of what was stated; None holds it."""
         ways = self.ways if least is not None else self.ways[:1]
-        return max((self._likeliest(*way, least) for way in ways), key=lambda each: each[0])[1]
+        best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
+        faces_differ = len(by_face(best.rows.scale)) > 1  # some of which see more of the joints than others
+        if least is None or not (faces_differ or joints_err(best.rows, self.x)):
+            return best.rows
+        trials = [best]
+        for way in with_joints(self.ways[0][0], best.rows):
+            found = self._likeliest(way, told(way, self.x), least, start=best.times)
+            against = 0.0 if faces_differ else WORTH  # factors of faces are as many numbers or more
+            trials.append(replace(found, evidence=found.evidence + beforehand(found.rows) - against))
+        return max(trials, key=_evidence).rows
 
-    def _likeliest(self, whole: BoundProblem, seen: Told, least: float | None) -> tuple[float, BoundProblem]:
-        """Logarithm of the likelihood of the rows at the sizes and noise that make it greatest, and the rows so."""
+    def _likeliest(
+        self, whole: BoundProblem, seen: Told, least: float | None, *, start: Mapping[str, float] | None = None
+    ) -> _Found:
+        """At the sizes and the noise that make the rows likeliest."""
         scale = whole.scale
-        stated = 1 / min((factor for name, factor in scale.items() if name != SHARED), default=1.0)
+        stated = 1 / min(by_face(scale).values(), default=1.0)
         known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
-        sizes = effect_sizes(whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen)
+        sizes = effect_sizes(whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start)
         density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
         rows = whole.with_sizes(sizes.times, noise=times(scale, sizes.noise) if sizes.noise != 1 else None)
-        return sizes.evidence - density, rows
+        return _Found(sizes.evidence - density, rows, sizes.times)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The rows at some sizes and noise, and the logarithm of how likely they are so."""
+
+    evidence: float
+    rows: BoundProblem
+    times: Mapping[str, float]
+
+
+def _evidence(found: _Found) -> float:
+    return found.evidence
 
 
 def _errs_together(whole: BoundProblem) -> bool:

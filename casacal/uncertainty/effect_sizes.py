@@ -58,6 +58,7 @@ def effect_sizes(
     stated: float = 1.0,
     least: float | None = 1.0,
     seen: Told | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> Sizes:
     """Sizes of effects and of the noise at which the rows are likeliest.
 
@@ -70,6 +71,7 @@ def effect_sizes(
             alone leaves in the rows is explained by effects in part, never made more.
         least: part of the stated noise that there is at least; None leaves the noise as it is.
         seen: what the rows say at x, where that is known.
+        start: times by which effects are about as large, where that is known: nothing else is then tried.
 
     """
     keys = [key for key in dict.fromkeys(beside) if key]
@@ -79,8 +81,10 @@ def effect_sizes(
     bounds = [(-m, m) if s > 0 else (0.0, 0.0) for s, m in zip(spread[:-1], most, strict=True)]
     bounds.append((math.log(stated * least), 0.0) if least else (0.0, 0.0))
     expected = np.append(np.zeros(len(keys)), math.log(stated))
-    starts = [np.zeros(len(spread))]
-    if stated * (least or 1.0) < 1 / MORE:  # the likelihood has several tops where something large errs
+    starts = [np.append([math.log((start or {}).get(key, 1.0)) for key in keys], 0.0)]
+    if (
+        start is None and stated * (least or 1.0) < 1 / MORE
+    ):  # the likelihood has several tops where something large errs
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
     given = (seen or told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
     tops = [minimize(_objective, start, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for start in starts]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS
+from casacal.binding.noise_scale import OTHERS, by_face, times
 from casacal.binding.slots import ENOUGH, Slot, make_slots
 from casacal.instruments import Instrument
 from casacal.instruments.instrument import Probe
@@ -231,8 +231,9 @@ def _left(information: Array, prior_std: Array, shared: int) -> Array:
 
 def _scale(found: Mapping[str, float], noise: float) -> dict[str, float]:
     """Factors of the noise as found, for a new face their mean square, all times one more."""
-    others = math.sqrt(float(np.mean(np.square(list(found.values()))))) if found else 1.0
-    return {name: noise * factor for name, factor in {OTHERS: others, **found}.items()}
+    faces = list(by_face(found).values())
+    others = math.sqrt(float(np.mean(np.square(faces)))) if faces else 1.0
+    return times({OTHERS: others, **found}, noise)
 
 
 def _triple(values: Array) -> tuple[float, float, float]:

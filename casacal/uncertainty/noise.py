@@ -16,7 +16,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED, factors
+from casacal.binding.noise_scale import OTHERS, SHARED
 from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
@@ -103,10 +103,9 @@ def noise_over_stated(result: Result) -> Noise:
     """What the residuals of a fit show over the noise as stated, whatever factors it was used with."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    scale, column = bound.scale, bound.problem.instrument.groups
-    stated = bound.block.noise / factors(bound.block.samples, column, scale)[:, None]
-    by_face = {name: value for name, value in scale.items() if name != SHARED}
-    of_a_touch = stated * factors(bound.block.samples, column, by_face)[:, None]
+    scale = bound.scale
+    stated = bound.with_noise().block.noise
+    of_a_touch = bound.with_noise({name: each for name, each in scale.items() if name != SHARED}).block.noise
     mean = math.sqrt(float((of_a_touch**2).sum() / (stated**2).sum()))
     again = repeats_in(bound) if result.loss is None else None
     ratio, low, high = (mean * each for each in _interval(result, again))

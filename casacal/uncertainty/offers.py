@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import by_face
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Touches
@@ -91,7 +92,7 @@ def _cell(faces: tuple[Face, ...], tilt: float) -> Cell:
 
 def _is_found(bound: BoundProblem) -> bool:
     """Whether the rows show more noise than is stated, which no better indicator takes away."""
-    return any(factor > 1.1 for scale in bound.noise_scale for factor in scale.values())
+    return any(factor > 1.1 for scale in bound.noise_scale for factor in by_face(scale).values())
 
 
 def _across(face: Face) -> tuple[Array, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import SHARED, factors
+from casacal.binding.noise_scale import by_face, factors
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats, repeats_of
 from casacal.uncertainty.figures import ratio_interval
@@ -67,7 +67,7 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
         bound.block.samples,
         bound.rows // len(bound.block.samples),
     )
-    plain = {name: value for name, value in scale.items() if name != SHARED}
+    plain = by_face(scale)
     of_a_touch = bound.residual(result.x) * np.repeat(factors(samples, column, scale), per_row)
     faces = np.repeat(factors(samples, column, plain), per_row)
     r = of_a_touch / faces

@@ -11,7 +11,6 @@ from scipy.sparse import csr_matrix, identity
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import factors
 from casacal.binding.nominal import nominal_tips
 from casacal.discrepancy import GearWaves
 from casacal.instruments.dial_parts import dial_cycle, dial_gain
@@ -120,13 +119,11 @@ def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Fo
         yield Form(REPEATS, words, instrument.words.unit, None, whitened(alike(places.codes), noise))
     if WAVE in columns:
         wave = columns[WAVE]
-        moved = diagonal((wave.rows**2).sum(axis=1) / wave.expected**2)
+        moved = diagonal((bound.block.joint_noise / noise).ravel() ** 2)
         own = math.sqrt(3 * float((wave.tip**2).sum()) / len(wave.tip)) / wave.expected
         yield Form(JOINTS, "repeatability of the joints", "rad", moved, moved, own)
 
 
 def noise_mm(bound: BoundProblem) -> float:
     """Noise of a touch as stated, its median, in the unit of the residual."""
-    scale = bound.scale
-    stated = bound.block.noise / factors(bound.block.samples, bound.problem.instrument.groups, scale)[:, None]
-    return float(np.median(stated))
+    return float(np.median(bound.with_noise().block.noise))

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED
+from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -63,14 +63,13 @@ def _rows_of(bound: BoundProblem, problem: Problem) -> _Rows | None:
     A rough face and joints that see more of one face look alike until one asks whether faces, with what the joints do
     taken into account, still differ.
     """
-    scale = dict(bound.scale)
-    faces = {name: scale.pop(name) for name in list(scale) if name not in (OTHERS, SHARED)}
-    if not faces:
+    if not set(bound.scale) - {OTHERS, SHARED}:
         return _Rows.of(bound, problem)
-    stated = bound.with_noise({name: each for name, each in scale.items() if name == SHARED})
-    factor = math.sqrt(float(((bound.block.noise / stated.block.noise) ** 2).mean()))
-    rows = _Rows.of(bound.with_noise({**scale, OTHERS: factor}), problem)
-    return rows if rows is not None and rows.alike_but_for_joints(1 / factor**2) else _Rows.of(bound, problem)
+    shared = {name: each for name, each in bound.scale.items() if name == SHARED}
+    factor = math.sqrt(float(((bound.block.noise / bound.with_noise(shared).block.noise) ** 2).mean()))
+    rows = _Rows.of(bound.with_noise({**shared, OTHERS: factor}), problem)
+    alike = REPEATABILITY in bound.scale or (rows is not None and rows.alike_but_for_joints(1 / factor**2))
+    return rows if alike else _Rows.of(bound, problem)
 
 
 def _leading(rows: _Rows, limit: float) -> tuple[ScoreTest, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS
+from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import Slot, make_slots
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.motion import corrected_values, known_motion, sizes_of
@@ -227,13 +227,16 @@ def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> d
     showed beside the calibration's instrument is added: joints that do not repeat err whoever watches, while a face
     that is not flat errs alone.
     """
-    faces = ((result.document.get("noise") or {}).get("by_face") or {}).items()
-    pairs = {name: (float(face["stated_mm"]), float(face["used_mm"])) for name, face in faces}
+    noise = result.document.get("noise") or {}
+    faces = (noise.get("by_face") or {}).items()
+    alone = "without_joints_mm"  # lacking in files from before joints were told apart
+    pairs = {name: (float(face["stated_mm"]), float(face.get(alone, face["used_mm"]))) for name, face in faces}
     if not pairs:
         return {}
+    joints = {REPEATABILITY: rad} if (rad := float(noise.get("joints_rad", 0.0))) > 0 else {}
     if other:
         excess = min(used**2 - stated**2 for stated, used in pairs.values())
         stated = float(np.median(bound.block.noise))
-        return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2)}
+        return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
     factors = {name: used / stated for name, (stated, used) in pairs.items()}
-    return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors}
+    return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}

@@ -12,6 +12,7 @@ from casacal.calibration.page.sections.histograms import histograms
 from casacal.calibration.page.sections.row_plots import row_plots
 from casacal.calibration.page.table import NUMBER, WORDS, table
 from casacal.calibration.page.touches import TITLES, Touches
+from casacal.uncertainty.score_test import sized
 
 FIGURES = (("RMSE", "rmse_mm"), ("MAE", "mae_mm"), ("STD", "std_mm"), ("MAX", "max_mm"))
 
@@ -82,7 +83,9 @@ def _noise(touches: Touches, noise: Mapping[str, Any]) -> Markup:
         return paragraph(f"{said} Every figure uses the noise as stated.")
     faces = noise["by_face"].values()
     stated, used = ([face[key] for face in faces] for key in ("stated_mm", "used_mm"))
-    return paragraph(f"{said} Every figure uses the noise as found: {_span(used)} mm, stated {_span(stated)} mm.")
+    joints = noise["joints_rad"]
+    more = f" It grows with what a touch sees of the joints: they repeat to {sized(joints, 'rad')}." if joints else ""
+    return paragraph(f"{said} Every figure uses the noise as found: {_span(used)} mm, stated {_span(stated)} mm.{more}")
 
 
 def _span(values: list[float]) -> str:

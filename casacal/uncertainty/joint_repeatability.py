@@ -1,0 +1,97 @@
+"""What joints do not repeat: errors of single touches that grow with how much a touch sees of the joints.
+
+Nothing in the samples repeats it, so that it is noise; but a touch far from the base has more of it than one close by.
+Its variance, t^2 g^2 with g the standard deviation of the residual where every joint errs by one radian, stands beside
+what was stated of the instrument. How much of the noise it is, is found by restricted likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED, by_face
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.linalg import posterior_covariance
+
+EXPECTED = 15e-6
+"""What joints of an industrial arm do not repeat, rad (ISO 9283 figures over the reach of such arms)."""
+
+DOUBT = 2.5
+"""Times by which that may well be off."""
+
+KNOWN = 1.3
+"""Times by which the rest of the noise may well exceed what was stated, where the joints explain the noise."""
+
+PARTS = (0.5, 0.8, 1.0, 1.2)
+"""Parts of the noise beyond what was stated that are tried as the joints'; with weights of its own it may be more."""
+
+WORTH_A_LOOK = 1.0
+"""Standard deviations by which touches that see more of the joints must err more, for more to be tried."""
+
+WORTH = 2.0
+"""Gain in the logarithm of the likelihood from which noise is put down to the joints."""
+
+MOST_ROWS = 4096
+"""Rows, evenly over all, at which is looked whether more should be tried."""
+
+
+def joints_err(bound: BoundProblem, x: Array) -> bool:
+    """Whether rows that see more of the joints may err more than others where a fit stands, x (n,).
+
+    A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2.
+    """
+    normal = bound.normal(x)
+    told = normal.information.dense() if isinstance(normal.information, Arrow) else normal.information
+    held = posterior_covariance(told, bound.prior_std)
+    step = -held @ (normal.gradient + bound.prior_information * (x - bound.x0))
+    samples = bound.block.samples
+    few = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_ROWS)).astype(np.intp))
+    part = bound if few.size == len(samples) else bound.on(samples.take(few))
+    jacobian = part.jacobian(x)
+    free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
+    seen = (part.block.joint_noise / part.block.noise).ravel() ** 2
+    judged = np.isfinite(free) & (free > SMALLEST)
+    if not judged.any():
+        return False
+    squares = (part.residual(x) + jacobian @ step)[judged] ** 2 / free[judged]
+    apart = seen[judged] - seen[judged].mean()
+    spread = math.sqrt(2 * float(apart @ apart))
+    return spread > 0 and float(apart @ squares) > WORTH_A_LOOK * float(squares.mean()) * spread
+
+
+SMALLEST = 1e-3
+"""Part of a row's variance that its own residual must hold to be judged by it."""
+
+
+def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProblem]:
+    """The rows with parts of the noise, as it was found beyond what was stated, put down to the joints."""
+    seen, scale = whole.block.joint_noise, found.scale
+    shared = {name: part for name, part in scale.items() if name == SHARED}
+    level, own = (float((each.block.noise**2).mean()) for each in (found, found.with_noise(shared)))
+    for part in PARTS:
+        joints = part * (level - own)
+        if joints > 0 and (seen > 0).any():
+            size = math.sqrt(joints / float((seen**2).mean()))
+            yield whole.with_noise({OTHERS: math.sqrt(max(level - joints, own) / own), REPEATABILITY: size, **shared})
+
+
+def repeats_to(bound: BoundProblem) -> float:
+    """What joints do not repeat, as it was found, rad; zero where it was not told from other noise."""
+    return bound.scale.get(REPEATABILITY, 0.0)
+
+
+def is_usual(bound: BoundProblem, most: float) -> bool:
+    """Whether what joints of any arm do not repeat explains the noise, but for at most some times what was stated."""
+    return 0 < repeats_to(bound) <= EXPECTED * DOUBT and max(by_face(bound.scale).values(), default=1.0) <= most
+
+
+def beforehand(bound: BoundProblem) -> float:
+    """Logarithm of how likely such noise is before any row is seen, against what is expected of it: log-normal."""
+    joints = math.log(repeats_to(bound) / EXPECTED) / math.log(DOUBT)
+    rest = math.log(max(by_face(bound.scale).values(), default=1.0)) / math.log(KNOWN)
+    return -(joints**2 + rest**2) / 2
