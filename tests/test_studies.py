@@ -1,5 +1,6 @@
 """Every study runs in its quick form, and is committed with a report that its own records make again."""
 
+import json
 import os
 import re
 import shutil
@@ -38,6 +39,7 @@ def test_a_study_runs_and_reports(file, tmp_path, capsys):
     assert "|---|" in report
     assert f"python -m studies.{file.stem}" in report
     assert "numpy" in report
+    assert not _methods_that_never_answer(tmp_path)
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", report)
     assert pictures or file.stem == "efficiency"
     for picture in pictures:
@@ -54,6 +56,15 @@ def test_a_study_is_committed_with_the_report_that_its_records_make(file, tmp_pa
         shutil.copy(folder / name, tmp_path / name)
     assert main(["study", str(file), "--report", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "report.md").read_text(encoding="utf-8") == committed
+
+
+def _methods_that_never_answer(folder):
+    """Methods all of whose records say that they failed: their report would be a table of dashes."""
+    file = folder / "records.jsonl"
+    records = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
+    answered = {record["method"] for record in records if record["error"] is None}
+    return {record["method"] for record in records} - answered
+
 
 
 def test_a_study_runs_as_a_module(tmp_path):
