@@ -25,6 +25,7 @@ from studies.reporting import figure, number, palette, percent, save, script, ta
 
 ARMS, ROWS = 50, 120
 LEVELS = ("calibrated", "use with care", "do not use")
+NO_VERDICT = -1
 NONE, CERTIFIED = "none", "none, dial certified to 0.05 %"
 GAIN = 0.15
 """Prior of the dial's gain, percent, as `casacal new` declares it."""
@@ -79,10 +80,10 @@ class Trial:
 
 
 def trusting(problem: BoundProblem) -> Result:
-    """Least squares over all rows that take the noise as stated, the dial as perfect and geometry for all there is."""
+    """Least squares over all rows: noise as stated, a perfect dial, geometry for all there is, and no verdict."""
     given = problem.problem.problem
     trusted = Problem(given.robot, dataclasses.replace(given.instrument, gain=None))
-    return _told(problem.problem, trusted, "none", noise="stated", outliers="keep")
+    return _told(problem.problem, trusted, "none", trusting=True)
 
 
 def geometry(problem: BoundProblem) -> Result:
@@ -100,19 +101,25 @@ def _told(
     problem: Problem,
     discrepancy: Literal["kit", "none"],
     *,
-    noise: Literal["found", "stated"] = "found",
-    outliers: Literal["set aside", "keep"] = "set aside",
+    trusting: bool = False,
 ) -> Result:
     """Level, tips (N, 3) and their standard deviations (N, 3) over the workspace, in place of a trace.
 
     The estimate may have more unknowns than the trial's problem, so that it stays behind.
     """
-    ways = {"discrepancy": discrepancy, "noise": noise, "outliers": outliers}
-    found = calibrate(problem, bound.block.samples, reference=False, **ways)
+    found = calibrate(
+        problem,
+        bound.block.samples,
+        reference=False,
+        discrepancy=discrepancy,
+        noise="stated" if trusting else "found",
+        outliers="keep" if trusting else "set aside",
+    )
     motion, joints = found.unjudged.motion, workspace_joints(found.fit.problem.robot)
     tips = motion.arm.tips(motion.x, joints)
     field = without_rigid(motion.arm.tip_jacobian(motion.x, joints), tips)
-    stds, level = tip_stds(motion.covariance, field, motion.off), LEVELS.index(verdict_of(found).level)
+    stds = tip_stds(motion.covariance, field, motion.off)
+    level = NO_VERDICT if trusting else LEVELS.index(verdict_of(found).level)
     trace = {"level": np.array([level]), "tips": tips, "stds": stds}
     return dataclasses.replace(found.result, x=bound.x0.copy(), trace=trace)
 
@@ -173,8 +180,9 @@ def report(run: Run) -> list[str]:
         f"touches. The dial's gain is declared as good to {GAIN:g} %, or to 0.05 % where it is certified, and truly",
         "drawn from that; the fault “dial gain” adds as much again. Sizes of the faults stand at the end.",
         '*Trusting* is least squares over all rows with the noise as stated (`noise="stated", outliers="keep",',
-        'discrepancy="none"`) and a dial that is taken for perfect; *geometry alone* is `discrepancy="none"`, *with',
-        'effects* `discrepancy="kit"`, both with the dial as declared and the noise as found. Tip errors',
+        'discrepancy="none"`), a dial that is taken for perfect, and no verdict; *geometry alone* is',
+        '`discrepancy="none"`, *with effects* `discrepancy="kit"`, both with the dial as declared and the noise as',
+        "found. Tip errors",
         "are against all that moves the true tip (gears, gravity, warmth half-way through the session), over 400",
         "workspace poses and apart from where the base stands, mm, RMS over arms, whatever the verdict. *Promised*: of",
         "the same, by the result itself. *Covered*: share of errors along each axis inside 1.96 standard deviations,",
@@ -234,7 +242,8 @@ def fault_table(run: Run, robot: str | None = None) -> list[str]:
         for way in run.study.methods:
             f = over(run, of(run, fault, robot), way)
             worse = (f["level"] < LEVELS.index("do not use")) & (f["tip_rms_mm"] > f["drawn_mm"])
-            levels = " / ".join(str(int((f["level"] == k).sum())) for k in range(len(LEVELS)))
+            counts = [str(int((f["level"] == k).sum())) for k in range(len(LEVELS))]
+            levels = "none" if (f["level"] == NO_VERDICT).all() else " / ".join(counts)
             errors = [number(rms(f[name])) for name in ("drawn_mm", "tip_rms_mm", "promised_mm")]
             covered = f"{100 * float(np.mean(f['coverage'])):.0f} %" if f["coverage"].size else "-"
             rows.append((fault, way, len(worse), *errors, covered, int(worse.sum()), levels))
