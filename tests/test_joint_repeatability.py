@@ -109,7 +109,8 @@ def test_rows_that_see_more_of_the_joints_err_more(hsr):
         count = 0
         for _ in range(60):
             x = rng.normal(size=bound.unknowns) * np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
-            count += joints_err(_Drawn(bound, rows, rows @ -x + noise * rng.normal(size=len(rows))), bound.x0)
+            drawn = _Drawn(bound, rows, rows @ -x + noise * rng.normal(size=len(rows)))
+            count += joints_err(drawn, bound.x0, told(drawn, bound.x0))
         alarms.append(count / 60)
     assert alarms[0] < 0.35
     assert alarms[1] > 0.8

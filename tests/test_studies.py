@@ -66,7 +66,6 @@ def _methods_that_never_answer(folder):
     return {record["method"] for record in records} - answered
 
 
-
 def test_a_study_runs_as_a_module(tmp_path):
     command = [sys.executable, "-m", "studies.as_printed", "--quick", "--out", str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -84,7 +84,7 @@ class _Linear:
         ways = self.ways if least is not None else self.ways[:1]
         best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
         faces_differ = len(by_face(best.rows.scale)) > 1  # some of which see more of the joints than others
-        if least is None or not (faces_differ or joints_err(best.rows, self.x)):
+        if least is None or not (faces_differ or joints_err(best.rows, self.x, best.told)):
             return best.rows
         trials = [best]
         for way in with_joints(self.ways[0][0], best.rows):
@@ -103,7 +103,7 @@ class _Linear:
         sizes = effect_sizes(whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start)
         density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
         rows = whole.with_sizes(sizes.times, noise=times(scale, sizes.noise) if sizes.noise != 1 else None)
-        return _Found(sizes.evidence - density, rows, sizes.times)
+        return _Found(sizes.evidence - density, rows, sizes.times, seen.with_noise(sizes.noise))
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,7 @@ class _Found:
     evidence: float
     rows: BoundProblem
     times: Mapping[str, float]
+    told: Told
 
 
 def _evidence(found: _Found) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED, by_face
-from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.linalg import posterior_covariance
+from casacal.uncertainty.marginal_likelihood import Told
 
 EXPECTED = 15e-6
 """What joints of an industrial arm do not repeat, rad (ISO 9283 figures over the reach of such arms)."""
@@ -40,15 +40,19 @@ MOST_ROWS = 4096
 """Rows, evenly over all, at which is looked whether more should be tried."""
 
 
-def joints_err(bound: BoundProblem, x: Array) -> bool:
-    """Whether rows that see more of the joints may err more than others where a fit stands, x (n,).
+def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
+    """Whether rows that see more of the joints may err more than others where a fit stands.
 
     A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2.
+
+    Args:
+        bound: with effects at their sizes, x0 zero.
+        x: where the rows were linearised (n,).
+        told: what they say there.
+
     """
-    normal = bound.normal(x)
-    told = normal.information.dense() if isinstance(normal.information, Arrow) else normal.information
-    held = posterior_covariance(told, bound.prior_std)
-    step = -held @ (normal.gradient + bound.prior_information * (x - bound.x0))
+    held = posterior_covariance(told.information, bound.prior_std)
+    step = held @ told.toward - x
     samples = bound.block.samples
     few = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_ROWS)).astype(np.intp))
     part = bound if few.size == len(samples) else bound.on(samples.take(few))
