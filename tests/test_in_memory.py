@@ -352,3 +352,15 @@ def test_the_library_logs_and_stays_silent_unless_asked(hsr, caplog, capsys):
 def test_every_method_by_name_is_also_a_function():
     for name, function in METHODS.items():
         assert getattr(casacal, name.replace("-", "_")) is function
+
+
+def test_parts_of_another_kind_are_refused_in_a_sentence(hsr):
+    robot, dial = hsr.problem.robot, hsr.problem.instrument
+    with pytest.raises(CasacalError, match="An int came as the robot"):
+        Problem(5, dial)
+    with pytest.raises(CasacalError, match="An int came as an instrument"):
+        Problem(robot, 5)
+    with pytest.raises(CasacalError, match="A str came as an effect"):
+        Problem(robot, dial, effects=("waves",))
+    with pytest.raises(CasacalError, match="An int came as a result"):
+        load(5)

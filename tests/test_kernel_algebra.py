@@ -1,5 +1,6 @@
 """Rules that save work, exact curvature and compiled steps: against CasADi's own evaluation and plain NumPy."""
 
+import math
 import re
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.columnwise import Columnwise
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.operations import evaluate
-from casacal.kernels.reading import read_program
+from casacal.kernels.reading import Builder, _Work, read_program
 from casacal.kinematics import transform_point
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
@@ -160,6 +161,33 @@ def test_outputs_that_are_sums_of_few_values_become_so():
         np.testing.assert_allclose(
             evaluate(program, program.outputs[0], given).ravel(), expected, rtol=1e-13, atol=1e-13
         )
+
+
+def test_sums_that_share_sums_are_taken_apart_once(monkeypatch):
+    """Each of thirty sums holds the one before it twice: a walk along every path would take a thousand million."""
+    p, d = ca.SX.sym("p"), ca.SX.sym("d")
+    value, calls, apart = ca.sin(p * d), [], Builder._taken_apart
+    for _ in range(30):
+        value = p * value + value
+    monkeypatch.setattr(Builder, "_taken_apart", lambda self, of: calls.append(of) or apart(self, of))
+    program = read_program(ca.Function("f", [p, d], [value]), ("once", "lane"))
+    assert 30 < len(calls) < 100
+    expected = math.sin(0.3 * 0.7) * 1.3**30
+    np.testing.assert_allclose(evaluate(program, program.outputs[0], [np.array([0.3]), np.array([0.7])]), expected)
+    assert len(mixed(program)) == 3  # the angle, its sine, and that times a factor of p alone
+
+
+def test_work_is_counted_as_values_come_and_go():
+    """Against a walk over all that some roots depend on, for roots that are taken and dropped at random."""
+    program, rng = read_program(arm(3), ("once", "once", "lane")), np.random.default_rng(0)
+    work, held = _Work(program.operations, program.kinds), []
+    for _ in range(300):
+        if held and rng.random() < 0.45:
+            work.drop(held.pop(int(rng.integers(len(held)))))
+        else:
+            held.append(int(rng.integers(len(program.operations))))
+            work.take(held[-1])
+        assert work.lanes == sum(program.kinds[v] == "mixed" for v in program.needed(held))
 
 
 def test_blocks_do_each_operation_once():

@@ -19,7 +19,7 @@ import numpy as np
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.document import check_document
 from casacal.compensation.seal import check_seal
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, came
 from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
@@ -46,6 +46,8 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     Raises CasacalError when it is not one, is damaged, was changed after it was written, is newer than this version, or
     its arm has changed since.
     """
+    if not isinstance(path, (str, Path)):
+        raise CasacalError(f"{came(path)} came as a result", "Give the path of a result.json, or of its folder")
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     document = _read(place)
     if problem is not None:

@@ -55,20 +55,43 @@ def _flattened(builder: Builder, outputs: list[list[int]]) -> list[list[int]]:
     """Outputs that are sums of few values, each times a factor of parameters alone, as such where that saves work."""
     flat = {value: builder.flat(value) for output in outputs for value in output}
     chosen = {value: other for value, other in flat.items() if other != value}
-
-    def work() -> int:
-        results = tuple(chosen.get(value, value) for output in outputs for value in output)
-        program = Program(tuple(builder.operations), tuple(builder.kinds), (results,), (), ())
-        return sum(program.kinds[value] == "mixed" for value in program.needed(results))
-
-    least = work()
+    work = _Work(builder.operations, builder.kinds)
+    for value in flat:
+        work.take(chosen.get(value, value))
     for value, other in list(chosen.items()):
-        del chosen[value]
-        if (now := work()) <= least:
-            least = now
+        least = work.lanes
+        work.take(value)
+        work.drop(other)
+        if work.lanes <= least:
+            del chosen[value]
         else:
-            chosen[value] = other
+            work.take(other)
+            work.drop(value)
     return [[chosen.get(value, value) for value in output] for output in outputs]
+
+
+class _Work:
+    """How many operations must be done lane by lane for some values, as values come and go."""
+
+    def __init__(self, operations: Sequence[Operation], kinds: Sequence[Kind]) -> None:
+        self._operations, self._kinds, self._uses, self.lanes = operations, kinds, [0] * len(operations), 0
+
+    def take(self, root: int) -> None:
+        """One more use of a value; what it depends on is done from its first use on."""
+        self._changed(root, 1)
+
+    def drop(self, root: int) -> None:
+        """One use less of a value."""
+        self._changed(root, -1)
+
+    def _changed(self, root: int, by: int) -> None:
+        waiting = [root]
+        while waiting:
+            value = waiting.pop()
+            self._uses[value] += by
+            if self._uses[value] == max(by, 0):  # its first use, or none any more
+                self.lanes += by * (self._kinds[value] == "mixed")
+                waiting += self._operations[value].args
 
 
 class Signed(NamedTuple):
@@ -86,6 +109,7 @@ class Builder:
         self.operations: list[Operation] = []
         self.kinds: list[Kind] = []
         self._known: dict[Operation, int] = {}
+        self._sums: dict[int, dict[int, int]] = {}
 
     def add(self, operation: Operation) -> int:
         """An operation as it is: the value it makes."""
@@ -168,7 +192,12 @@ class Builder:
         return reduce(lambda one, other: self.add(Operation(ca.OP_ADD, tuple(sorted((one, other))))), products)
 
     def _linear(self, value: int) -> dict[int, int]:
-        """Values, and the factors of parameters alone with which they add up to a value."""
+        """Values, and the factors of parameters alone with which they add up to a value; found once for each."""
+        if value not in self._sums:
+            self._sums[value] = self._taken_apart(value)
+        return self._sums[value]
+
+    def _taken_apart(self, value: int) -> dict[int, int]:
         operation, itself = self.operations[value], {value: self.constant(1.0)}
         if self.kinds[value] != "mixed":
             return itself

@@ -11,9 +11,10 @@ from pathlib import Path
 from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
 from casacal.instruments import Instrument
-from casacal.instruments.declaration import check_declaration, with_setting
+from casacal.instruments.declaration import with_setting
 from casacal.problem.compile import RowModel, models_like
 from casacal.problem.edits import all_unknowns, chosen, replaced, with_std
+from casacal.problem.parts import check_parts
 from casacal.problem.symbols import Symbols
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
@@ -30,7 +31,7 @@ KITS = ("with_kit", "with_rich_kit")
 class Problem(Value):
     """A robot and the instruments that measured it; a value, without state of its own.
 
-    Raises ProblemError when names collide or an instrument declares no noise.
+    Raises ProblemError for what is none of these, when names collide, or when an instrument declares no noise.
     """
 
     robot: Robot
@@ -39,22 +40,10 @@ class Problem(Value):
     """What arm and cell do beside their geometry."""
 
     def __init__(self, robot: Robot, *instruments: Instrument, effects: Sequence[Effect] = ()) -> None:
+        check_parts(robot, instruments, effects)
         object.__setattr__(self, "effects", tuple(effects))
         object.__setattr__(self, "robot", robot)
         object.__setattr__(self, "instruments", tuple(instruments))
-        if not instruments:
-            raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
-        for instrument in instruments:
-            check_declaration(instrument)
-            name = type(instrument).__name__
-            twice = set(robot.parameters) & set(instrument.unknowns)
-            if twice:
-                raise ProblemError(f"Robot and {name} both name '{sorted(twice)[0]}'", "Rename one of them")
-            noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
-            if instrument.residual_std <= 0 and not any(s > 0 for s in instrument.column_stds.values()):
-                if noisy_joints:
-                    continue
-                raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instruments, to the last operation of their residuals."""
