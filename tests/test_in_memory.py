@@ -30,6 +30,7 @@ from casacal import (
 from casacal.calibration.methods import METHODS
 from casacal.cli.main import main
 from casacal.compensation.predict import predict
+from casacal.compensation.result_file import read_result
 from casacal.export import c_text, dh_text, remark, ur_kinematics_text, urdf_text, zero_corrections, zeros_text
 from casacal.export.forms import export
 from casacal.export.functions import pose_function, tip_function, values_of
@@ -363,4 +364,4 @@ def test_parts_of_another_kind_are_refused_in_a_sentence(hsr):
     with pytest.raises(CasacalError, match="A str came as an effect"):
         Problem(robot, dial, effects=("waves",))
     with pytest.raises(CasacalError, match="An int came as a result"):
-        load(5)
+        read_result(5)

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, REPEATABILITY, SHARED
+from casacal.binding.noise_scale import OTHERS, SHARED
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -68,8 +68,7 @@ def _rows_of(bound: BoundProblem, problem: Problem) -> _Rows | None:
     shared = {name: each for name, each in bound.scale.items() if name == SHARED}
     factor = math.sqrt(float(((bound.block.noise / bound.with_noise(shared).block.noise) ** 2).mean()))
     rows = _Rows.of(bound.with_noise({**shared, OTHERS: factor}), problem)
-    alike = REPEATABILITY in bound.scale or (rows is not None and rows.alike_but_for_joints(1 / factor**2))
-    return rows if alike else _Rows.of(bound, problem)
+    return rows if rows is not None and rows.alike_but_for_joints(1 / factor**2) else _Rows.of(bound, problem)
 
 
 def _leading(rows: _Rows, limit: float) -> tuple[ScoreTest, ...]:
