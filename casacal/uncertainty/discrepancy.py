@@ -80,11 +80,14 @@ class _Linear:
         return _Linear(x, tuple((way, told(way, x)) for way in ways))
 
     def sized(self, least: float | None) -> BoundProblem:
-        """Sizes and noise as found, the noise at least a part of what was stated; None holds it."""
+        """Sizes and noise as found, the noise at least a part of what was stated; None holds it.
+
+        What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
+        """
         ways = self.ways if least is not None else self.ways[:1]
         best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
         faces_differ = len(by_face(best.rows.scale)) > 1  # some of which see more of the joints than others
-        if least is None or not (faces_differ or joints_err(best.rows, self.x, best.told)):
+        if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
             return best.rows
         trials = [best]
         for way in with_joints(self.ways[0][0], best.rows):
