@@ -13,6 +13,7 @@ from scipy.sparse import csr_matrix
 from casacal import Problem, bind, calibrate, check, dial_cycle, dial_gain, lm, load_problem, simulate
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
+from casacal.calibration.verdict import verdict_of
 from casacal.files import jsonable
 from casacal.least_squares.losses import huber
 from casacal.uncertainty.discrepancy import with_effects
@@ -326,3 +327,22 @@ def test_a_rough_face_is_no_effect(hsr):
         samples = dataclasses.replace(samples, columns={"reading": samples.columns["reading"] + rough})
         chances += [test.p for test in score_tests(ready(hsr, samples), hsr.problem)]
     assert (np.array(chances) < 0.05).sum() <= 7  # 4 expected of 78; ten with noise as stated
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_touches_that_were_programmed_to_one_depth_show_no_gain(hsr, seed):
+    """Where the drawn arm would read 5 mm everywhere, what is read is the arm's error, which a gain would explain."""
+    cell = dataclasses.replace(hsr.cell, error_scale=0.0, repeatability=1e-9, travel=1e-6)
+    made = simulate(hsr.problem, cell, samples=120, seed=seed).samples
+    rng, level = np.random.default_rng(seed), np.full(120, 5.0)
+    bound = bind(hsr.problem, dataclasses.replace(made, columns={"reading": level}))
+    x = rng.normal(size=bound.unknowns) * np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    here = bound.plain_residual(x)
+    deeper = bound.on(dataclasses.replace(made, columns={"reading": level + 1})).plain_residual(x)
+    read = level - here / (deeper - here) + 0.01 * rng.normal(size=120)
+    assert 0.05 < np.std(read) < 3
+    samples = dataclasses.replace(made, columns={"reading": read})
+    gain = {test.key: test for test in score_tests(ready(hsr, samples), hsr.problem)}.get("gain")
+    assert gain is None or not gain.leads
+    found = calibrate(hsr, samples, reference=False)
+    assert verdict_of(found).level == "calibrated"

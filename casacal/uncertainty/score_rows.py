@@ -18,6 +18,9 @@ from casacal.problem.problem import Problem
 from casacal.samples.repeats import repeats_of
 from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
 
+FLAT = 1e-3
+"""Slope of a residual by its reading below which that reading tells nothing."""
+
 STEP = 0.5
 """Millimetres by which readings are shifted for their slope: a distance from a plane is linear in them."""
 
@@ -77,24 +80,34 @@ def columns_of(bound: BoundProblem, x: Array, problem: Problem, joints: Array) -
 
 
 def _dial_columns(bound: BoundProblem, x: Array, tips: int) -> Iterator[Columns]:
-    """Gain, and what comes back with every turn of the pointer; at reading zero, where tips are asked for, no error."""
+    """Gain, and what comes back with every turn of the pointer; at reading zero, where tips are asked for, no error.
+
+    What was read holds the arm's errors, too, and little else where all touches were programmed to one depth: there a
+    gain that makes readings vanish would seem to explain why the arm errs. So the gain is of what the drawn arm would
+    read, which depends on no error; the pointer's angle, of what the fitted one does.
+    """
     probe, declared = bound.problem.instrument.probe, bound.problem.instrument.unknowns
     if probe is None or probe.column is None or not probe.turn:
         return
     samples = bound.block.samples
-    shown = samples.columns[probe.column]
+    read = samples.columns[probe.column]
     shifted = [
-        bound.on(replace(samples, columns={**samples.columns, probe.column: shown + step})).plain_residual(x)
+        bound.on(replace(samples, columns={**samples.columns, probe.column: read + step})).plain_residual(x)
         for step in (STEP, -STEP)
     ]
-    slope = (shifted[0] - shifted[1]) / (2 * STEP) / bound.block.noise.ravel()
+    steep = (shifted[0] - shifted[1]) / (2 * STEP)
+    told = np.abs(steep) > FLAT
+    drawn, fitted = (
+        read - np.where(told, bound.plain_residual(at) / np.where(told, steep, 1.0), 0.0) for at in (bound.x0, x)
+    )
+    slope = steep / bound.block.noise.ravel()
     gain, cycle = dial_gain(), dial_cycle()
     if "gain" not in declared:
         size = float(gain.prior_stds[0])
-        way = size / 100 * slope * shown
+        way = size / 100 * slope * drawn
         yield Columns("gain", "gain of the dial", size, gain.unit, way[:, None], np.zeros((tips, 1)))
     if "cycle" not in declared:
-        size, angle = float(cycle.prior_stds[0]), 2 * math.pi * shown / probe.turn
+        size, angle = float(cycle.prior_stds[0]), 2 * math.pi * fitted / probe.turn
         ways = size / 1000 * slope[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         words = "errors with every turn of the dial's pointer"
         yield Columns("cycle", words, size, cycle.unit, ways, np.zeros((tips, 2)))
