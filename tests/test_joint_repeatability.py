@@ -12,7 +12,7 @@ import pytest
 from casacal import Joint, Problem, ProblemError, bind, calibrate, load, load_problem, simulate, verify
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY, times
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import GearRipple
+from casacal.discrepancy import GearRipple, kit
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty import discrepancy
@@ -270,3 +270,30 @@ def test_ripple_of_known_gears_is_found_and_corrected(hsr, geared):
     assert each.corrected == ("ripple",)
     assert errors[1] < 0.6 * errors[0]
     assert each.tip_std[1] < 2 * errors[1]
+
+
+@pytest.mark.parametrize("bad", [None, "100", [100], True, 1j, np.array([100.0])])
+def test_ratios_that_are_no_numbers_are_refused(hsr, bad):
+    with pytest.raises(ProblemError, match=r"gear ratio .*Give"):
+        hsr.problem.robot.with_gear_ratios(*[bad] * 6)
+    with pytest.raises(ProblemError, match=r"repeatability_std .*Give"):
+        Joint(repeatability_std=bad if bad is not True else "x")
+
+
+def test_effects_that_say_what_cannot_be_are_refused(hsr):
+    robot, dial = hsr.problem.robot, hsr.problem.instrument
+    for effects, says in (
+        (5, "An int came as the effects"),
+        (GearRipple(), "A GearRipple came as the effects"),
+        ((GearRipple(size="a"),), "The size of GearRipple is 'a'"),
+        ((GearRipple(size=-1e-6),), "The size of GearRipple is -1e-06"),
+        ((GearRipple(doubt=0.0),), "The doubt of GearRipple is 0.0"),
+        ((GearRipple(), GearRipple()), "The effect 'ripple' came twice"),
+    ):
+        with pytest.raises(ProblemError, match=says):
+            Problem(robot, dial, effects=effects)
+    for down in ("z", (0, 1), (0, 0, 0), (0, 0, math.nan)):
+        with pytest.raises(ProblemError, match=r"Gravity points along .*Give three numbers"):
+            kit(down=down)
+    with pytest.raises(ProblemError, match="A sliding joint has the gear ratio"):
+        Joint("prismatic", -1.0, 1.0, gear_ratio=50)

@@ -190,7 +190,9 @@ def _noise(calibration: Calibration) -> Doubt | None:
         return Doubt("the stated noise is too large", f"{said}: {advice}")
     if noise.scale:
         found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
-        advice = f"{found} repeat, a face that is not flat, a tool that is elsewhere; {_what_check_says(calibration)}."
+        gears = "gears that wave with every turn of a motor (state their ratios)"
+        others = "a face that is not flat, a tool that is elsewhere"
+        advice = f"{found} repeat, {gears}, {others}; {_what_check_says(calibration)}."
         if (rad := repeats_to(fit)) > 0:
             advice += f" It grows with what a touch sees of the joints, as where they repeat to {sized(rad, 'rad')}."
     else:

@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.over_time import OverTime
+from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
 from casacal.unknowns import Parameter
@@ -38,6 +39,13 @@ class GravityGive(Effect):
     unit = "mm"
     key = "give"
     words = "giving under gravity"
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.down)
+        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+            raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
+        x, y, z = (float(value) for value in given / np.linalg.norm(given))
+        object.__setattr__(self, "down", (x, y, z))
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from casacal.discrepancy import Effect
 from casacal.errors import ProblemError, came
@@ -18,12 +21,27 @@ def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) 
         raise ProblemError(f"{came(robot)} came as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
     if not instruments:
         raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
+    if not isinstance(effects, (tuple, list)):
+        raise ProblemError(f"{came(effects)} came as the effects", "Give them in a tuple, such as kit() makes")
     for effect in effects:
         if not isinstance(effect, Effect):
             raise ProblemError(f"{came(effect)} came as an effect", "Give what casacal.discrepancy has, or one's own")
+        _check_size(effect)
+    keys = [effect.key for effect in effects]
+    if twice := next((key for key in keys if keys.count(key) > 1), ""):
+        raise ProblemError(f"The effect '{twice}' came twice", "Give each once")
     for instrument in instruments:
         check_declaration(instrument)
         _check_with(robot, instrument)
+
+
+def _check_size(effect: Effect) -> None:
+    name = type(effect).__name__
+    for what, value, least in (("size", effect.size, 0.0), ("doubt", effect.doubt, 1.0), ("most", effect.most, 1.0)):
+        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        if not number or not least <= value < math.inf or value == 0:
+            fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
+            raise ProblemError(f"The {what} of {name} is {value!r}", fix)
 
 
 def _check_with(robot: Robot, instrument: Instrument) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -86,13 +87,15 @@ class _Linear:
         """
         ways = self.ways if least is not None else self.ways[:1]
         best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
-        faces_differ = len(by_face(best.rows.scale)) > 1  # some of which see more of the joints than others
+        faces = len(by_face(best.rows.scale))
+        faces_differ = faces > 1  # some of which see more of the joints than others
         if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
             return best.rows
         trials = [best]
         for way in with_joints(self.ways[0][0], best.rows):
             found = self._likeliest(way, told(way, self.x), least, start=best.times)
-            against = 0.0 if faces_differ else WORTH  # factors of faces are as many numbers or more
+            # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
+            against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
             trials.append(replace(found, evidence=found.evidence + beforehand(found.rows) - against))
         return max(trials, key=_evidence).rows
 
