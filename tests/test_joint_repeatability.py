@@ -100,6 +100,26 @@ def test_nothing_is_found_where_joints_repeat(hsr):
     assert np.count_nonzero(sizes) <= 1
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_faces_that_differ_are_no_better_an_explanation(hsr, seed):
+    """Three factors of faces fit as well here or better: they are three numbers, and the joints are one."""
+    rows = simulate(hsr.problem, dataclasses.replace(hsr.cell, joint_std=30e-6), samples=240, seed=seed).samples
+    told_apart = calibrate(hsr, rows, reference=False)
+    assert len(told_apart.bare.scale) > 2
+    assert told_apart.fit.scale.get(REPEATABILITY, 0.0) == pytest.approx(30e-6, rel=0.15)
+
+
+def test_a_rough_face_is_not_blamed_on_joints(hsr):
+    """The floor alone scatters five times as much as stated."""
+    samples = loose(hsr, 2, joint_std=0.0).samples
+    floor = np.array(samples.labels["plane"].names)[samples.labels["plane"].codes] == "floor"
+    noise = np.random.default_rng(2).normal(size=len(samples)) * 0.05 * floor
+    rough = dataclasses.replace(samples, columns={"reading": samples.columns["reading"] + noise})
+    scale = calibrate(hsr, rough, reference=False).fit.scale
+    assert REPEATABILITY not in scale
+    assert scale["floor"] > 3 > max(scale["wall"], scale["side"])
+
+
 def test_joints_are_blamed_on_evidence_alone(hsr, monkeypatch):
     """Where every arm is looked at, those with a bad dial do not blame their joints either."""
     monkeypatch.setattr(discrepancy, "joints_err", lambda *given: True)
