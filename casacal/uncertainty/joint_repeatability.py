@@ -34,7 +34,10 @@ WORTH_A_LOOK = 1.0
 """Standard deviations by which touches that see more of the joints must err more, for more to be tried."""
 
 WORTH = 2.0
-"""Gain in the logarithm of the likelihood from which noise is put down to the joints."""
+"""Gain in the logarithm of the likelihood from which noise that is alike for all rows is put down to the joints."""
+
+SMALLEST = 1e-3
+"""Part of a row's variance that its own residual must hold to be judged by it."""
 
 MOST_ROWS = 4096
 """Rows, evenly over all, at which is looked whether more should be tried."""
@@ -52,6 +55,8 @@ def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
 
     """
     held = posterior_covariance(told.information, bound.prior_std)
+    if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
+        return False
     step = held @ told.toward - x
     samples = bound.block.samples
     few = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_ROWS)).astype(np.intp))
@@ -59,7 +64,7 @@ def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
     jacobian = part.jacobian(x)
     free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
     seen = (part.block.joint_noise / part.block.noise).ravel() ** 2
-    judged = np.isfinite(free) & (free > SMALLEST)
+    judged = free > SMALLEST
     if not judged.any():
         return False
     squares = (part.residual(x) + jacobian @ step)[judged] ** 2 / free[judged]
@@ -68,20 +73,17 @@ def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
     return spread > 0 and float(apart @ squares) > WORTH_A_LOOK * float(squares.mean()) * spread
 
 
-SMALLEST = 1e-3
-"""Part of a row's variance that its own residual must hold to be judged by it."""
-
-
 def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProblem]:
     """The rows with parts of the noise, as it was found beyond what was stated, put down to the joints."""
     seen, scale = whole.block.joint_noise, found.scale
     shared = {name: part for name, part in scale.items() if name == SHARED}
     level, own = (float((each.block.noise**2).mean()) for each in (found, found.with_noise(shared)))
+    if not (level > own and np.isfinite(seen).all() and (seen > 0).any()):
+        return
     for part in PARTS:
         joints = part * (level - own)
-        if joints > 0 and (seen > 0).any():
-            size = math.sqrt(joints / float((seen**2).mean()))
-            yield whole.with_noise({OTHERS: math.sqrt(max(level - joints, own) / own), REPEATABILITY: size, **shared})
+        size = math.sqrt(joints / float((seen**2).mean()))
+        yield whole.with_noise({OTHERS: math.sqrt(max(level - joints, own) / own), REPEATABILITY: size, **shared})
 
 
 def repeats_to(bound: BoundProblem) -> float:
