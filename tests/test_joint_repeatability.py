@@ -307,7 +307,7 @@ def test_effects_that_say_what_cannot_be_are_refused(hsr):
         (GearRipple(), "A GearRipple came as the effects"),
         ((GearRipple(size="a"),), "The size of GearRipple is 'a'"),
         ((GearRipple(size=-1e-6),), "The size of GearRipple is -1e-06"),
-        ((GearRipple(doubt=0.0),), "The doubt of GearRipple is 0.0"),
+        ((GearRipple(doubt=0.5),), "The doubt of GearRipple is 0.5"),
         ((GearRipple(), GearRipple()), "The effect 'ripple' came twice"),
     ):
         with pytest.raises(ProblemError, match=says):
@@ -315,5 +315,6 @@ def test_effects_that_say_what_cannot_be_are_refused(hsr):
     for down in ("z", (0, 1), (0, 0, 0), (0, 0, math.nan)):
         with pytest.raises(ProblemError, match=r"Gravity points along .*Give three numbers"):
             kit(down=down)
+    assert kit(down=(0, 3, 0)) == kit(down=(0, 1, 0))
     with pytest.raises(ProblemError, match="A sliding joint has the gear ratio"):
         Joint("prismatic", -1.0, 1.0, gear_ratio=50)
