@@ -125,3 +125,8 @@ def short(items: Sequence[Any], most: int = 6, show: Callable[[Any], str] = str)
 
 def _state(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+
+
+def is_real(value: object) -> bool:
+    """Whether something is one real number, Python's or NumPy's; True and False are none."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)

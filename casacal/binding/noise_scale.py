@@ -60,6 +60,11 @@ def by_face(scale: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in scale.items() if name not in (SHARED, REPEATABILITY)}
 
 
+def of_repeats(scale: Mapping[str, float]) -> dict[str, float]:
+    """What repeats share alone: the noise as it was stated, but for that."""
+    return {name: value for name, value in scale.items() if name == SHARED}
+
+
 def without_joints(scale: Mapping[str, float]) -> dict[str, float]:
     """The same without what joints do not repeat."""
     return {name: value for name, value in scale.items() if name != REPEATABILITY}

@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from casacal.discrepancy import Effect
 from casacal.errors import ProblemError, came
 from casacal.instruments import Instrument
 from casacal.instruments.declaration import check_declaration
 from casacal.robots.robot import Robot
+from casacal.values import is_real
 
 
 def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
@@ -38,8 +37,7 @@ def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) 
 def _check_size(effect: Effect) -> None:
     name = type(effect).__name__
     for what, value, least in (("size", effect.size, 0.0), ("doubt", effect.doubt, 1.0), ("most", effect.most, 1.0)):
-        number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-        if not number or not least <= value < math.inf or value == 0:
+        if not is_real(value) or not least <= value < math.inf or value == 0:
             fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
             raise ProblemError(f"The {what} of {name} is {value!r}", fix)
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-
 from casacal.errors import ProblemError
+from casacal.values import is_real
 
 MOST_JOINTS = 100
 
@@ -42,9 +41,9 @@ class Joint:
             raise ProblemError(
                 f"A joint has the limits {self.lower!r} to {self.upper!r}", "Give finite limits, lower below upper"
             )
-        if not (_is_number(self.repeatability_std) and 0 <= self.repeatability_std < math.inf):
+        if not (is_real(self.repeatability_std) and 0 <= self.repeatability_std < math.inf):
             raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
-        if not (_is_number(self.gear_ratio) and (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO)):
+        if not (is_real(self.gear_ratio) and (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO)):
             fix = f"Give the motor's turns for one of the joint, 1 to {MOST_RATIO:g}, or leave it out"
             raise ProblemError(f"A joint has the gear ratio {self.gear_ratio!r}", fix)
         if self.gear_ratio and not self.turns:
@@ -73,7 +72,3 @@ def geared(joints: Sequence[Joint], ratios: Sequence[float]) -> tuple[Joint, ...
         fix = "Give one for each joint, 0 where it is not known"
         raise ProblemError(f"{len(ratios)} gear ratios came for {len(joints)} joints", fix)
     return tuple(replace(joint, gear_ratio=ratio) for joint, ratio in zip(joints, ratios, strict=True))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED, by_face, times
+from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
 from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.joint_field import JointField
 from casacal.estimators import lm
@@ -76,8 +76,7 @@ class _Linear:
         x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
         ways, scale = [whole], whole.scale
         if set(scale) - {OTHERS, SHARED}:
-            alike = {OTHERS: min(by_face(scale).values())}
-            ways.append(whole.with_noise({**alike, **{k: value for k, value in scale.items() if k == SHARED}}))
+            ways.append(whole.with_noise({OTHERS: min(by_face(scale).values()), **of_repeats(scale)}))
         return _Linear(x, tuple((way, told(way, x)) for way in ways))
 
     def sized(self, least: float | None) -> BoundProblem:

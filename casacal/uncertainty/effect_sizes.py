@@ -82,12 +82,11 @@ def effect_sizes(
     bounds.append((math.log(stated * least), 0.0) if least else (0.0, 0.0))
     expected = np.append(np.zeros(len(keys)), math.log(stated))
     starts = [np.append([math.log((start or {}).get(key, 1.0)) for key in keys], 0.0)]
-    if (
-        start is None and stated * (least or 1.0) < 1 / MORE
-    ):  # the likelihood has several tops where something large errs
+    # the likelihood has several tops where something large errs
+    if start is None and stated * (least or 1.0) < 1 / MORE:
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
     given = (seen or told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
-    tops = [minimize(_objective, start, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for start in starts]
+    tops = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
     found = min(tops, key=lambda top: float(top.fun))
     times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, found.x[:-1], strict=True)})
     return Sizes(times, float(np.exp(found.x[-1])), -float(found.fun) / 2)

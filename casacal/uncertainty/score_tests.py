@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.noise_scale import OTHERS, SHARED
+from casacal.binding.noise_scale import OTHERS, SHARED, of_repeats
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -65,7 +65,7 @@ def _rows_of(bound: BoundProblem, problem: Problem) -> _Rows | None:
     """
     if not set(bound.scale) - {OTHERS, SHARED}:
         return _Rows.of(bound, problem)
-    shared = {name: each for name, each in bound.scale.items() if name == SHARED}
+    shared = of_repeats(bound.scale)
     factor = math.sqrt(float(((bound.block.noise / bound.with_noise(shared).block.noise) ** 2).mean()))
     rows = _Rows.of(bound.with_noise({**shared, OTHERS: factor}), problem)
     return rows if rows is not None and rows.alike_but_for_joints(1 / factor**2) else _Rows.of(bound, problem)
