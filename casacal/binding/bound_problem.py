@@ -70,7 +70,7 @@ class BoundProblem(Postures, LeastSquares):
         threads: int | None = None,
         noise_scale: Scales = (),
         surveys: Sequence[Survey | None] = (),
-        stated: Sequence[Block] = (),
+        stated: Sequence[RowGroups] = (),
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.noise_scale = tuple(FrozenMapping(scale) for scale in noise_scale)
@@ -79,12 +79,13 @@ class BoundProblem(Postures, LeastSquares):
         self.names, self.units, self.beside = at.names, at.units, at.beside
         self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
         self.surveys = tuple(surveys) or surveys_of(problem, samples)
-        made = (make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples))
-        self._stated = tuple(stated) or tuple(made)  # with the noise as it was stated
-        groups = [instrument.groups for instrument in problem.instruments]
-        self.blocks = scaled_noise(self._stated, groups, self.noise_scale)
         self._asked, self._threads = backend, thread_count(threads)
-        self._groups = tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in self.blocks)
+        made = (make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples))
+        rows = tuple(stated) or tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in made)
+        groups = [instrument.groups for instrument in problem.instruments]
+        self.blocks = scaled_noise([each.block for each in rows], groups, self.noise_scale)
+        self._stated = rows  # with the noise as it was stated
+        self._groups = tuple(each.with_noise(block) for each, block in zip(rows, self.blocks, strict=True))
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -134,7 +135,7 @@ class BoundProblem(Postures, LeastSquares):
         return self._like(self.slots, self.samples, scale)
 
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], noise_scale: Scales) -> BoundProblem:
-        stated = self._stated if samples is self.samples else ()
+        stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else ()
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys, stated)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -76,7 +77,10 @@ class RawGraph:
 
     @cached_property
     def _prior(self) -> ca.Function:
-        terms = [_prior_of(unknown, nominal) for unknown, nominal in self.unknowns]
+        terms = []
+        for numbers, some in itertools.groupby(self.unknowns, lambda pair: isinstance(pair[0], Parameter)):
+            together = list(some)
+            terms += [_prior_of_numbers(together)] if numbers else [_prior_of(*pair) for pair in together]
         v, information, x0, cost, gradient, hessian = zip(*terms, strict=True)
         given = [ca.vertcat(*each) for each in (v, information, x0)]
         total = ca.densify(ca.sum1(ca.vertcat(*cost)))
@@ -133,13 +137,21 @@ class RawGraph:
 def _prior_of(unknown: Unknown, nominal: Array) -> tuple[ca.SX, ...]:
     """Symbols v, information and x0 of one unknown; its part of the prior's cost, gradient and upper Hessian."""
     v = ca.SX.sym("v", unknown.raw_size)
+    if np.isinf(unknown.prior_stds).all():  # as faces mostly are
+        told = ca.SX.sym("information", unknown.size), ca.SX.sym("x0", unknown.size)
+        return v, *told, ca.SX(1, 1), ca.SX.zeros(unknown.raw_size), ca.SX(unknown.raw_size, unknown.raw_size)
     information, x0 = ca.SX.sym("information", unknown.size), ca.SX.sym("x0", unknown.size)
-    if isinstance(unknown, Parameter):  # v less its nominal: no derivative is asked for
-        away = unknown.raw_local(nominal, v) - x0
-        return v, information, x0, ca.dot(information, away**2) / 2, information * away, ca.diag(information)
     cost = ca.dot(information, (unknown.raw_local(nominal, v) - x0) ** 2) / 2 if unknown.size else ca.SX(0)
     hessian, gradient = ca.hessian(cost, v)
     return v, information, x0, *ca.cse([cost, gradient, ca.triu(hessian)])
+
+
+def _prior_of_numbers(some: Sequence[tuple[Unknown, Array]]) -> tuple[ca.SX, ...]:
+    """The same of parameters together, whose v less their nominal is linear: no derivative is asked for."""
+    nominal = np.concatenate([unknown.raw_start(its) for unknown, its in some])
+    v, information, x0 = (ca.SX.sym(name, nominal.size) for name in ("v", "information", "x0"))
+    away = v - nominal - x0
+    return v, information, x0, ca.dot(information, away**2) / 2, information * away, ca.diag(information)
 
 
 def _places(pattern: ca.Sparsity) -> Places:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -68,6 +68,7 @@ class RowGroups:
 
     def __init__(self, block: Block, unknowns: int, backend: str | None, threads: int) -> None:
         self.block, self._unknowns, self._asked, self._rows = block, unknowns, backend, block.model.rows(backend)
+        self._packed: RowGroups | None = None
         self._shared_by = threads
         self._threads = threads if len(block.noise) >= FEW else 1
 
@@ -76,10 +77,21 @@ class RowGroups:
         """Name of the back end in use."""
         return self._rows.kernels.name
 
+    def with_noise(self, block: Block) -> RowGroups:
+        """The same rows with other noise; their data are packed once for all."""
+        if block is self.block:
+            return self
+        other = RowGroups(block, self._unknowns, self._asked, self._shared_by)
+        other._packed = self._packed or self
+        return other
+
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
         """Rows by pattern, packed for the kernels when first used."""
         block, found = self.block, []
+        if self._packed is not None:
+            again, pieces = self._rows.kernels.reweighted, self._packed.pieces
+            return tuple(replace(p, lanes=again(p.lanes, 1.0 / block.noise[p.rows].T)) for p in pieces)
         of_each = rows_by_code(block.pattern, len(block.columns))
         for columns, constants, rows in zip(block.columns, block.constants, of_each, strict=True):
             square = np.ix_(columns, columns)

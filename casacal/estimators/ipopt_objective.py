@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -63,11 +62,11 @@ class Objective:
         self.columns, self.rows = np.divmod(known, n)
         *of_blocks, diagonal, self._prior, self._bend = (np.searchsorted(known, each) for each in keys)
         self._blocks = list(zip(graph.blocks, corners, of_blocks, strict=True))
-        self.scales, self.evaluations = np.ones(n), 0
-        self._at, self._found = np.full(n, np.nan), (math.nan, np.zeros(n), np.zeros(known.size))
-        size = np.abs(self(np.zeros(n))[2][diagonal])
+        self.evaluations = 0
+        cost, gradient, entries = self._evaluate(self.start)
+        size = np.abs(entries[diagonal])
         self.scales = 1.0 / np.sqrt(np.where(size > 0, size, 1.0))
-        self._at, self.evaluations = np.full(n, np.nan), 0
+        self._at, self._found = np.zeros(n), (cost, self.scales * gradient, self._scaled(entries))
 
     def raw(self, y: Array) -> Array:
         """Raw coordinates v (n,)."""

@@ -14,8 +14,11 @@ from casacal.kernels.program import Program
 
 PAD = 8
 """Lanes for C are padded to a multiple of this, so that loops over them need no tail."""
-WIDTHS = (128, 512)
-"""Samples per block: for few rows, and for many."""
+WIDTHS = (64, 128, 512)
+"""Samples per block: for a face, for few rows, and for many."""
+
+MOST = (64, 512)
+"""Samples up to which blocks have the first of these widths, and the second."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class BlockLanes:
     def of(d: Array, w: Array) -> BlockLanes:
         """Lanes of data (columns, n) and weights (m, n)."""
         n = d.shape[1]
-        width = WIDTHS[0] if n <= 4 * WIDTHS[0] else WIDTHS[1]
+        width = next((width for width, most in zip(WIDTHS, MOST, strict=False) if n <= most), WIDTHS[-1])
         return BlockLanes(n, _blocked(d, width, "edge"), _blocked(w, width, "constant"))
 
     def reweighted(self, w: Array) -> BlockLanes:

@@ -101,6 +101,7 @@ def evaluate(program: Program, values: Sequence[int], arguments: Sequence[Array]
             with np.errstate(all="ignore"):  # what is not finite is found in the residuals, and said there
                 known[index] = NUMPY[operation.op](*(known[arg] for arg in operation.args))
     shape = np.broadcast_shapes(*(np.shape(known[value]) for value in values)) if values else ()
-    return np.array([np.broadcast_to(known[value], shape) for value in values], dtype=np.float64).reshape(
-        len(values), *shape
-    )
+    found = np.empty((len(values), *shape))
+    for i, value in enumerate(values):
+        found[i] = known[value]
+    return found

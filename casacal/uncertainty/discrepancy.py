@@ -16,7 +16,7 @@ from casacal.discrepancy.joint_field import JointField
 from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
 from casacal.problem.problem import Problem
-from casacal.uncertainty.effect_sizes import effect_sizes
+from casacal.uncertainty.effect_sizes import Sizes, effect_sizes
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 from casacal.uncertainty.marginal_likelihood import Told, told
 
@@ -90,25 +90,41 @@ class _Linear:
         faces_differ = faces > 1  # some of which see more of the joints than others
         if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
             return best.rows
-        trials = [best]
-        for way in with_joints(self.ways[0][0], best.rows):
-            found = self._likeliest(way, told(way, self.x), least, start=best.times)
-            # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
-            against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
-            trials.append(replace(found, evidence=found.evidence + beforehand(found.rows) - against))
-        return max(trials, key=_evidence).rows
+        parts = [(way, told(way, self.x)) for way in with_joints(self.ways[0][0], best.rows)]
+        if not parts:
+            return best.rows
+        looks = [self._sizes(*part, least, start=best.times, search=False) for part in parts]
+        likely = [look.evidence + beforehand(way) for look, (way, _) in zip(looks, parts, strict=True)]
+        found = self._likeliest(*parts[int(np.argmax(likely))], least, start=best.times)
+        # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
+        against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
+        return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
 
     def _likeliest(
         self, whole: BoundProblem, seen: Told, least: float | None, *, start: Mapping[str, float] | None = None
     ) -> _Found:
         """At the sizes and the noise that make the rows likeliest."""
-        scale = whole.scale
-        stated = 1 / min(by_face(scale).values(), default=1.0)
+        sizes = self._sizes(whole, seen, least, start=start)
+        rows = whole.with_sizes(sizes.times, noise=times(whole.scale, sizes.noise) if sizes.noise != 1 else None)
+        return _Found(sizes.evidence, rows, sizes.times, seen.with_noise(sizes.noise))
+
+    def _sizes(
+        self,
+        whole: BoundProblem,
+        seen: Told,
+        least: float | None,
+        *,
+        start: Mapping[str, float] | None = None,
+        search: bool = True,
+    ) -> Sizes:
+        """The likeliest sizes and noise, and how likely the rows are, as densities of readings; see `effect_sizes`."""
+        stated = 1 / min(by_face(whole.scale).values(), default=1.0)
         known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
-        sizes = effect_sizes(whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start)
+        sizes = effect_sizes(
+            whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start, search=search
+        )
         density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
-        rows = whole.with_sizes(sizes.times, noise=times(scale, sizes.noise) if sizes.noise != 1 else None)
-        return _Found(sizes.evidence - density, rows, sizes.times, seen.with_noise(sizes.noise))
+        return replace(sizes, evidence=sizes.evidence - density)
 
 
 @dataclass(frozen=True)

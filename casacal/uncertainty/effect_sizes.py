@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scipy.optimize import minimize
 
 from casacal.array_types import Array
@@ -59,6 +59,7 @@ def effect_sizes(
     least: float | None = 1.0,
     seen: Told | None = None,
     start: Mapping[str, float] | None = None,
+    search: bool = True,
 ) -> Sizes:
     """Sizes of effects and of the noise at which the rows are likeliest.
 
@@ -72,6 +73,7 @@ def effect_sizes(
         least: part of the stated noise that there is at least; None leaves the noise as it is.
         seen: what the rows say at x, where that is known.
         start: times by which effects are about as large, where that is known: nothing else is then tried.
+        search: False stays at the start and only says how likely the rows are there.
 
     """
     keys = [key for key in dict.fromkeys(beside) if key]
@@ -86,10 +88,13 @@ def effect_sizes(
     if start is None and stated * (least or 1.0) < 1 / MORE:
         starts.append(np.append(np.where(most > math.log(LARGE), math.log(LARGE), 0.0), 0.0))
     given = (seen or told(problem, x), problem.rows, problem.prior_information, groups, expected, spread)
-    tops = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
-    found = min(tops, key=lambda top: float(top.fun))
-    times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, found.x[:-1], strict=True)})
-    return Sizes(times, float(np.exp(found.x[-1])), -float(found.fun) / 2)
+    if search:
+        found = [minimize(_objective, at, given, "L-BFGS-B", jac=True, bounds=bounds, options=STOP) for at in starts]
+        cost, logs = min(((float(top.fun), top.x) for top in found), key=lambda top: top[0])
+    else:
+        cost, logs = _objective(starts[0], *given)[0], starts[0]
+    times = FrozenMapping({key: float(np.exp(t)) for key, t in zip(keys, logs[:-1], strict=True)})
+    return Sizes(times, float(np.exp(logs[-1])), -cost / 2)
 
 
 def _objective(
@@ -111,16 +116,15 @@ def _objective(
     root, failed = dpotrf(scale[:, None] * posterior * scale, lower=1)
     if failed:
         return math.inf, np.zeros_like(logs)
-    covariance = dpotri(root, lower=1)[0]
-    covariance = (np.tril(covariance) + np.tril(covariance, -1).T) * scale[:, None] * scale
-    x = covariance @ (seen.toward / variance)
+    spreads = np.diagonal(dpotri(root, lower=1)[0]) * scale**2
+    x = scale * dpotrs(root, scale * seen.toward / variance, lower=1)[0]
     left = seen.square - 2 * float(seen.toward @ x) + float(x @ seen.information @ x)
     held = prior > 0
     determinant = 2 * float(np.log(np.diagonal(root)).sum() - np.log(scale).sum()) - float(np.log(prior[held]).sum())
     value = rows * 2 * logs[-1] + determinant + left / variance + float((prior * x**2).sum())
-    moved = prior * (np.diagonal(covariance) + x**2)
+    moved = prior * (spreads + x**2)
     gradient = [2 * (group.size - float(moved[group].sum())) for group in groups]
-    learnt = len(prior) - float((prior * np.diagonal(covariance)).sum())
+    learnt = len(prior) - float((prior * spreads).sum())
     gradient.append(2 * (rows - learnt - left / variance))
     free = spread > 0
     hyper = np.where(free, (logs - expected) / np.where(free, spread, 1.0), 0.0)

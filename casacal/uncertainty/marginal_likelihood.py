@@ -44,10 +44,10 @@ class Told:
 
 def told(problem: LeastSquares, x: Array) -> Told:
     """All rows of a problem at x (n,), about which y = J x - r."""
-    normal, r = problem.normal(x), problem.residual(x)
+    normal = problem.normal(x)
     kept = normal.information
     information = np.asarray(kept.dense() if isinstance(kept, Arrow) else kept, dtype=np.float64)
-    square = float(r @ r) - 2 * float(x @ normal.gradient) + float(x @ information @ x)
+    square = 2 * (normal.cost - float(x @ normal.gradient)) + float(x @ information @ x)
     return Told(information, information @ x - normal.gradient, square)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.unknowns.unknown import PRIOR_STD, Expression, Unknown, check_stds, spread, start_stds
-from casacal.values import plain
+from casacal.values import plain, read_only
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Parameter(Unknown):
         if self.values is None and not self._free.all() and not self.held_as_proposed:
             raise ProblemError("A parameter is held but has no value", "Give its value, or leave it free")
         check_stds(self._prior, "prior_std of a parameter")
-        start_stds(self.prior_stds, self._start, self.units, "a parameter")
+        _ = self.start_stds  # or a sentence
 
     @cached_property
     def _all(self) -> Array:
@@ -93,15 +93,15 @@ class Parameter(Unknown):
         """Unit of each free component."""
         return (self.unit,) * self.size
 
-    @property
+    @cached_property
     def prior_stds(self) -> Array:
         """Prior standard deviations of the free components."""
-        return np.asarray(self._prior[self._free])
+        return np.asarray(read_only(self._prior[self._free]))
 
-    @property
+    @cached_property
     def start_stds(self) -> Array:
         """Prior, or start where flat, of the free components."""
-        return start_stds(self.prior_stds, self._start, self.units, "a parameter")
+        return np.asarray(read_only(start_stds(self.prior_stds, self._start, self.units, "a parameter")))
 
     @property
     def nominal(self) -> Array | None:
