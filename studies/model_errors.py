@@ -23,7 +23,7 @@ from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, work
 from studies.cell_mistakes import robots
 from studies.reporting import figure, number, palette, percent, save, script, table
 
-ARMS, ROWS = 36, 120
+ARMS, ROWS = 50, 120
 LEVELS = ("calibrated", "use with care", "do not use")
 NO_VERDICT = -1
 NONE, CERTIFIED = "none", "none, dial certified to 0.05 %"
