@@ -51,9 +51,14 @@ if TYPE_CHECKING:
     from casacal.estimators import swarm as swarm
     from casacal.instruments import DialOnBody as DialOnBody
     from casacal.instruments import DialOnPlane as DialOnPlane
+    from casacal.instruments import Distance as Distance
+    from casacal.instruments import FixedPoint as FixedPoint
     from casacal.instruments import Instrument as Instrument
+    from casacal.instruments import KnownPoint as KnownPoint
     from casacal.instruments import Probe as Probe
     from casacal.instruments import Sight as Sight
+    from casacal.instruments import Sockets as Sockets
+    from casacal.instruments import SphereTouch as SphereTouch
     from casacal.instruments import Step as Step
     from casacal.instruments import Suspect as Suspect
     from casacal.instruments import TrackedPoint as TrackedPoint
@@ -129,9 +134,14 @@ _HOMES = {
     "casacal.instruments": (
         "DialOnBody",
         "DialOnPlane",
+        "Distance",
+        "FixedPoint",
         "Instrument",
+        "KnownPoint",
         "Probe",
         "Sight",
+        "Sockets",
+        "SphereTouch",
         "Step",
         "Suspect",
         "TrackedPoint",

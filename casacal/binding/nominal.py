@@ -79,5 +79,11 @@ def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str,
     columns = {name: samples.columns[name] for name in instrument.columns}
     for name, values in instrument.known_columns.items():
         labels = samples.labels[instrument.known_by]
+        if instrument.knows_every_label and (unlisted := sorted(set(labels.names) - set(values))):
+            raise ProblemError(
+                f"{samples.file}: some rows have the {instrument.known_by} '{unlisted[0]}', which "
+                f"{type(instrument).__name__} does not list",
+                f"It lists {', '.join(values)}: correct the rows, or add it to the problem",
+            )
         columns[name] = np.array([values.get(label, 0.0) for label in labels.names])[labels.codes]
     return columns

@@ -104,7 +104,8 @@ def _left_out(calibration: Calibration, denied: bool) -> str:
     faces = calibration.left_out
     if not faces:
         return ""
-    title = f"each face by the others, {calibration.fit.problem.instrument.words.unit} RMS"
+    words = calibration.fit.problem.instrument.words
+    title = f"each {words.group} by the others, {words.unit} RMS"
     lines = [f"{title:<41}{'found':>9}" + ("" if denied else f"{'predicted':>11}{'ratio':>8}")]
     for face in faces:
         predicted = "" if denied else f"{face.predicted_mm:>11.4f}{face.ratio:>8.2f}"

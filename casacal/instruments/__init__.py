@@ -6,9 +6,14 @@ from casacal.instruments.dial_parts import Step as Step
 from casacal.instruments.dial_parts import dial_cycle as dial_cycle
 from casacal.instruments.dial_parts import dial_gain as dial_gain
 from casacal.instruments.dial_parts import tool_point as tool_point
+from casacal.instruments.distance import Distance as Distance
+from casacal.instruments.fixed_point import FixedPoint as FixedPoint
+from casacal.instruments.fixed_point import Sockets as Sockets
 from casacal.instruments.instrument import Instrument as Instrument
 from casacal.instruments.instrument import Probe as Probe
 from casacal.instruments.instrument import Sight as Sight
 from casacal.instruments.instrument import Suspect as Suspect
 from casacal.instruments.instrument import Words as Words
+from casacal.instruments.known_point import KnownPoint as KnownPoint
+from casacal.instruments.sphere_touch import SphereTouch as SphereTouch
 from casacal.instruments.tracked_point import TrackedPoint as TrackedPoint

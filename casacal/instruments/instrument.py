@@ -46,6 +46,8 @@ class Words:
     """What the control M0 fits, as in "planes fitted alone"."""
     trusted: str = ""
     """What its readings take for right and cannot tell, as in "noise, priors and the dial's gain are right"."""
+    group: str = "face"
+    """What rows of one label have in common, as in "each face by the others"."""
     accuracy: bool = False
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
 
@@ -179,6 +181,11 @@ class Instrument(Portable, ABC):
     def known_by(self) -> str:
         """The label column that `known_columns` follow from."""
         return "plane"
+
+    @property
+    def knows_every_label(self) -> bool:
+        """Whether a label that `known_columns` do not list is a mistake; by default it stands for zero."""
+        return False
 
     def instance(self, key: str, label: str) -> str:
         """Which instance of an unknown a label shares; its own unless overridden."""

@@ -17,7 +17,17 @@ from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.packed import packed_symbols
 from casacal.values import FrozenMapping, frozen
 
-DECLARED = ("columns", "unknowns", "known_columns", "known_by", "datum", "column_stds", "residual_std", "probe")
+DECLARED = (
+    "columns",
+    "unknowns",
+    "known_columns",
+    "known_by",
+    "knows_every_label",
+    "datum",
+    "column_stds",
+    "residual_std",
+    "probe",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +77,11 @@ class TracedInstrument(Instrument):
     def known_by(self) -> str:
         """As declared."""
         return self.declared["known_by"]  # type: ignore[no-any-return]
+
+    @property
+    def knows_every_label(self) -> bool:
+        """As declared; False in files from before it was."""
+        return bool(self.declared.get("knows_every_label", False))
 
     @property
     def datum(self) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,15 +11,15 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.dial_parts import tool_point
-from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
+from casacal.instruments.instrument import Dimension, Sight, Suspect, Words
+from casacal.instruments.tool_tip import ToolTip
 from casacal.kinematics import Expression, transform_point
-from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.fits import rotation_between
+from casacal.unknowns import Frame, Unknown
+from casacal.unknowns.fits import rigid_fit
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackedPoint(Instrument):
+class TrackedPoint(ToolTip):
     """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals per row.
 
     Args:
@@ -30,13 +29,7 @@ class TrackedPoint(Instrument):
 
     """
 
-    noise_std: float
-    tool: Parameter = tool_point()
     station: Frame = Frame()
-
-    def __post_init__(self) -> None:
-        if not 0 < self.noise_std < math.inf:
-            raise ProblemError(f"noise_std of the tracker is {self.noise_std!r}", "Give a positive number of mm")
 
     @property
     def columns(self) -> Mapping[str, Dimension]:
@@ -54,19 +47,16 @@ class TrackedPoint(Instrument):
         return ("station",)
 
     @property
-    def residual_std(self) -> float:
-        """Noise of each coordinate, mm."""
-        return self.noise_std
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Units, and a mirrored frame."""
+        cause = "the points seem to come in a left-handed frame: one axis counted the other way, or two exchanged"
+        fix = "Export them in a right-handed frame, or correct the column that is wrong"
+        return (*super().suspects, Suspect("left-handed frame", cause, fix, ("z",), -1.0))
 
     @property
     def words(self) -> Words:
         """Coordinates of points."""
         return Words("residual of each coordinate", "mm", "points", "station fitted alone", accuracy=True)
-
-    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Return the reflector in the base frame (3, mm)."""
-        del row
-        return transform_point(pose, p.tool)
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read coordinates (3, mm)."""
@@ -76,13 +66,9 @@ class TrackedPoint(Instrument):
         """Rigid fit of the nominal tips to the read points (Arun, Huang and Blostein 1987)."""
         if key != "station":
             return super().propose(key, sight)
-        read = np.column_stack([sight.columns[name] for name in ("x", "y", "z")])
-        turn, fixed = rotation_between(sight.tips - sight.tips.mean(axis=0), read - read.mean(axis=0))
-        if len(read) < 3 or not fixed:
+        matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[name] for name in ("x", "y", "z")]))
+        if matrix is None:
             raise ProblemError(
                 "The tracked points lie on a line", "Track at least three points that do not lie on one line"
             )
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn
-        matrix[:3, 3] = read.mean(axis=0) - turn @ sight.tips.mean(axis=0)
         return Frame.encode(matrix)

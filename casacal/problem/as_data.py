@@ -18,7 +18,18 @@ import numpy as np
 
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
-from casacal.instruments import DialOnBody, DialOnPlane, Instrument, Step, TrackedPoint
+from casacal.instruments import (
+    DialOnBody,
+    DialOnPlane,
+    Distance,
+    FixedPoint,
+    Instrument,
+    KnownPoint,
+    Sockets,
+    SphereTouch,
+    Step,
+    TrackedPoint,
+)
 from casacal.instruments.instrument import Probe
 from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.problem.problem import Problem
@@ -35,7 +46,8 @@ from casacal.values import FrozenMapping
 
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
-INSTRUMENTS = (DialOnPlane, DialOnBody, TrackedPoint, Step, TracedInstrument)
+BUILT_IN = (DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch)
+INSTRUMENTS = (*BUILT_IN, Step, TracedInstrument)
 KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, Probe, TracedPose)}
 """What may stand in such data: nothing else is ever made of them."""
 

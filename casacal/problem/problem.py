@@ -106,6 +106,7 @@ class Problem(Value):
         """Columns a samples file of one instrument must have."""
         chosen = self.instruments[instrument]
         labels = dict.fromkeys(unknown.per for unknown in chosen.unknowns.values() if unknown.per is not None)
+        labels |= dict.fromkeys([chosen.known_by] if chosen.known_columns else [])
         return Layout(
             joints=tuple("angle" if joint.turns else "length" for joint in self.robot.axes),
             columns=FrozenMapping(dict(chosen.columns)),

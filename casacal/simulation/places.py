@@ -11,6 +11,7 @@ from casacal.errors import SimulationError
 from casacal.instruments.instrument import Probe
 from casacal.kinematics import stacked_poses
 from casacal.problem.cell import Cell, Face, corner
+from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.reach import Touch
@@ -68,6 +69,28 @@ def random_tips(problem: Problem) -> Array:
     z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
     (pose,) = model.batch.pose(z, c, data)
     return stacked_poses(pose)[:, :3, 3]
+
+
+def spot(reached: Array, k: int | None) -> Array:
+    """Place (3, mm) of the k-th thing among tips (N, 3) in random postures; in their midst where that is None.
+
+    Arms come to it from many sides: it stands neither next to the base nor at arm's length.
+    """
+    midst = np.median(reached, axis=0)
+    if k is None:
+        return np.asarray(midst)
+    away = np.linalg.norm(reached - midst, axis=1)
+    low, high = np.quantile(away, [0.4, 0.6])
+    between = reached[(away >= low) & (away <= high)]
+    return np.asarray(between[k % len(between)])
+
+
+def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
+    """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
+    if isinstance(cell, Cell):
+        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        return np.asarray(face.centre), face.axes[0]
+    return place, np.array([0.0, 0.0, 1.0])
 
 
 def _corner_at(centre: Array, base: Array, size: float) -> Cell:

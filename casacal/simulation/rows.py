@@ -18,9 +18,10 @@ from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.arm_errors import ArmErrors
 from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
-from casacal.simulation.places import random_tips
+from casacal.simulation.places import random_tips, spot, stands
 from casacal.simulation.true_arm import plane_coordinates, streams
 from casacal.tables.labels import Labels
+from casacal.unknowns import Unknown
 
 LABELS = ("1", "2", "3")
 """Labels of simulated rows where neither the instrument nor a cell names any."""
@@ -113,14 +114,15 @@ def _check(problem: Problem, cell: Disturbances) -> None:
 
 def _labels(problem: Problem, cell: Disturbances, samples: int) -> dict[str, Labels]:
     """Labels of the rows, in turn: those that the instrument knows, the cell's faces, or 1, 2, 3."""
-    instrument, found = problem.instrument, {}
+    instrument, turn, found = problem.instrument, np.arange(samples), {}
     for column in problem.layout().labels:
         known = instrument.known_columns.values() if instrument.known_by == column else ()
         names = tuple(dict.fromkeys(label for values in known for label in values))
         if isinstance(cell, Cell):
             names = names or tuple(face.label for face in cell.faces)
         names = names or LABELS
-        found[column] = Labels(names, np.arange(samples) % len(names))
+        found[column] = Labels(names, turn % len(names))
+        turn //= len(names)  # each label of one column meets each of the next
     return found
 
 
@@ -129,7 +131,7 @@ def _bench(
 ) -> tuple[Bench, dict[str, Array]]:
     """The true arm before its true instrument, and the local coordinates of all that is unknown, by name."""
     model, instrument, robot = problem.model, problem.instrument, problem.robot
-    middle = np.median(random_tips(problem), axis=0)
+    reached = random_tips(problem)
     local: dict[str, Array] = {}
     nominals: dict[str, Array] = {}
     z, c = [], []
@@ -137,11 +139,12 @@ def _bench(
         names = [key] * samples
         if unknown.per is not None:
             names = [f"{key}.{instrument.instance(key, label)}" for label in labels[unknown.per]]
-        for name, label in dict(zip(names, labels.get(unknown.per or "", names), strict=True)).items():
-            place = _near(cell, label, middle)
+        named = dict(zip(names, labels.get(unknown.per or "", names), strict=True))
+        for k, (name, label) in enumerate(named.items()):
+            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
             nominals[name] = unknown.placed(*place) if unknown.nominal is None else unknown.nominal
             local[name] = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            if isinstance(cell, Cell) and unknown.nominal_plane(nominals[name]) is not None:
+            if isinstance(cell, Cell) and _is_flat(unknown):
                 local[name] = plane_coordinates(unknown, nominals[name], *place)
         z.append(np.array([local[name] for name in names]).reshape(samples, -1))
         if key in model.constants:
@@ -166,7 +169,7 @@ def _bench(
 
 def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
     """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
-    planes = [u for u in problem.instrument.unknowns.values() if u.nominal_plane(np.zeros(u.nominal_size)) is not None]
+    planes = [unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)]
     if not isinstance(cell, Cell) or not planes:
         return ()
     column = planes[0].per
@@ -176,12 +179,8 @@ def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], s
     )
 
 
-def _near(cell: Disturbances, label: str, middle: Array) -> tuple[Array, Array]:
-    """Where a thing stands of which nobody says where: the face of that name, or the middle of the workspace."""
-    if isinstance(cell, Cell):
-        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
-        return np.asarray(face.centre), face.axes[0]
-    return middle, np.array([0.0, 0.0, 1.0])
+def _is_flat(unknown: Unknown) -> bool:
+    return unknown.nominal_plane(np.zeros(unknown.nominal_size)) is not None
 
 
 def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import ProblemError
 from casacal.unknowns.unknown import (
     Expression,
     Unknown,
@@ -31,24 +32,29 @@ class Direction(Unknown):
     """A unit vector (3,) with two local coordinates, both angles in rad.
 
     Args:
-        vector: nominal direction, normalised here.
+        vector: nominal direction, normalised here; None when the data are to propose it.
         prior_std: standard deviation of each of the two tilts, rad; `math.inf` is flat.
         start_std: where filters start them when the prior is flat, rad.
         free: False holds the direction.
         per: name of a label column; one instance for each of its values.
+        held_as_proposed: True holds it where the data propose it, as `Problem.fix` does.
 
     """
 
-    vector: Sequence[float]
+    vector: Sequence[float] | None
     prior_std: float = math.inf
     start_std: float | None = None
     free: bool = True
     per: str | None = None
+    held_as_proposed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("vector", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
-        unit_vector(self.vector, "A direction")
+        if self.vector is not None:
+            unit_vector(self.vector, "A direction")
+        elif not self.free and not self.held_as_proposed:
+            raise ProblemError("A direction is held but has no vector", "Say where it points, or leave it free")
         check_stds(np.array([self.prior_std]), "prior_std of a direction")
 
     @property
@@ -73,9 +79,14 @@ class Direction(Unknown):
         return start_stds(self.prior_stds, start, self.units, "a direction")
 
     @property
-    def nominal(self) -> Array:
-        """Unit vector (3) and two vectors across it (6)."""
-        unit = unit_vector(self.vector, "A direction")
+    def nominal(self) -> Array | None:
+        """Unit vector (3) and two vectors across it (6); None when the data must propose it."""
+        return None if self.vector is None else self.encode(self.vector)
+
+    @staticmethod
+    def encode(vector: Sequence[float] | Array) -> Array:
+        """Numbers (9,) that fix a nominal direction; raises ProblemError for no vector (3,) that points anywhere."""
+        unit = unit_vector(vector, "A direction")
         return np.concatenate([unit, tangent_basis(unit).T.ravel()])
 
     @property
@@ -104,11 +115,9 @@ class Direction(Unknown):
         return "directions", np.asarray(ca.DM(self.at(nominal, local))).ravel()
 
     def placed(self, near: Array, normal: Array) -> Array:
-        """Its own: a direction is always declared."""
-        del near, normal
-        nominal = self.nominal
-        assert nominal is not None
-        return nominal
+        """The way a face would look."""
+        del near
+        return self.encode(normal)
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the three components themselves."""
@@ -131,7 +140,7 @@ class Direction(Unknown):
 
     def with_free(self, free: Sequence[bool]) -> Direction:
         """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a direction"))
+        return replace(self, free=all_or_nothing(free, "a direction"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Direction:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""

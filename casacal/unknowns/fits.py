@@ -35,6 +35,17 @@ def fitted_plane(points: Array) -> FittedPlane:
     return FittedPlane(centre, axes[2], axes[:2], flat)
 
 
+def rigid_fit(there: Array, here: Array) -> Array | None:
+    """Transform (4, 4) that carries points `there` (N, 3; mm) to `here` as well as one can, if they fix one."""
+    turn, fixed = rotation_between(there - there.mean(axis=0), here - here.mean(axis=0))
+    if len(here) < 3 or not fixed:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    matrix[:3, 3] = here.mean(axis=0) - turn @ there.mean(axis=0)
+    return matrix
+
+
 def rotation_between(there: Array, here: Array) -> tuple[Array, bool]:
     """Rotation (3, 3) that carries vectors `there` (N, 3) to `here` as well as one can, and whether they fix it.
 

@@ -127,9 +127,11 @@ class Frame(Unknown):
         return "frames", np.asarray(ca.DM(self.at(nominal, local)))
 
     def placed(self, near: Array, normal: Array) -> Array:
-        """The base frame itself."""
-        del near, normal
-        return self.encode(np.eye(4))
+        """The base frame, its zero moved to the place; itself where nothing is said of places."""
+        del normal
+        matrix = np.eye(4)
+        matrix[:3, 3] = 0.0 if self.turns_only else -np.asarray(near)  # from the base to what stands there
+        return self.encode(matrix)
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""

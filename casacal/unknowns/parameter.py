@@ -23,7 +23,7 @@ class Parameter(Unknown):
 
     Args:
         values: nominal value, a float (then the value is a scalar) or a sequence (then a vector); None for a scalar
-            that the data are to propose.
+            that the data are to propose, or, with labels, for a vector.
         unit: "mm", "rad" or any other word; only "mm" and "rad" have a default `start_std`.
         prior_std: standard deviation of the deviation from nominal, one or one each, in `unit`; `math.inf` is flat;
             None takes 0.7 mm or 1 mrad (`casacal.priors` says why), or flat when the data are to propose the value.
@@ -62,7 +62,8 @@ class Parameter(Unknown):
 
     @cached_property
     def _all(self) -> Array:
-        return np.array(0.0 if self.values is None else self.values, dtype=np.float64)
+        proposed = 0.0 if self.labels is None else np.zeros(len(self.labels))
+        return np.array(proposed if self.values is None else self.values, dtype=np.float64)
 
     @cached_property
     def _free(self) -> NDArray[np.bool_]:
@@ -138,9 +139,10 @@ class Parameter(Unknown):
         return entries[0] if self._all.ndim == 0 else ca.vertcat(*entries)
 
     def placed(self, near: Array, normal: Array) -> Array:
-        """Zero."""
-        del near, normal
-        return np.zeros(self.nominal_size)
+        """The place itself for a point, which is three numbers in mm; else zero."""
+        del normal
+        is_point = self.unit == "mm" and self._all.shape == (3,)
+        return np.asarray(near, dtype=np.float64).copy() if is_point else np.zeros(self.nominal_size)
 
     def raw_start(self, nominal: Array) -> Array:
         """Return the free components themselves."""

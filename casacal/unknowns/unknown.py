@@ -233,7 +233,7 @@ def tangent_basis(unit: Array) -> Array:
     return np.column_stack([first, np.cross(unit, first)])
 
 
-def unit_vector(values: Sequence[float], what: str) -> Array:
+def unit_vector(values: Sequence[float] | Array, what: str) -> Array:
     """Normalise a 3-vector; raises ProblemError when it has no direction."""
     vector = np.asarray(values, dtype=np.float64)
     length = float(np.linalg.norm(vector)) if vector.shape == (3,) else math.nan

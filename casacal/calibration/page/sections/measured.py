@@ -27,7 +27,13 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     )
     if not touches.has_faces:
         return section("measured", "What was measured", paragraph(opening), *_no_faces(touches))
-    columns = [("Face", WORDS), ("Rows", NUMBER), ("Held out", NUMBER)]
+    instrument = touches.calibration.fit.problem.instrument
+    columns = [(instrument.words.group.capitalize(), WORDS), ("Rows", NUMBER), ("Held out", NUMBER)]
+    more = f" {count(len(faces) - MOST_FACES, 'further one')} are in result.json." if len(faces) > MOST_FACES else ""
+    if instrument.probe is None and not document["planes"]:
+        plain = [_face(touches, label, {})[: len(columns)] for label in faces[:MOST_FACES]]
+        shown = table("faces", f"Rows of each {instrument.words.group}", columns, plain)
+        return section("measured", "What was measured", paragraph(opening), shown, paragraph(more), *_no_faces(touches))
     columns += [("Dial reading, mm", NUMBER), ("Tilt, deg", NUMBER), ("Touched area, mm", NUMBER)]
     columns += [("Normal", NUMBER), ("Point on it, mm", NUMBER)]
     rows = [_face(touches, label, document["planes"]) for label in faces[:MOST_FACES]]
@@ -35,7 +41,6 @@ def measured_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     notes = "Tilt is the angle between plunger and face normal. Normal and point are as found, in the base frame."
     if some:
         notes += f" Tilt and area are of up to {LOOKED_AT:,} rows per face, evenly spread."
-    more = f" {count(len(faces) - MOST_FACES, 'further face')} are in result.json." if len(faces) > MOST_FACES else ""
     return section(
         "measured",
         "What was measured",

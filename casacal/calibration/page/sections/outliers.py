@@ -32,7 +32,7 @@ def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
     worst.sort(key=lambda entry: entry[:2])
     columns = [
         ("Line", WORDS),
-        ("Face", WORDS),
+        (touches.calibration.fit.problem.instrument.words.group.capitalize(), WORDS),
         ("Rows", WORDS),
         ("Residual, mm", NUMBER),
         (f"Times {touches.calibration.noise_words}", NUMBER),

@@ -29,7 +29,7 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
-        *_left_out(document),
+        *_left_out(document, touches.calibration.fit.problem.instrument.words.group),
         _noise(touches, document["noise"]),
         histograms(touches),
         row_plots(touches),
@@ -48,14 +48,14 @@ def _table(document: Mapping[str, Any]) -> Markup:
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
 
 
-def _left_out(document: Mapping[str, Any]) -> list[Markup]:
+def _left_out(document: Mapping[str, Any], group: str) -> list[Markup]:
     """Each face as the arm predicts it that the others give; no prediction where the verdict denies it."""
     faces = document["leave_one_face_out"]
     if not faces:
         return []
     predicted = [("Predicted, mm RMS", "predicted_mm", 4), ("Found over predicted", "ratio", 2)]
     shown = [("Found, mm RMS", "actual_mm", 4), *(predicted if document["verdict"]["level"] != "do not use" else [])]
-    columns = [("Face", WORDS), ("Rows", NUMBER), *((title, NUMBER) for title, _, _ in shown)]
+    columns = [(group.capitalize(), WORDS), ("Rows", NUMBER), *((title, NUMBER) for title, _, _ in shown)]
     columns += [("Chance of so much", NUMBER)]
     rows = [
         [
@@ -68,11 +68,11 @@ def _left_out(document: Mapping[str, Any]) -> list[Markup]:
     ]
     return [
         paragraph(
-            "Each face in turn was left out, the arm fitted to the others, and that face's residuals compared with "
-            "what this arm expects of them; only its own plane was fitted to it. A ratio well over one with a small "
-            "chance means that something is missing from the model."
+            f"Each {group} in turn was left out, the arm fitted to the others, and its residuals compared with what "
+            f"this arm expects of them; only where that {group} is was fitted to it. A ratio well over one with a "
+            "small chance means that something is missing from the model."
         ),
-        table("left-out", "Each face predicted by the others", columns, rows),
+        table("left-out", f"Each {group} predicted by the others", columns, rows),
     ]
 
 

@@ -31,7 +31,8 @@ def row_plots(touches: Touches) -> Markup:
     if len(touches.series) > MOST_SERIES:
         some = f" Of {len(touches.series):,} series {MOST_SERIES} are drawn."
     held = " Blue and grey dots are fitted rows, orange squares held-out ones." if len(touches.parts) > 1 else ""
-    kind = "face" if touches.has_faces and len(touches.series) > 1 else "series"
+    group = touches.calibration.fit.problem.instrument.words.group
+    kind = group if touches.has_faces and len(touches.series) > 1 else "series"
     caption = (
         f"Residual of each row in file order, {kind} by {kind}, before and after on scales of their own: a slope is "
         f"drift, a lone point an outlier. Large black dots at the edge lie beyond it.{held}{some}"

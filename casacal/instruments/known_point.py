@@ -1,0 +1,101 @@
+"""A tool's tip at points of a plate whose places on it are known: holes, dowels, engraved crosses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.instruments.instrument import Sight, Words
+from casacal.instruments.tool_tip import ToolTip
+from casacal.kinematics import Expression, transform_point
+from casacal.unknowns import Frame, Unknown
+from casacal.unknowns.fits import rigid_fit
+from casacal.values import FrozenMapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPoint(ToolTip):
+    """A tip brought to points of a plate, which the column "point" names; three residuals per row.
+
+    Args:
+        noise_std: how well the tip is brought to a point, each coordinate, mm.
+        points: where each point stands on the plate (3, mm), by its label; three that do not lie on one line at least.
+        tool: the tip in the flange frame, mm.
+        station: transform from the robot's base to the plate's frame; proposed from the data when not given. Its
+            inverse is the plate as a work object.
+
+    Raises ProblemError for points that do not fix where the plate is.
+
+    """
+
+    points: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    station: Frame = Frame()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        triples = {str(label): tuple(float(value) for value in point) for label, point in self.points.items()}
+        object.__setattr__(self, "points", FrozenMapping(triples))
+        if any(len(triple) != 3 or not np.isfinite(triple).all() for triple in triples.values()):
+            raise ProblemError("Some point of the plate is not three numbers", "Give x, y and z of each, in mm")
+        known = np.array(list(triples.values())).reshape(-1, 3)
+        if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
+            raise ProblemError(
+                f"The plate has {len(known)} points, and they do not say how it lies",
+                "Give three or more that do not lie on one line",
+            )
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Tip and plate."""
+        return {"tool": self.tool, "station": self.station}
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """The plate."""
+        return ("station",)
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Coordinates of the row's point on the plate, mm."""
+        return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate("xyz")}
+
+    @property
+    def known_by(self) -> str:
+        """The point."""
+        return "point"
+
+    @property
+    def knows_every_label(self) -> bool:
+        """True: a point that is not listed stands nowhere."""
+        return True
+
+    @property
+    def groups(self) -> str:
+        """The point."""
+        return "point"
+
+    @property
+    def words(self) -> Words:
+        """Coordinates of points."""
+        return Words("residual of each coordinate", "mm", "points", "plate fitted alone", group="point", accuracy=True)
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Where the tip stands on the plate minus where the point does (3, mm)."""
+        return transform_point(p.station, self.tip(pose, p, row)) - ca.vertcat(row.x, row.y, row.z)
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Rigid fit of the nominal tips to the known points; raises ProblemError where the points touched fix none."""
+        if key != "station":
+            return super().propose(key, sight)
+        matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[name] for name in ("x", "y", "z")]))
+        if matrix is None:
+            raise ProblemError(
+                "The points that were touched lie on a line", "Touch at least three that do not lie on one line"
+            )
+        return Frame.encode(matrix)

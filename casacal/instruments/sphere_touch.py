@@ -1,0 +1,69 @@
+"""A ball on the flange that touches spheres: datum spheres of known size, wherever they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.instruments.fixed_point import AXES
+from casacal.instruments.instrument import Sight, Words
+from casacal.instruments.tool_tip import ToolTip, centre_of
+from casacal.kinematics import Expression
+from casacal.unknowns import Parameter, Unknown
+
+FEWEST = 4
+"""Touches of a sphere that propose where it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereTouch(ToolTip):
+    """A ball that touches a sphere for each value of the column "sphere" all around; one residual per row.
+
+    Without that column there is one sphere. Spheres of known size make the size of the arm known.
+
+    Args:
+        noise_std: standard deviation of a contact, mm.
+        tool: the centre of the ball in the flange frame, mm.
+        radii: radius of the sphere and of the ball together, mm, with the prior of its certificate.
+        centre: centre of each sphere in the base frame, mm; proposed from the data when not given.
+
+    """
+
+    radii: Parameter
+    centre: Parameter = Parameter(None, unit="mm", labels=AXES, per="sphere")
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Ball, radii, spheres."""
+        return {"tool": self.tool, "radii": self.radii, "centre": self.centre}
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """The spheres."""
+        return ("centre",)
+
+    @property
+    def words(self) -> Words:
+        """Distances from spheres."""
+        return Words("distance from the spheres", "mm", "touches", "spheres fitted alone", group="sphere")
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """How far the ball stands off the sphere, mm."""
+        return ca.norm_2(self.tip(pose, p, row) - p.centre) - p.radii
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Centre of the sphere through the nominal tips."""
+        if key != "centre":
+            return super().propose(key, sight)
+        if len(sight.tips) < FEWEST:
+            raise ProblemError(
+                f"A sphere has {len(sight.tips)} touches", f"Touch each {FEWEST} times or more, or say where it is"
+            )
+        radii = float(np.mean(self.radii.nominal)) if self.radii.nominal is not None else 0.0
+        return centre_of(sight.tips, np.full(len(sight.tips), radii))
