@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from instruments_on_ur5 import BAR, INSTRUMENTS, PLATE, PROBLEMS, RADII, ROBOT, flanges, tips
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from casacal import (
@@ -32,6 +33,7 @@ from casacal.tables.labels import Labels
 from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.unknowns.fits import rigid_fit
 
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
 JOINTS = workspace_joints(ROBOT)
@@ -92,6 +94,37 @@ def test_spheres_are_touched_all_around():
         centre = trilaterated(seen, np.full(len(seen), RADII))
         np.testing.assert_allclose(np.linalg.norm(seen - centre, axis=1), RADII, atol=1e-6)
         np.testing.assert_allclose(slots[f"centre.{label}"].nominal, centre, atol=1e-5)
+
+
+def test_the_zero_of_a_wire_is_what_it_reads_too_much():
+    """Lengths 30 mm too long: anchors are proposed where they are all the same, and the zero comes out as +30."""
+    samples = drawn("Distance")
+    longer = replace(samples, columns={"length": samples.columns["length"] + 30.0})
+    places = [
+        np.concatenate([slot.nominal for slot in bind(PROBLEMS["Distance"], rows).slots if slot.key == "anchor"])
+        for rows in (samples, longer)
+    ]
+    np.testing.assert_allclose(places[0], places[1], atol=1e-4)
+    result = lm(bind(PROBLEMS["Distance"], longer))
+    assert result.x[result.problem.names.index("zero")] == pytest.approx(30.0, abs=1e-3)
+
+
+def test_every_socket_is_simulated_at_every_place():
+    bar = Sockets(noise_std=0.05, along={"a": 0.0, "b": 50.0, "c": 90.0}, tool=tool_point(0, 0, 100, prior_std=1.0))
+    samples = simulate(Problem(ROBOT, bar), samples=27, seed=1).samples
+    pairs = set(zip(samples.labels["place"].codes.tolist(), samples.labels["socket"].codes.tolist(), strict=True))
+    assert len(pairs) == 9
+
+
+def test_a_rigid_fit_finds_the_motion_that_was_made():
+    rng = np.random.default_rng(4)
+    points, turn, shift = rng.normal(size=(7, 3)), Rotation.from_rotvec([0.4, -2.0, 0.7]).as_matrix(), [50.0, -7.0, 3.0]
+    found = rigid_fit(points, points @ turn.T + shift)
+    np.testing.assert_allclose(found[:3, :3], turn, atol=1e-12)
+    np.testing.assert_allclose(found[:3, 3], shift, atol=1e-12)
+    assert rigid_fit(points[:2], points[:2]) is None
+    line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
+    assert rigid_fit(line, line) is None
 
 
 def test_tips_on_a_plate_are_as_far_from_one_another_as_its_points():
