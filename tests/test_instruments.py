@@ -257,6 +257,21 @@ def test_a_label_that_is_not_listed_is_refused(name, column):
     assert "elsewhere" in check(PROBLEMS[name], other)[0].cause
 
 
+@pytest.mark.parametrize(("name", "column"), [("Sockets", "socket"), ("KnownPoint", "point")])
+def test_rows_that_do_not_say_which_point_they_are_of_are_refused(name, column):
+    samples = seen_by(name)
+    without = {key: labels for key, labels in samples.labels.items() if key != column}
+    unsaid = replace(samples, labels={**without, column: Labels((column,), np.zeros(len(samples), dtype=np.int32))})
+    with pytest.raises(ProblemError, match=f"has no column '{column}'"):
+        bind(PROBLEMS[name], unsaid)
+
+
+def test_a_wire_that_counts_down_is_named():
+    samples = seen_by("Distance")
+    down = replace(samples, columns={"length": 1500.0 - samples.columns["length"]})
+    assert check(PROBLEMS["Distance"], down)[0].about == "sign of the lengths"
+
+
 def test_a_place_with_one_socket_alone_is_refused():
     samples = seen_by("Sockets")
     one = labelled(samples, "place", "1") & labelled(samples, "socket", "far")
@@ -270,7 +285,12 @@ def test_a_place_with_one_socket_alone_is_refused():
         (lambda: Sockets(noise_std=0.1, along={"0": 0.0}), "stand at .* along the bar"),
         (lambda: Sockets(noise_std=0.1, along={"0": 5.0, "1": 5.0}), "stand at .* along the bar"),
         (lambda: KnownPoint(noise_std=0.1, points={"a": (0, 0, 0), "b": (1, 0, 0), "c": (2, 0, 0)}), "how it lies"),
-        (lambda: KnownPoint(noise_std=0.1, points={"a": (0, 0), "b": (1, 0, 0)}), "not three numbers"),
+        (lambda: KnownPoint(noise_std=0.1, points={"a": (0, 0), "b": (1, 0, 0)}), "Point 'a' of the plate is"),
+        (lambda: KnownPoint(noise_std=0.1, points=[(0, 0, 0)]), "Point '' of the plate is"),
+        (lambda: KnownPoint(noise_std=0.1, points={"a": ("x", "y", "z")}), "Point 'a' of the plate is"),
+        (lambda: Sockets(noise_std=0.1, along=[0, 50]), "stand at .* along the bar"),
+        (lambda: Sockets(noise_std=0.1, along={"a": "x", "b": 2.0, "c": 3.0}), "stand at .* along the bar"),
+        (lambda: FixedPoint(noise_std="0.1"), "noise_std of FixedPoint is '0.1'"),
         (lambda: FixedPoint(noise_std=0.0), "noise_std of FixedPoint is 0.0"),
         (lambda: Parameter(None, unit="mm", free=False, labels=("_x", "_y", "_z")), "held but has no value"),
     ],

@@ -79,6 +79,9 @@ def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str,
     columns = {name: samples.columns[name] for name in instrument.columns}
     for name, values in instrument.known_columns.items():
         labels = samples.labels[instrument.known_by]
+        if instrument.knows_every_label and labels.names == (instrument.known_by,):  # what rows without it are given
+            fix = f"Add it: which of {', '.join(values)} each row is of"
+            raise ProblemError(f"{samples.file} has no column '{instrument.known_by}'", fix)
         if instrument.knows_every_label and (unlisted := sorted(set(labels.names) - set(values))):
             raise ProblemError(
                 f"{samples.file}: some rows have the {instrument.known_by} '{unlisted[0]}', which "

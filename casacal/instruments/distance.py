@@ -11,7 +11,7 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.fixed_point import AXES
-from casacal.instruments.instrument import Dimension, Sight, Words
+from casacal.instruments.instrument import Dimension, Sight, Suspect, Words
 from casacal.instruments.tool_tip import ToolTip, centre_of
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown
@@ -51,6 +51,13 @@ class Distance(ToolTip):
     def datum(self) -> tuple[str, ...]:
         """Anchors and zero."""
         return ("anchor", "zero")
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Units, and a wire that counts down."""
+        fix = "Reverse the sign of the lengths; the zero takes up the rest"
+        cause = "a longer way seems to be read as a shorter one"
+        return (*super().suspects, Suspect("sign of the lengths", cause, fix, ("length",), -1.0))
 
     @property
     def words(self) -> Words:

@@ -15,7 +15,7 @@ from casacal.instruments.instrument import Sight, Words
 from casacal.instruments.tool_tip import ToolTip
 from casacal.kinematics import Expression
 from casacal.unknowns import Direction, Parameter, Unknown
-from casacal.values import FrozenMapping
+from casacal.values import FrozenMapping, is_real
 
 AXES = ("_x", "_y", "_z")
 
@@ -84,11 +84,12 @@ class Sockets(ToolTip):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        along = {str(label): float(value) for label, value in self.along.items()}
+        given = self.along if isinstance(self.along, Mapping) else {}
+        along = {str(label): float(value) for label, value in given.items() if is_real(value) and math.isfinite(value)}
         object.__setattr__(self, "along", FrozenMapping(along))
-        if len(set(along.values())) < max(len(along), 2) or not all(map(math.isfinite, along.values())):
+        if len(set(along.values())) < max(len(given), 2):
             raise ProblemError(
-                f"The sockets stand at {dict(along)} along the bar",
+                f"The sockets stand at {dict(given) or self.along} along the bar",
                 'Give two places or more, such as {"0": 0, "1": 50}',
             )
 

@@ -16,7 +16,7 @@ from casacal.instruments.tool_tip import ToolTip
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Unknown
 from casacal.unknowns.fits import rigid_fit
-from casacal.values import FrozenMapping
+from casacal.values import FrozenMapping, is_real
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,10 +39,14 @@ class KnownPoint(ToolTip):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        triples = {str(label): tuple(float(value) for value in point) for label, point in self.points.items()}
+        given = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
+        for label, point in given:
+            if not isinstance(point, (tuple, list, np.ndarray)) or len(point) != 3 or not all(map(_is_finite, point)):
+                raise ProblemError(
+                    f"Point '{label}' of the plate is {point!r}", "Give x, y and z of each point in mm, by its label"
+                )
+        triples = {str(label): tuple(float(value) for value in point) for label, point in given}
         object.__setattr__(self, "points", FrozenMapping(triples))
-        if any(len(triple) != 3 or not np.isfinite(triple).all() for triple in triples.values()):
-            raise ProblemError("Some point of the plate is not three numbers", "Give x, y and z of each, in mm")
         known = np.array(list(triples.values())).reshape(-1, 3)
         if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
             raise ProblemError(
@@ -99,3 +103,7 @@ class KnownPoint(ToolTip):
                 "The points that were touched lie on a line", "Touch at least three that do not lie on one line"
             )
         return Frame.encode(matrix)
+
+
+def _is_finite(value: object) -> bool:
+    return is_real(value) and bool(np.isfinite(value))  # type: ignore[call-overload]

@@ -15,6 +15,7 @@ from casacal.instruments.dial_parts import tool_point
 from casacal.instruments.instrument import Instrument
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Parameter, Unknown
+from casacal.values import is_real
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,7 @@ class ToolTip(Instrument):
     tool: Parameter = tool_point()
 
     def __post_init__(self) -> None:
-        if not 0 < self.noise_std < math.inf:
+        if not is_real(self.noise_std) or not 0 < self.noise_std < math.inf:
             raise ProblemError(
                 f"noise_std of {type(self).__name__} is {self.noise_std!r}", "Give a positive number of mm"
             )
