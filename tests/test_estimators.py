@@ -39,6 +39,7 @@ from casacal import (
 )
 from casacal.errors import ProblemError
 from casacal.estimators.ekf import linear_update
+from casacal.estimators.ipopt_objective import Objective
 from casacal.estimators.lm_decisions import Damping, Move, Point, Shortest, acceptable, given_up, next_move
 from casacal.estimators.sckf import Belief, cubature_update, predict
 from casacal.least_squares.objective import Normal, Step
@@ -538,3 +539,13 @@ def test_what_ends_at_an_infinite_cost_has_failed(hsr):
     assert not worse.passed
     drawn = calibrate(hsr.problem, hsr.samples, method=lambda problem: problem.x0, reference=False)
     assert drawn.result.status is Status.UNSAID
+
+
+def test_the_reference_starts_from_what_it_finds_there_again(corner_bound):
+    """Its scales come from an evaluation at the start, which is kept: scaled as all that follow."""
+    objective = Objective(corner_bound.graph, corner_bound)
+    start = np.zeros(corner_bound.graph.start.size)
+    first = objective(start)
+    objective(start + 1e-3)
+    for kept, again in zip(first, objective(start), strict=True):
+        np.testing.assert_allclose(kept, again, rtol=1e-12, atol=1e-12 * np.abs(again).max())
