@@ -266,6 +266,23 @@ def test_rows_that_do_not_say_which_point_they_are_of_are_refused(name, column):
         bind(PROBLEMS[name], unsaid)
 
 
+@pytest.mark.parametrize("name", ["KnownPoint", "TrackedPoint"])
+def test_points_on_a_line_are_refused(name):
+    """Two places of the plate, or of the tip: what turns about their line is open."""
+    samples = drawn(name)
+    first = samples.labels["point"].codes < 2 if name == "KnownPoint" else np.arange(len(samples)) < 2
+    rows = samples.take(np.flatnonzero(first)[[0, 1] * 4])
+    with pytest.raises(ProblemError, match=rf"The points of {name} lie on a line\. Measure at least three"):
+        bind(PROBLEMS[name], rows)
+
+
+def test_an_anchor_of_too_few_lengths_is_refused():
+    samples = seen_by("Distance")
+    few = np.flatnonzero(samples.labels["anchor"].codes == 0)[4:]
+    with pytest.raises(ProblemError, match=r"An anchor has 4 lengths\. Take 5 or more"):
+        bind(PROBLEMS["Distance"], samples.take(np.setdiff1d(np.arange(len(samples)), few)))
+
+
 def test_a_wire_that_counts_down_is_named():
     samples = seen_by("Distance")
     down = replace(samples, columns={"length": 1500.0 - samples.columns["length"]})

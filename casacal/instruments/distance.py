@@ -10,9 +10,8 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.fixed_point import AXES
 from casacal.instruments.instrument import Dimension, Sight, Suspect, Words
-from casacal.instruments.tool_tip import ToolTip, centre_of
+from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown
 
@@ -34,7 +33,7 @@ class Distance(ToolTip):
 
     """
 
-    anchor: Parameter = Parameter(None, unit="mm", labels=AXES, per="anchor")
+    anchor: Parameter = proposed_point("anchor")
     zero: Parameter = Parameter(0.0, unit="mm", prior_std=float("inf"))
 
     @property

@@ -12,12 +12,10 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.instrument import Sight, Words
-from casacal.instruments.tool_tip import ToolTip
+from casacal.instruments.tool_tip import ToolTip, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Direction, Parameter, Unknown
 from casacal.values import FrozenMapping, is_real
-
-AXES = ("_x", "_y", "_z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +32,7 @@ class FixedPoint(ToolTip):
 
     """
 
-    point: Parameter = Parameter(None, unit="mm", labels=AXES, per="point")
+    point: Parameter = proposed_point("point")
 
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
@@ -79,7 +77,7 @@ class Sockets(ToolTip):
     """
 
     along: Mapping[str, float] = field(default_factory=dict)
-    start: Parameter = Parameter(None, unit="mm", labels=AXES, per="place")
+    start: Parameter = proposed_point("place")
     bar: Direction = Direction(None, per="place")
 
     def __post_init__(self) -> None:

@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Sight, Words
-from casacal.instruments.tool_tip import ToolTip
-from casacal.kinematics import Expression, transform_point
-from casacal.unknowns import Frame, Unknown
-from casacal.unknowns.fits import rigid_fit
+from casacal.instruments.instrument import Words
+from casacal.instruments.point_in_frame import AXES, PointInFrame
 from casacal.values import FrozenMapping, is_real
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownPoint(ToolTip):
+class KnownPoint(PointInFrame):
     """A tip brought to points of a plate, which the column "point" names; three residuals per row.
 
     Args:
@@ -35,7 +29,6 @@ class KnownPoint(ToolTip):
     """
 
     points: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    station: Frame = Frame()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,19 +48,9 @@ class KnownPoint(ToolTip):
             )
 
     @property
-    def unknowns(self) -> Mapping[str, Unknown]:
-        """Tip and plate."""
-        return {"tool": self.tool, "station": self.station}
-
-    @property
-    def datum(self) -> tuple[str, ...]:
-        """The plate."""
-        return ("station",)
-
-    @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
         """Coordinates of the row's point on the plate, mm."""
-        return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate("xyz")}
+        return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate(AXES)}
 
     @property
     def known_by(self) -> str:
@@ -88,21 +71,6 @@ class KnownPoint(ToolTip):
     def words(self) -> Words:
         """Coordinates of points."""
         return Words("residual of each coordinate", "mm", "points", "plate fitted alone", group="point", accuracy=True)
-
-    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Where the tip stands on the plate minus where the point does (3, mm)."""
-        return transform_point(p.station, self.tip(pose, p, row)) - ca.vertcat(row.x, row.y, row.z)
-
-    def propose(self, key: str, sight: Sight) -> Array:
-        """Rigid fit of the nominal tips to the known points; raises ProblemError where the points touched fix none."""
-        if key != "station":
-            return super().propose(key, sight)
-        matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[name] for name in ("x", "y", "z")]))
-        if matrix is None:
-            raise ProblemError(
-                "The points that were touched lie on a line", "Touch at least three that do not lie on one line"
-            )
-        return Frame.encode(matrix)
 
 
 def _is_finite(value: object) -> bool:

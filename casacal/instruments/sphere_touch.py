@@ -10,15 +10,10 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError
-from casacal.instruments.fixed_point import AXES
 from casacal.instruments.instrument import Sight, Words
-from casacal.instruments.tool_tip import ToolTip, centre_of
+from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown
-
-FEWEST = 4
-"""Touches of a sphere that propose where it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +31,7 @@ class SphereTouch(ToolTip):
     """
 
     radii: Parameter
-    centre: Parameter = Parameter(None, unit="mm", labels=AXES, per="sphere")
+    centre: Parameter = proposed_point("sphere")
 
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
@@ -61,8 +56,4 @@ class SphereTouch(ToolTip):
         """Centre of the sphere through the nominal tips."""
         if key != "centre":
             return super().propose(key, sight)
-        if len(sight.tips) < FEWEST:
-            raise ProblemError(
-                f"A sphere has {len(sight.tips)} touches", f"Touch each {FEWEST} times or more, or say where it is"
-            )
         return centre_of(sight.tips, np.zeros(len(sight.tips)))  # all alike, however large: |c|^2 takes them in

@@ -55,6 +55,11 @@ class ToolTip(Instrument):
         return transform_point(pose, p.tool)
 
 
+def proposed_point(per: str) -> Parameter:
+    """A point (3, mm) in the base frame for each value of a label column, which the rows propose; its prior is flat."""
+    return Parameter(None, unit="mm", labels=("_x", "_y", "_z"), per=per)
+
+
 def centre_of(points: Array, distances: Array, *, zero: bool = False) -> Array:
     """Point (3, mm) from which points (N, 3) lie at distances (N,), or at these but for one number if `zero`.
 
