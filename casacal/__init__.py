@@ -56,12 +56,14 @@ if TYPE_CHECKING:
     from casacal.instruments import Instrument as Instrument
     from casacal.instruments import KnownPoint as KnownPoint
     from casacal.instruments import Probe as Probe
+    from casacal.instruments import ResidualBlock as ResidualBlock
     from casacal.instruments import Sight as Sight
     from casacal.instruments import Sockets as Sockets
     from casacal.instruments import SphereTouch as SphereTouch
     from casacal.instruments import Step as Step
     from casacal.instruments import Suspect as Suspect
     from casacal.instruments import TrackedPoint as TrackedPoint
+    from casacal.instruments import TrackedPose as TrackedPose
     from casacal.instruments import Words as Words
     from casacal.instruments import dial_cycle as dial_cycle
     from casacal.instruments import dial_gain as dial_gain
@@ -89,9 +91,10 @@ if TYPE_CHECKING:
     from casacal.robots.conventions import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
+    from casacal.samples.measurements import Measurements as Measurements
     from casacal.samples.samples import Samples as Samples
-    from casacal.simulation.simulate import Simulation as Simulation
     from casacal.simulation.simulate import simulate as simulate
+    from casacal.simulation.simulation import Simulation as Simulation
     from casacal.study import Method as Method
     from casacal.study import Run as Run
     from casacal.study import Simulated as Simulated
@@ -144,7 +147,9 @@ _HOMES = {
         "SphereTouch",
         "Step",
         "Suspect",
+        "ResidualBlock",
         "TrackedPoint",
+        "TrackedPose",
         "Words",
         "dial_cycle",
         "dial_gain",
@@ -164,8 +169,10 @@ _HOMES = {
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),
+    "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),
-    "casacal.simulation.simulate": ("Simulation", "simulate"),
+    "casacal.simulation.simulate": ("simulate",),
+    "casacal.simulation.simulation": ("Simulation",),
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
     "casacal.compensation.targets": ("Targets", "read_targets"),
     "casacal.uncertainty.priors": ("scaled_to_accuracy",),

@@ -94,7 +94,7 @@ def chances(problem: BoundProblem) -> Result:
     """What `casacal check` finds of each effect, in place of the trace of a fit of the geometry."""
     bound = problem.problem
     noisy = bound.with_noise(found_noise(bound).scale)
-    noisy = noisy.with_noise(*with_effects(noisy, bound.problem).noise_scale)
+    noisy = noisy.with_noise(with_effects(noisy, bound.problem).scale)
     trace = {test.key: np.array([test.p]) for test in score_tests(noisy, bound.problem)}
     return dataclasses.replace(lm(noisy), trace=trace)
 

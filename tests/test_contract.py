@@ -24,16 +24,17 @@ def bound(folder):
     """The problem with its own samples, or, where it has none, with simulated ones."""
     source = load_problem(folder)
     if source.samples.is_file():
-        return bind(source.problem, source.problem.read(source.samples))
-    return bind(source.problem, simulate(source.problem, source.cell, seed=1).samples)
+        numbers = range(len(source.problem.instruments))
+        return bind(source.problem, *(source.problem.read(source.samples_of(i), i) for i in numbers))
+    return bind(source.problem, simulate(source.problem, source.cell, seed=1).measured)
 
 
 def test_a_problem_says_what_it_is(folder):
     text = (folder / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) >= 5
-    if (folder / "samples.csv").is_file():
-        # samples.csv says in its first line whether it was simulated; then the command that makes it must be given
-        simulated = (folder / "samples.csv").read_text(encoding="utf-8").startswith("# simulated")
+    for samples in folder.glob("samples*.csv"):
+        # it says in its first line whether it was simulated; then the command that makes it must be given
+        simulated = samples.read_text(encoding="utf-8").startswith("# simulated")
         assert not simulated or ("**simulated**" in text and re.search(r"casacal simulate problems/\w+.* --out", text))
 
 

@@ -195,16 +195,16 @@ def test_what_an_instrument_cannot_say_is_asked_for(hsr):
         bind(Problem(hsr.problem.robot, Blind()), hsr.problem.read(hsr.samples))
 
 
-def test_two_instruments_are_refused_in_a_sentence(hsr, corner_simulation):
+def test_samples_of_one_are_refused_for_two_instruments_in_a_sentence(hsr, corner_simulation):
     from casacal import Problem, TrackedPoint
 
     both = Problem(hsr.problem.robot, hsr.problem.instrument, TrackedPoint(noise_std=0.1))
-    for call in (
-        lambda: calibrate(both, corner_simulation.samples),
-        lambda: check(both, corner_simulation.samples),
-        lambda: simulate(both),
+    for call, said in (
+        (lambda: calibrate(both, corner_simulation.samples), "came as samples of 2 instruments"),
+        (lambda: check(both, corner_simulation.samples), "not those of the problem's instruments"),
+        (lambda: simulate(both, samples=6).samples, "measured by 2 instruments"),
     ):
-        with pytest.raises(CasacalError, match="measured by 2 instruments"):
+        with pytest.raises(CasacalError, match=said):
             call()
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,10 +160,17 @@ def test_which_rows_err_together():
     assert sorted(np.argwhere(np.triu(after))[:4].tolist()) == [[0, 2], [0, 3], [1, 2], [3, 4]]
     assert after[4, 5] == 0
     np.testing.assert_array_equal(alike(places).toarray(), places[:, None] == places)
-    noise = np.array([[1.0, 2.0], [4.0, 5.0]])
-    scaled = whitened(csr_matrix(np.array([[0.0, 1], [1, 0]])), noise).toarray()
-    np.testing.assert_allclose(scaled[0], [0, 0, 1 / 4, 0])
-    np.testing.assert_allclose(scaled[3], [0, 1 / 10, 0, 0])
+    rows = SimpleNamespace(
+        noise=np.array([1.0, 2.0, 4.0, 5.0, 8.0]),
+        components=np.array([2, 2, 1]),
+        sample_of=np.array([0, 0, 1, 1, 2]),
+        component_of=np.array([0, 1, 0, 1, 0]),
+    )
+    scaled = whitened(csr_matrix(np.array([[0.0, 1, 1], [1, 0, 0], [1, 0, 0]])), rows).toarray()
+    np.testing.assert_allclose(scaled[0], [0, 0, 1 / 4, 0, 1 / 8])
+    np.testing.assert_allclose(scaled[3], [0, 1 / 10, 0, 0, 0], err_msg="a sample of one residual has no second one")
+    apart = following((1, 2, 1, 2), np.arange(4), np.array([0, 0, 1, 1])).toarray()
+    assert np.argwhere(np.triu(apart)).tolist() == [[0, 1], [2, 3]], "instruments follow only themselves"
 
 
 def faulty(source, fault, seed):
@@ -182,7 +190,7 @@ def faulty(source, fault, seed):
 def ready(source, samples):
     bound = bind(source.problem, samples)
     bound = bound.with_noise(found_noise(bound).scale)
-    return bound.with_noise(*with_effects(bound, source.problem).noise_scale)
+    return bound.with_noise(with_effects(bound, source.problem).scale)
 
 
 def test_clean_arms_show_nothing(hsr):
@@ -243,7 +251,7 @@ def test_joints_that_do_not_repeat(hsr):
     bound = bind(hsr.problem, simulate(hsr.problem, cell, samples=240, seed=3).samples)
     samples = bound.block.samples
     apart = ready(hsr, samples)
-    assert len(apart.noise_scale[0]) > 1, "faces seem to differ in noise, as the joints see more of some"
+    assert len(apart.scale) > 1, "faces seem to differ in noise, as the joints see more of some"
     assert [each.key for each in leading_tests(apart, hsr.problem, 0.01)] == ["repeatability"]
     bound = bound.with_noise({"": 6.0})
     test = {each.key: each for each in score_tests(bound, hsr.problem)}["repeatability"]

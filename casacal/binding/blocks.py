@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.nominal import row_columns
-from casacal.binding.slots import Slot
+from casacal.binding.nominal import proposed_by, row_columns
+from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site
 from casacal.discrepancy.survey import Survey
 from casacal.errors import ProblemError
@@ -88,8 +88,9 @@ def make_block(
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
     index = [list(model.unknowns).index(key) for key in model.constants]
     constants = np.array([np.concatenate([row[j].nominal for j in index] or [np.zeros(0)]) for row in row_slots])
-    columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), -1)
-    known = tuple(row_columns(problem, i, samples, survey).values())
+    nc = sum(model.unknowns[key].nominal_size for key in model.constants)
+    columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), nc)
+    known = tuple(row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots))).values())
     noise = np.empty((len(samples), model.components))
     block = Block(model, samples, row_slots, pattern, columns, constants, known, _elsewhere(problem, i), noise)
     noise[:] = block.at_nominal(model.columns.noise)
@@ -118,14 +119,17 @@ def _patterns(
     """Different combinations of slots that rows see, and which of them each row (N,) sees."""
     by_name = {slot.name: slot for slot in slots}
     label_columns = problem.layout(i).labels
-    shared = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
+    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
+    own = problem.full_names[i]
     distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
+    if not len(samples):  # an instrument left out: its tip is asked for all the same
+        return (_any_slots(problem, i, slots, of_all),), pattern
     patterns = []
     for labels in distinct:
         here = dict(zip(label_columns, labels, strict=True))
         names = []
         for key, unknown in problem.models[i].unknowns.items():
-            full = key if key in shared else problem.prefix(i) + key
+            full = own.get(key) or (key if key in of_all else problem.prefix(i) + key)
             if unknown.per is not None:
                 full = f"{full}.{problem.instruments[i].instance(key, here[unknown.per])}"
             names.append(full)
@@ -136,3 +140,12 @@ def _patterns(
                 )
         patterns.append(tuple(by_name[name] for name in names))
     return tuple(patterns), pattern
+
+
+def _any_slots(problem: Problem, i: int, slots: Sequence[Slot], of_all: Collection[str]) -> tuple[Slot, ...]:
+    """A slot of each unknown that instrument `i` sees, whatever its label."""
+    own, first = problem.full_names[i], dict[str, Slot]()
+    for slot in slots:
+        first.setdefault(slot.key, slot)
+    keys = (own.get(key) or (key if key in of_all else problem.prefix(i) + key) for key in problem.models[i].unknowns)
+    return tuple(first[key] for key in keys)

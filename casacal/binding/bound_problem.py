@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.blocks import Block, make_block
+from casacal.binding.all_rows import AllRows
+from casacal.binding.blocks import make_block
 from casacal.binding.limits import COMPACT
 from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.nominal import surveys_of
 from casacal.binding.postures import Postures
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import RowGroups, places
-from casacal.binding.slots import Slot, coordinates, make_slots
+from casacal.binding.slots import Slot, coordinates, make_slots, nominals
 from casacal.binding.sums import Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.survey import Survey
@@ -29,14 +30,17 @@ from casacal.least_squares.groups import Groups
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.values import FrozenMapping, alike, short
 
-Scales: TypeAlias = Sequence[Mapping[str, float]]
+NO_FACTORS: Mapping[str, float] = FrozenMapping({})
 
 
-def bind(problem: Problem, *samples: Samples, backend: str | None = None, threads: int | None = None) -> BoundProblem:
+def bind(
+    problem: Problem, *samples: Samples | Measurements, backend: str | None = None, threads: int | None = None
+) -> BoundProblem:
     """Bind a problem to its samples, one set per instrument: nominal values, unknowns and weights are settled here.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
@@ -44,7 +48,7 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None, thread
 
     Args:
         problem: robot and instruments.
-        samples: rows of each instrument.
+        samples: rows of each instrument, one after another or together.
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
@@ -55,10 +59,10 @@ def bind(problem: Problem, *samples: Samples, backend: str | None = None, thread
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 
     """
-    return BoundProblem(problem, make_slots(problem, samples), samples, backend, threads)
+    return BoundProblem(problem, make_slots(problem, sets := sets_of(samples)), sets, backend, threads)
 
 
-class BoundProblem(Postures, LeastSquares):
+class BoundProblem(Postures, AllRows, LeastSquares):
     """A `Problem` with its samples; see `bind`."""
 
     def __init__(
@@ -68,35 +72,34 @@ class BoundProblem(Postures, LeastSquares):
         samples: Sequence[Samples],
         backend: str | None = None,
         threads: int | None = None,
-        noise_scale: Scales = (),
+        scale: Mapping[str, float] = NO_FACTORS,
         surveys: Sequence[Survey | None] = (),
         stated: Sequence[RowGroups] = (),
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
-        self.noise_scale = tuple(FrozenMapping(scale) for scale in noise_scale)
-        self.scale: Mapping[str, float] = next(iter(self.noise_scale), {})
+        self.scale = FrozenMapping(scale)
         at = coordinates(self.slots)
         self.names, self.units, self.beside = at.names, at.units, at.beside
         self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
-        self.surveys = tuple(surveys) or surveys_of(problem, samples)
+        self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
         self._asked, self._threads = backend, thread_count(threads)
         made = (make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples))
         rows = tuple(stated) or tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in made)
-        groups = [instrument.groups for instrument in problem.instruments]
-        self.blocks = scaled_noise([each.block for each in rows], groups, self.noise_scale)
+        self.blocks = tuple(each.block for each in rows)
+        self.blocks = scaled_noise(self, self.scale)
         self._stated = rows  # with the noise as it was stated
         self._groups = tuple(each.with_noise(block) for each, block in zip(rows, self.blocks, strict=True))
         self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
-        made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.noise_scale, self.surveys)
+        made_from = (self.problem, self.slots, self.samples, self._asked, self._threads, self.scale, self.surveys)
         return BoundProblem, made_from
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, BoundProblem):
             return self is other
-        mine, theirs = ((b.problem, b.slots, b.samples, b.noise_scale) for b in (self, other))
+        mine, theirs = ((b.problem, b.slots, b.samples, b.scale) for b in (self, other))
         return alike(mine, theirs)
 
     def __hash__(self) -> int:
@@ -106,37 +109,34 @@ class BoundProblem(Postures, LeastSquares):
         return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
 
     @property
-    def block(self) -> Block:
-        """The rows of the only instrument; raises ProblemError where there are several."""
-        _ = self.problem.instrument
-        return self.blocks[0]
-
-    @property
     def rows(self) -> int:
         """Scalar residuals of all instruments."""
         return int(self._starts[-1])
 
-    def on(self, *samples: Samples) -> BoundProblem:
+    def on(self, *samples: Samples | Measurements) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
-        return self._like(self.slots, samples, self.noise_scale)
+        return self._like(self.slots, sets_of(samples), self.scale)
 
     def under(self, problem: Problem) -> BoundProblem:
         """The same rows and nominal values under another problem of the same geometry, such as one with effects."""
         slots = make_slots(problem, self.samples, {slot.name: slot.nominal for slot in self.slots})
-        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.noise_scale)
+        return BoundProblem(problem, slots, self.samples, self._asked, self._threads, self.scale)
 
     def with_sizes(self, times: Mapping[str, float], *, noise: Mapping[str, float] | None = None) -> BoundProblem:
         """The same rows, sizes of effects multiplied by a factor for each key; with other factors of noise, if any."""
         slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
-        return self._like(slots, self.samples, self.noise_scale if noise is None else (noise,))
+        return self._like(slots, self.samples, self.scale if noise is None else noise)
 
-    def with_noise(self, *scale: Mapping[str, float]) -> BoundProblem:
-        """The same rows, their stated noise times a factor for each face of each instrument; "" stands for others."""
+    def with_noise(self, scale: Mapping[str, float] = NO_FACTORS) -> BoundProblem:
+        """The same rows, their stated noise times a factor for each face, or each of several instruments.
+
+        "" stands for those that are not named; without any, it is the noise as stated.
+        """
         return self._like(self.slots, self.samples, scale)
 
-    def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], noise_scale: Scales) -> BoundProblem:
+    def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], scale: Mapping[str, float]) -> BoundProblem:
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else ()
-        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, noise_scale, self.surveys, stated)
+        return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
 
     @property
     def backend(self) -> str:

@@ -14,21 +14,19 @@ from casacal.least_squares.restricted import Restricted
 from casacal.samples.samples import Samples
 
 
-def bind_further(bound: BoundProblem, samples: Samples) -> BoundProblem:
-    """Bind the same unknowns to other rows, and after them those of labels that are new; one instrument.
+def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
+    """Bind the same unknowns to other rows, and after them those of labels that are new; one set per instrument.
 
     Raises ProblemError as `bind` does.
     """
     seen = {slot.name: slot.nominal for slot in bound.slots}
     slots = list(bound.slots)
-    for slot in make_slots(bound.problem, [samples], seen):
+    for slot in make_slots(bound.problem, samples, seen):
         if slot.name not in seen:
             slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
     if len(slots) == len(seen):
-        return bound.on(samples)
-    return BoundProblem(
-        bound.problem, slots, (samples,), bound.backend, noise_scale=bound.noise_scale, surveys=bound.surveys
-    )
+        return bound.on(*samples)
+    return BoundProblem(bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys)
 
 
 def extended(further: BoundProblem, x: Array) -> Array:

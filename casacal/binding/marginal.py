@@ -56,11 +56,6 @@ class Marginal(LeastSquares):
         return self.whole.blocks
 
     @property
-    def block(self) -> Block:
-        """The rows of the only instrument; raises ProblemError where there are several."""
-        return self.whole.block
-
-    @property
     def slots(self) -> Sequence[Slot]:
         """Every unknown, those taken out among them."""
         return self.whole.slots

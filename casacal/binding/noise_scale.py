@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import Block
-from casacal.samples.repeats import repeats_of
-from casacal.samples.samples import Samples
 
 OTHERS = ""
 """Stands for every face that is not named."""
@@ -22,36 +21,35 @@ REPEATABILITY = "\0joints"
 """Stands for what joints do not repeat, rad (`PER_RAD` mm of a sliding one are one), on top of the rest."""
 
 
-def scaled_noise(
-    blocks: Sequence[Block], groups: Sequence[str | None], scale: Sequence[Mapping[str, float]]
-) -> tuple[Block, ...]:
-    """Blocks whose noise is what was stated times the factor of each row's face, with what joints do not repeat.
+def scaled_noise(rows: AllRows, scale: Mapping[str, float]) -> tuple[Block, ...]:
+    """Blocks whose noise is what was stated times the factor of each row, with what joints do not repeat.
 
     As they are without factors.
     """
     if not scale:
-        return tuple(blocks)
-    triples = zip(blocks, groups, scale, strict=True)
-    return tuple(replace(block, noise=_scaled(block, column, some)) for block, column, some in triples)
+        return rows.blocks
+    whole = factors(rows, scale)
+    each = [whole[rows.sample_rows(i)].reshape(block.noise.shape) for i, block in enumerate(rows.blocks)]
+    return tuple(replace(b, noise=_scaled(b, some, scale)) for b, some in zip(rows.blocks, each, strict=True))
 
 
-def _scaled(block: Block, groups: str | None, scale: Mapping[str, float]) -> Array:
-    noise = block.noise * factors(block.samples, groups, scale)[:, None]
+def _scaled(block: Block, factors: Array, scale: Mapping[str, float]) -> Array:
+    noise = block.noise * factors
     return np.hypot(noise, joints * block.joint_noise) if (joints := scale.get(REPEATABILITY, 0.0)) > 0 else noise
 
 
-def factors(samples: Samples, groups: str | None, scale: Mapping[str, float]) -> Array:
-    """The factor of each row's stated noise (N,).
+def factors(rows: AllRows, scale: Mapping[str, float]) -> Array:
+    """The factor of each residual's stated noise (rows,).
 
     Where repeats share the part c of their variance, m of them weigh together like one of variance (1 + (m - 1) c) / m,
     the design effect of samples in clusters (Kish, Survey Sampling, 1965).
     """
-    faces = samples.faces(groups)
+    faces = rows.noise_labels
     known = np.array([scale.get(name, scale.get(OTHERS, 1.0)) for name in faces.names], dtype=np.float64)
     found = known[faces.codes]
     if (shared := scale.get(SHARED, 0.0)) > 0:
-        again = repeats_of(samples, groups)
-        found = found * np.sqrt(1 + (again.sizes[again.codes] - 1) * shared)
+        again = rows.repeats
+        found = found * np.sqrt(1 + (again.sizes[again.codes] - 1) * shared)[rows.sample_of]
     return np.asarray(found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,16 +14,29 @@ from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.values import FrozenMapping
+
+Proposed = Mapping[str, Array]
+"""Nominal values that rows have proposed, by the instrument's own key."""
+
+NOTHING: Proposed = FrozenMapping({})
 
 
-def row_columns(problem: Problem, i: int, samples: Samples, survey: Survey | None) -> dict[str, Array]:
+def proposed_by(problem: Problem, i: int, named: Mapping[str, Array]) -> Proposed:
+    """Of nominal values by full name those of instrument `i`, where there is one for all of its rows."""
+    return {key: named[full] for key, full in problem.full_names[i].items() if full in named}
+
+
+def row_columns(
+    problem: Problem, i: int, samples: Samples, survey: Survey | None, proposed: Proposed = NOTHING
+) -> dict[str, Array]:
     """Columns that were read, those known from labels, and those that effects ask for, each (N,)."""
     columns = _instrument_columns(problem, i, samples)
     effects = problem.models[i].effects
     site = Site(problem.robot, problem.instruments[i])
     if not any(effect.columns(site) for effect in effects):
         return columns
-    tips = nominal_tips(problem, i, samples)
+    tips = nominal_tips(problem, i, samples, proposed)
     assert survey is not None
     rows = Rows(samples, tips, survey)
     for effect in effects:
@@ -31,12 +44,13 @@ def row_columns(problem: Problem, i: int, samples: Samples, survey: Survey | Non
     return columns
 
 
-def surveys_of(problem: Problem, samples: Sequence[Samples]) -> tuple[Survey | None, ...]:
+def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:
     """What the rows of each instrument say of themselves, where effects want to know."""
     if not problem.effects:
         return (None,) * len(samples)
     return tuple(
-        Survey.of(some, nominal_tips(problem, i, some), problem.instruments[i].groups) for i, some in enumerate(samples)
+        Survey.of(some, nominal_tips(problem, i, some, proposed_by(problem, i, named)), problem.instruments[i].groups)
+        for i, some in enumerate(samples)
     )
 
 
@@ -48,9 +62,15 @@ def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
 
 
-def nominal_tips(problem: Problem, i: int, samples: Samples) -> Array:
-    """Tips (N, 3; mm) of all rows of instrument `i` at the nominal; raises ProblemError when one is not finite."""
-    tips: Array = problem.models[i].columns.tip(*_nominal_inputs(problem, i, samples))
+def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed = NOTHING) -> Array:
+    """Tips (N, 3; mm) of all rows of instrument `i` at the nominal; raises ProblemError when one is not finite.
+
+    Where the tip needs what rows have yet to propose, as the body of a tracked pose, the flange's origins stand for it.
+    """
+    model, inputs = problem.models[i], _nominal_inputs(problem, i, samples, proposed)
+    tips: Array = model.columns.tip(*inputs)
+    if np.isnan(tips).all() and any(model.unknowns[key].nominal is None for key in model.constants):
+        tips = stacked_poses(model.columns.pose(*inputs))[:, :3, 3]
     if not np.isfinite(tips).all():
         raise ProblemError(
             f"The tip of {type(problem.instruments[i]).__name__} is not finite at the nominal",
@@ -59,12 +79,16 @@ def nominal_tips(problem: Problem, i: int, samples: Samples) -> Array:
     return tips
 
 
-def _nominal_inputs(problem: Problem, i: int, samples: Samples) -> tuple[Array, Array, Array]:
+def _nominal_inputs(
+    problem: Problem, i: int, samples: Samples, proposed: Proposed = NOTHING
+) -> tuple[Array, Array, Array]:
     """(z, c, d) of the nominal robot for all rows."""
     model = problem.models[i]
     z = np.zeros(sum(u.size for u in model.unknowns.values()))
     known = [
-        np.full(model.unknowns[k].nominal_size, np.nan) if (n := model.unknowns[k].nominal) is None else n
+        proposed.get(k, np.full(model.unknowns[k].nominal_size, np.nan))
+        if (n := model.unknowns[k].nominal) is None
+        else n
         for k in model.constants
     ]
     own = _instrument_columns(problem, i, samples)

@@ -95,7 +95,7 @@ class RowGroups:
         of_each = rows_by_code(block.pattern, len(block.columns))
         for columns, constants, rows in zip(block.columns, block.constants, of_each, strict=True):
             square = np.ix_(columns, columns)
-            for some in _parts(rows):
+            for some in _parts(rows) if rows.size else ():
                 lanes = self._rows.lanes([block.rows(some)], block.noise[some])
                 found.append(Piece(some, columns, constants, self._unknowns, lanes, square))
         return tuple(found)

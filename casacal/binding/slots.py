@@ -67,6 +67,11 @@ class Slot(Value):
                 yield name, self.unknown.unit, float(nominal), free.get(name)
 
 
+def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
+    """Nominal values by name, of what does not differ by label."""
+    return {slot.name: slot.nominal for slot in slots if slot.label is None}
+
+
 @dataclass(frozen=True)
 class Coordinates:
     """What is known of each coordinate of x (n,) beforehand; `beside` names the effect that it belongs to, or none."""
@@ -110,11 +115,13 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
             f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"
         )
     slots: list[Slot] = []
+    taken: set[str] = set()
     fits_all, known = known is None, known or {}
 
     def add(key: str, unknown: Unknown, label: str | None, nominal: Array, datum: bool, beside: str = "") -> None:
         first = slots[-1].first + slots[-1].unknown.size if slots else 0
         slots.append(Slot(key, unknown, label, read_only(nominal), first, datum, beside))
+        taken.add(slots[-1].name)
 
     for key, unknown in problem.robot.parameters.items():
         if unknown.nominal is None:
@@ -123,18 +130,21 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
     for i, instrument in enumerate(problem.instruments):
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in instances(instrument, key, unknown, samples[i]):
-                name = problem.prefix(i) + (key if label is None else f"{key}.{label}")
+                full = problem.full_names[i][key]
+                name = full if label is None else f"{full}.{label}"
+                if name in taken:  # shared with an instrument before
+                    continue
                 nominal = known.get(name, unknown.nominal)
                 if name not in known:
                     check_rows(problem, i, key, unknown, label, rows, samples[i], fits_all=fits_all)
                 if nominal is None:
                     few = rows[:: -(-len(rows) // ENOUGH) or 1]
                     nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))
-                add(problem.prefix(i) + key, unknown, label, nominal, key in instrument.datum)
+                add(full, unknown, label, nominal, key in instrument.datum)
         for effect in problem.models[i].effects:
             for key, unknown in effect.unknowns(Site(problem.robot, instrument)).items():
                 for label, _ in instances(instrument, key, unknown, samples[i]):
-                    name = key if effect.moves else problem.prefix(i) + key
-                    if all((slot.key, slot.label) != (name, label) for slot in slots):
-                        add(name, unknown, label, np.zeros(unknown.nominal_size), False, effect.key)
+                    full = key if effect.moves else problem.prefix(i) + key
+                    if (full if label is None else f"{full}.{label}") not in taken:
+                        add(full, unknown, label, np.zeros(unknown.nominal_size), False, effect.key)
     return slots

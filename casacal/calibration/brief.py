@@ -63,7 +63,7 @@ def _subject(calibration: Calibration) -> str:
     held = calibration.heldout
     rows = f"{len(calibration.samples)} samples"
     if held is not None:
-        rows += f", {len(held.block.samples)} of them held out{together(calibration)}"
+        rows += f", {len(held.measured)} of them held out{together(calibration)}"
     checked = ""
     if calibration.reference is not None:
         found = calibration.reference
@@ -83,7 +83,7 @@ def _residual(calibration: Calibration) -> str:
     before, after = (calibration.metrics[when][part] for when in ("before", "after"))
     assert before is not None
     assert after is not None
-    said = calibration.fit.problem.instrument.words
+    said = calibration.fit.problem.words
     held = "" if part == "fit" else "held-out "
     return (
         f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (as "

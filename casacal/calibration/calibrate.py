@@ -14,6 +14,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.further import bind_further
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.corrections import tried_corrections
+from casacal.calibration.given import problem_from, samples_from
 from casacal.calibration.methods import RANDOM, Method, Progress, chosen, estimate
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding
@@ -23,11 +24,11 @@ from casacal.estimators import ipopt, lm, plane_only
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile, load_problem
-from casacal.samples.holdout import split
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.holdout import split_each
+from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Samples
-from casacal.tables.frames import is_frame
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
 
@@ -51,12 +52,13 @@ def calibrate(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Calibrated:
-    """Fit the unknowns of a problem with one instrument to its samples.
+    """Fit the unknowns of a problem to its samples.
 
     Args:
-        problem: robot and instrument: a `Problem`, what `load_problem` returns, or the path of a problem.
-        samples: rows of that instrument: `Samples`, a file, a pandas DataFrame, or arrays by column; by default the
-            samples.csv beside a problem file.
+        problem: robot and instruments: a `Problem`, what `load_problem` returns, or the path of a problem.
+        samples: rows of the instrument: `Samples`, a file, a pandas DataFrame, or arrays by column; by default the
+            samples.csv beside a problem file. Of several instruments these by name, such as {"dial": "a.csv",
+            "tracker": "b.csv"}; by default samples-dial.csv and so on.
         method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
             default "sckf-lm", and "lm" with a loss.
         holdout: fraction of the rows (0 to below 1) that is not fitted but judged.
@@ -94,8 +96,9 @@ def calibrate(
     if discrepancy not in ("kit", "none"):
         raise CasacalError(f"{came(discrepancy)} came for the discrepancy", "Give 'kit' or 'none'")
     began = time.perf_counter()
-    single = without_copies(rows)
-    fitted, held = split(single, holdout, seed, holdout_by, source.problem.instrument.groups)
+    single = Measurements.of(rows).map(without_copies)
+    groups = [instrument.groups for instrument in source.problem.instruments]
+    fitted, held = split_each(single, holdout, seed, holdout_by, groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         chosen_rows = single.take(fitted) if held.size else single
         bare, aside = _geometry(source.problem, chosen_rows, noise, outliers, loss, backend, threads)
@@ -104,7 +107,7 @@ def calibrate(
             fit = with_effects(bare, source.problem, find_noise=noise == "found")
             if outliers == "set aside" and fit is not bare:
                 fit, bare, aside = _second_look(fit, bare, aside, chosen_rows, source.problem, noise, threads)
-        heldout = bind_further(fit, single.take(held)) if held.size else None
+        heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
         result = estimate(run, name, fit, seed, loss, progress)
@@ -120,7 +123,7 @@ def calibrate(
 
 def _geometry(
     problem: Problem,
-    rows: Samples,
+    rows: Measurements,
     noise: str,
     outliers: str,
     loss: Loss | None,
@@ -128,13 +131,14 @@ def _geometry(
     threads: int | None,
 ) -> tuple[BoundProblem, tuple[Finding, ...]]:
     """The rows under the geometry alone, gross ones set aside and noise as found, and what is wrong with those."""
-    bare = bind(problem.without_effects, rows, backend=backend, threads=threads)
+    bare = bind(problem.without_effects, *rows.sets, backend=backend, threads=threads)
     aside: tuple[Finding, ...] = ()
     _refuse_too_few(bare)
     if outliers == "set aside" and loss is None:
         bad, aside = gross(bare)
         if bad.any():
-            bare = bind(bare.problem, rows.take(np.flatnonzero(~bad)), backend=backend, threads=threads)
+            kept = rows.take(np.flatnonzero(~bad))
+            bare = bind(bare.problem, *kept.sets, backend=backend, threads=threads)
     return _noise_settled(bare, noise, loss), aside
 
 
@@ -148,7 +152,7 @@ def _second_look(
     fit: BoundProblem,
     bare: BoundProblem,
     aside: tuple[Finding, ...],
-    rows: Samples,
+    rows: Measurements,
     problem: Problem,
     noise: str,
     threads: int | None,
@@ -158,59 +162,32 @@ def _second_look(
     Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
     """
     try:
-        whole = rows.lines == fit.block.samples.lines
-        bad, found = gross(fit if whole else fit.on(rows), drawn=bare if whole else bare.on(rows))
+        whole = _same(rows, fit.measured)
+        bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
     except ProblemError:  # a face all of whose rows were set aside
         return fit, bare, aside
     kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
-    if kept.lines == bare.block.samples.lines:
+    if _same(kept, bare.measured):
         return fit, bare, aside
-    bare = _noise_settled(bind(bare.problem, kept, backend=bare.backend, threads=threads), noise)
+    bare = _noise_settled(bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads), noise)
     return with_effects(bare, problem, find_noise=noise == "found"), bare, found
+
+
+def _same(one: Measurements, two: Measurements) -> bool:
+    """Whether these are the same rows."""
+    return all(a.lines == b.lines for a, b in zip(one.sets, two.sets, strict=True))
 
 
 def _refuse_too_few(fit: BoundProblem) -> None:
     """Raise SamplesError where there are fewer rows than unknowns."""
     if fit.rows >= fit.unknowns:
         return
-    samples = fit.block.samples
+    samples = fit.measured
     least = -(-fit.unknowns * len(samples) // fit.rows)
     raise SamplesError(
         samples.file,
         f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
         f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix",
-    )
-
-
-def problem_from(given: Any) -> ProblemFile:
-    """A problem with where it came from, from a problem, a problem file, or a path; raises CasacalError."""
-    if isinstance(given, ProblemFile):
-        return given
-    if isinstance(given, Problem):
-        return ProblemFile.of(given)
-    if isinstance(given, (str, Path)):
-        return load_problem(given)
-    raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
-
-
-def samples_from(given: Any, source: ProblemFile) -> Samples:
-    """Samples of a problem's one instrument from any form in which people have them; raises CasacalError."""
-    problem = source.problem
-    _ = problem.instrument  # one, or a sentence
-    layout = problem.layout()
-    if isinstance(given, Samples):
-        given.check(layout)
-        return given
-    if given is None and source.samples is not None:
-        return problem.read(source.samples)
-    if isinstance(given, (str, Path)):
-        return problem.read(given)
-    if is_frame(given):
-        return Samples.from_frame(given, layout)
-    if isinstance(given, Mapping):
-        return Samples.from_arrays(given, layout)
-    raise CasacalError(
-        f"{came(given)} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column"
     )
 
 

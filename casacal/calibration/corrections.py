@@ -51,15 +51,15 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     that stand already count. A gear that would have to be broken to be so bad is none: something else errs.
 
     Args:
-        fit: with the effects in it; one instrument.
+        fit: with the effects in it.
         result: its fit.
 
     """
-    site = Site(fit.problem.robot, fit.problem.instrument)
+    sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
     known = {
         effect.key: effect.words
         for effect in fit.problem.effects
-        if effect.moves and effect.key in fit.beside and not effect.columns(site)
+        if effect.moves and effect.key in fit.beside and not any(effect.columns(site) for site in sites)
     }
     if not known or not result.converged:
         return ()

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.alone import each_alone
+from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.further import extended
 from casacal.calibration.corrections import Tried
+from casacal.calibration.metrics import Metrics, metrics_by_part, residual_metrics
 from casacal.calibration.motion import used_arm
 from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
 from casacal.checks.dial_sign import sign_before_fit
 from casacal.checks.numbers import wrong_number
-from casacal.checks.rows import outside, rounded
+from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.tool import tool_elsewhere_at
+from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem_file import ProblemFile
+from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
-from casacal.uncertainty.figures import HALF_WEIGHT, residual_figures
+from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.left_out import LeftOut, leave_one_face_out
 from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.values import FrozenMapping, Value
@@ -39,7 +44,8 @@ class Fitted(Value):
 
     method: str
     seed: int
-    samples: Samples
+    samples: Samples | Measurements
+    """As they were given, of one instrument or of several."""
     fit: BoundProblem
     heldout: BoundProblem | None
     result: Result
@@ -91,7 +97,7 @@ class Fitted(Value):
     @cached_property
     def weighed(self) -> BoundProblem:
         """The same with the noise as it was found beside effects: what a single touch tells of the geometry."""
-        return self.bare if self.bare is self.fit else self.bare.with_noise(*self.fit.noise_scale)
+        return self.bare if self.bare is self.fit else self.bare.with_noise(self.fit.scale)
 
     @property
     def bare_x(self) -> Array:
@@ -104,9 +110,10 @@ class Fitted(Value):
         return self.result if self.bare is self.fit else lm(self.bare)
 
     @property
-    def aside_lines(self) -> tuple[int, ...]:
-        """Lines of the rows that were set aside."""
-        return tuple(sorted({line for found in self.aside for line in found.lines}))
+    def aside_lines(self) -> tuple[int | str, ...]:
+        """Lines of the rows that were set aside; with the instrument's name where there are several."""
+        lines = sorted({(found.instrument, line) for found in self.aside for line in found.lines})
+        return tuple(f"{name} {line}" if name else line for name, line in lines)
 
     @cached_property
     def noise(self) -> Noise:
@@ -116,7 +123,14 @@ class Fitted(Value):
     @cached_property
     def copies(self) -> int:
         """Rows that are copies of an earlier one, to the last digit, and so neither fitted nor held out."""
-        return int(copies_of(self.samples).sum())
+        return int(sum(copies_of(some).sum() for some in Measurements.of(self.samples).sets))
+
+    @cached_property
+    def repeated(self) -> tuple[Finding, ...]:
+        """Warnings of such rows, with the instrument's name where there are several."""
+        given = Measurements.of(self.samples)
+        pairs = zip(given.names, given.sets, strict=True)
+        return tuple(replace(finding, instrument=name) for name, some in pairs for finding in repeated(some))
 
     @property
     def noise_words(self) -> str:
@@ -127,7 +141,7 @@ class Fitted(Value):
     def assumed(self) -> str:
         """What figures of accuracy take for right: noise, priors, and what readings cannot tell of themselves."""
         noise = "noise as found" if self.noise.scale else "the stated noise"
-        trusted = self.fit.problem.instrument.words.trusted
+        trusted = self.fit.problem.words.trusted
         return f"{noise}, priors and {trusted}" if trusted else f"{noise} and priors"
 
     @cached_property
@@ -154,25 +168,22 @@ class Fitted(Value):
         return leave_one_face_out(self.fit, self.result)
 
     @cached_property
-    def metrics(self) -> dict[str, dict[str, dict[str, float] | None]]:
+    def metrics(self) -> Metrics:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
-        return {
-            when: {
-                "fit": residual_figures(self.fit.plain_residual(x)),
-                "heldout": None if self.heldout is None else residual_figures(self.heldout.plain_residual(held)),
-            }
-            for when, x, held in zip(("before", "after"), (self.before.x, self.used_x), self.heldout_x, strict=True)
-        }
+        return residual_metrics(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
 
     @cached_property
-    def down_weighted(self) -> tuple[int, ...]:
-        """Lines of the rows that a robust loss gave less than half of their weight."""
+    def metrics_by_instrument(self) -> dict[str, Metrics]:
+        """The same of each of several instruments, and of each block of a residual, in its unit; else nothing."""
+        return metrics_by_part(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
+
+    @cached_property
+    def down_weighted(self) -> tuple[int | str, ...]:
+        """Lines of the rows that a robust loss gave less than half of their weight; named as `aside_lines`."""
         if self.result.loss is None:
             return ()
-        samples = self.fit.block.samples
-        per_row = self.fit.rows // len(samples)
-        low = np.flatnonzero(self.result.weights < HALF_WEIGHT).tolist()
-        return tuple(dict.fromkeys(samples.lines[k // per_row] for k in low))
+        low = np.unique(self.fit.sample_of[self.result.weights < HALF_WEIGHT]).tolist()
+        return tuple(self.fit.measured.place(k) for k in low)
 
     @cached_property
     def tool_findings(self) -> tuple[Finding, ...]:
@@ -184,14 +195,26 @@ class Fitted(Value):
     @cached_property
     def data_errors(self) -> tuple[Finding, ...]:
         """Errors that the whole data check finds in the rows that were fitted; it takes many fits."""
-        found = check(self.bare.problem, self.fit.block.samples)
+        found = check(self.bare.problem, self.fit.measured.plain)
         return tuple(each for each in found if each.severity == "error")
 
     @cached_property
     def plain_errors(self) -> tuple[Finding, ...]:
         """Errors that need few fits or none: travel, limits, rounding, the dial's sign, a number of the arm."""
-        bare = self.bare
-        found = [*outside(bare.problem, bare.block.samples), *rounded(bare), *sign_before_fit(bare)]
+        found = list[Finding]()
+        for alone in self._each_bare():
+            told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
+            name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
+            found += [replace(each, instrument=name) for each in told]
         if self.result.loss is None:
-            found += wrong_number(bare)
+            found += wrong_number(self.bare)
         return tuple(each for each in found if each.severity == "error")
+
+    def _each_bare(self) -> Iterator[BoundProblem]:
+        """The fitted rows of each instrument by itself, under the geometry alone; those that can be bound so."""
+        if len(self.fit.samples) == 1:
+            yield self.bare
+            return
+        for alone in each_alone(self.bare.problem, self.bare.samples):
+            with contextlib.suppress(CasacalError):
+                yield bind(alone.problem, alone.samples)

@@ -36,25 +36,26 @@ def plot_residuals(calibration: Calibration, axes: Any) -> None:
     if calibration.heldout is not None:
         parts.append((" (held out)", calibration.heldout, calibration.heldout_x, HELD))
     for suffix, bound, pair, colour in parts:
-        faces = bound.block.samples.faces(bound.problem.instrument.groups)
-        before, after = (bound.plain_residual(x).reshape(len(faces), -1) for x in pair)
+        faces = bound.faces
+        before, after = (bound.plain_residual(x) for x in pair)
         order, places = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for label, rows in faces.rows().items():
-            count = len(rows) * before.shape[1]
-            order.append(rows)
+            own = bound.residuals_of(rows)
+            count = own.size
+            order.append(own)
             places.append(offset + np.arange(count))
             ticks.append((offset + count / 2, f"{_short(label)}{suffix}"))
             offset += count + 4
             ends.append(offset - 2.5)
         here, rows = np.concatenate(places), np.concatenate(order)
-        axes.plot(here, before[rows].ravel(), "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
-        axes.plot(here, after[rows].ravel(), "o", ms=3, color=colour, zorder=2)
+        axes.plot(here, before[rows], "o", ms=3, mfc="none", mec=BEFORE, zorder=1)
+        axes.plot(here, after[rows], "o", ms=3, color=colour, zorder=2)
     if len(ends) <= LINED:
         axes.vlines(ends, 0, 1, colors="0.9", linewidth=0.8, zorder=0, transform=axes.get_xaxis_transform())
     axes.axhline(0, color="0.5", lw=0.8, zorder=0)
     ticks = [ticks[k] for k in np.unique(np.linspace(0, len(ticks) - 1, NAMED).astype(int))]
     axes.set_xticks([place for place, _ in ticks], [label for _, label in ticks], rotation=20, ha="right", fontsize=8)
-    said = calibration.fit.problem.instrument.words
+    said = calibration.fit.problem.words
     axes.set_ylabel(f"{said.residual}, {said.unit}")
     axes.plot([], [], "o", ms=4, mfc="none", mec=BEFORE, label=f"before: {said.before}")
     axes.plot([], [], "o", ms=4, color=AFTER, label="after, fitted rows")

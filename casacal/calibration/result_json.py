@@ -39,8 +39,9 @@ from casacal.files import write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.copies import listing
+from casacal.samples.measurements import Measurements
 from casacal.samples.write import write_samples
-from casacal.simulation.simulate import Simulation
+from casacal.simulation.simulation import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs
 from casacal.version import __version__
@@ -68,10 +69,10 @@ def calibration_document(
             "file": seen_from(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
-            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.block.samples),
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
             "heldout_by": calibration.heldout_by,
-            "fitted": len(fit.block.samples),
-            "fitted_rows": listing(fit.block.samples, fit.problem.layout()),
+            "fitted": len(fit.measured),
+            **_fitted_rows(fit, Measurements.of(calibration.samples), folder),
             "set_aside": len(calibration.aside_lines),
             "copies": calibration.copies,
         },
@@ -79,6 +80,7 @@ def calibration_document(
         "parameters": parameter_rows(fit, calibration.used_x, result.std, denied=denied),
         **geometry(fit, calibration.used_x),
         "metrics": calibration.metrics,
+        **_by_instrument(calibration),
         "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
         "tip": None if denied else tip_part(calibration),
         "noise": noise_part(calibration),
@@ -98,11 +100,33 @@ def calibration_document(
     return sealed(document)
 
 
+def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) -> dict[str, Any]:
+    """The rows that were fitted, to know them again; of several instruments by name, each with its file."""
+    if len(given.sets) == 1:
+        return {"fitted_rows": listing(fit.samples[0], fit.problem.layout())}
+    sets = {
+        name: {
+            "file": seen_from(folder, some.file),
+            "sha256": some.sha256,
+            "samples": len(some),
+            "fitted": len(fit.samples[i]),
+            "fitted_rows": listing(fit.samples[i], fit.problem.layout(i)),
+        }
+        for i, (name, some) in enumerate(zip(given.names, given.sets, strict=True))
+    }
+    return {"instruments": sets}
+
+
+def _by_instrument(calibration: Calibration) -> dict[str, Any]:
+    found = calibration.metrics_by_instrument
+    return {"metrics_by_instrument": found} if found else {}
+
+
 def truth_document(
     bound: BoundProblem, truth: Result, source: ProblemFile, seed: int, *, folder: Path | None = None
 ) -> dict[str, Any]:
     """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
-    samples = bound.block.samples
+    samples = bound.measured
     known = parameter_rows(bound, truth.x, np.zeros(bound.unknowns))
     rows = [{**row, "note": "true value of the simulated arm"} for row in known]
     names = seen(bound, truth.x)[0].names
@@ -179,17 +203,25 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
     """Write simulated samples, and the truth as x.truth.json beside x.csv, both or neither; returns both paths."""
-    samples, truth_path = simulation.samples, path.with_suffix(".truth.json")
+    measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
+    targets = sample_paths(path, source.problem.names)
     if path.exists() and not path.is_file():
         raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
     comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    with side_by_side([path, truth_path]) as (rows, answer):
-        write_samples(rows, source.problem.layout(), samples, comments)
-        written = replace(source.problem.read(rows), file=str(path))
-        document = _truth_of(simulation, source, bind(source.problem, written), path.parent)
-        document["data"]["file"] = path.name
+    with side_by_side([*targets, truth_path]) as (*places, answer):
+        written = []
+        for i, (place, some) in enumerate(zip(places, measured.sets, strict=True)):
+            write_samples(place, source.problem.layout(i), some, comments)
+            written.append(replace(source.problem.read(place, i), file=str(targets[i])))
+        document = _truth_of(simulation, source, bind(source.problem, *written), path.parent)
+        document["data"]["file"] = " and ".join(target.name for target in targets)
         write_json(answer, sealed(document))
-    return [path, truth_path]
+    return [*targets, truth_path]
+
+
+def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
+    """Where the samples of each instrument go: x.csv of an only one, x-dial.csv and so on of several."""
+    return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
 
 
 def _truth_of(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:

@@ -14,12 +14,12 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import REPEATABILITY, without_joints
+from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.corrected_words import tip_without_corrections
 from casacal.calibration.motion import besides
 from casacal.calibration.reference import Reference
 from casacal.calibration.withheld import without_motion, without_tips
-from casacal.discrepancy.effect import Site
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import times_found
 from casacal.uncertainty.identifiability import verdict
@@ -73,8 +73,10 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     """
     found, fit = calibration.noise, calibration.fit
     scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
-    noise = {key: fit.with_noise(scale).block.noise for key, scale in scales.items()}
-    faces = fit.block.samples.faces(fit.problem.instrument.groups).rows()
+    noise = {key: fit.with_noise(scale).noise for key, scale in scales.items()}
+    faces = {name: fit.residuals_of(rows) for name, rows in fit.faces.rows().items()}
+    if any(instrument.blocks for instrument in fit.problem.instruments):  # each in a unit of its own
+        faces = fit.noise_labels.rows()
     return {
         "ratio": found.ratio,
         "low": found.low,
@@ -95,10 +97,10 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     fit, motion = calibration.fit, calibration.motion
     if not any(fit.beside):
         return None
-    effects, site, found = [], Site(fit.problem.robot, fit.problem.instrument), times_found(fit)
+    effects, found = [], times_found(fit)
     for effect in fit.problem.effects:
         if (times := found.get(effect.key)) is not None:
-            unit = effect.unit or effect.unknowns(site)[effect.key].unit
+            unit = effect.unit or fit.units[fit.beside.index(effect.key)]
             size = {"unit": unit, "expected_size": effect.size, "size": effect.size * times, "times": times}
             effects.append({"key": effect.key, "words": effect.words, "moves": effect.moves, **size})
     places = {name: j for j, name in enumerate(fit.names)}
@@ -182,12 +184,19 @@ def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
     for slot in bound.slots:
         kind, shown = slot.unknown.shown(slot.nominal, x[slot.first : slot.first + slot.unknown.size])
         if kind in found:
-            name = slot.name if kind != "planes" else slot.key if slot.label is None else slot.label
+            name = slot.name if kind != "planes" else _face_of(bound, slot)
             found[kind][name] = shown
     rows = zip(bound.names, bound.units, x, bound.beside, strict=True)
     unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, beside in rows if not beside]
     proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
     return {**found, "unknowns": unknowns, "proposed": proposed}
+
+
+def _face_of(bound: BoundProblem, slot: Slot) -> str:
+    """A plane by the label of its face, after the name of its instrument where there are several."""
+    of, _, key = slot.key.rpartition(".")
+    face = slot.label if slot.label is not None else "" if of else key
+    return f"{of} {face}".strip() if len(bound.samples) > 1 else face
 
 
 def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from casacal.calibration.corrected_words import corrected_words, tried_words
 from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
+from casacal.samples.measurements import Measurements
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.version import __version__
 
@@ -70,10 +71,7 @@ def parameter_table(calibration: Calibration) -> str:
 
 def _opening(calibration: Calibration, name: str) -> str:
     fit, held = calibration.fit, calibration.heldout
-    column = fit.problem.instrument.groups or ""
-    groups = len(calibration.samples.labels[column].names) if column in calibration.samples.labels else 0
-    counted = f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
-    rows = f"{len(fit.block.samples)} fitted, {'none' if held is None else len(held.block.samples)} held out"
+    rows = f"{len(fit.measured)} fitted, {'none' if held is None else len(held.measured)} held out"
     rows += "" if held is None else together(calibration)
     if calibration.aside:
         rows += f", {len(calibration.aside_lines)} set aside"
@@ -83,20 +81,34 @@ def _opening(calibration: Calibration, name: str) -> str:
         f"casacal {__version__}, {fit.problem.robot.name} ({name}), {calibration.method}\n"
         f"{calibration.result.message}\n"
         f"{len(calibration.samples)} samples of {calibration.samples.file}: {rows}; "
-        f"{counted}{fit.unknowns} unknowns"
+        f"{_counted(calibration)}{fit.unknowns} unknowns"
     )
 
 
+def _counted(calibration: Calibration) -> str:
+    """How many faces there are, or how many samples each instrument took."""
+    given = Measurements.of(calibration.samples)
+    if len(given.sets) > 1:
+        return "".join(f"{len(some)} of the {name}, " for name, some in zip(given.names, given.sets, strict=True))
+    column = calibration.fit.problem.instrument.groups or ""
+    groups = len(given.sets[0].labels[column].names) if column in given.sets[0].labels else 0
+    return f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
+
+
 def _residuals(calibration: Calibration) -> str:
-    said = calibration.fit.problem.instrument.words
+    said = calibration.fit.problem.words
     title = f"{said.residual}, {said.unit}"
     lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
     words = {"before": f"before ({said.before})", "after": "after"}
-    for when, parts in calibration.metrics.items():
-        for part, figures in parts.items():
-            if figures is not None:
-                label = f"  {words[when] if part == 'fit' else when + ', held out'}"
-                lines.append(f"{label:<32}" + _figures(figures))
+    of_each = calibration.metrics_by_instrument
+    for name, metrics in (of_each or {"": calibration.metrics}).items():
+        of = f"{name}, " if name else ""
+        for when, parts in metrics.items():
+            for part, figures in parts.items():
+                if figures is not None:
+                    shown = when if of_each else words[when]
+                    label = f"  {of}{shown if part == 'fit' else when + ', held out'}"
+                    lines.append(f"{label:<32}" + _figures(figures))
     return "\n".join(lines)
 
 
@@ -104,7 +116,7 @@ def _left_out(calibration: Calibration, denied: bool) -> str:
     faces = calibration.left_out
     if not faces:
         return ""
-    words = calibration.fit.problem.instrument.words
+    words = calibration.fit.problem.words
     title = f"each {words.group} by the others, {words.unit} RMS"
     lines = [f"{title:<41}{'found':>9}" + ("" if denied else f"{'predicted':>11}{'ratio':>8}")]
     for face in faces:

@@ -11,7 +11,6 @@ from casacal.calibration.beside_doubts import dial_is_off, larger_than_any
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubt import Doubt
 from casacal.calibration.motion import tip_extremes
-from casacal.checks.rows import repeated
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
@@ -154,11 +153,10 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
-    again = repeated(calibration.samples)
-    if not again:
+    if not (again := calibration.repeated):
         return None
-    (finding,) = again
-    sentence = f"{str(finding).removeprefix('warning: ').removesuffix('.')}; each was counted once."
+    said = " ".join(str(finding).removeprefix("warning: ").removesuffix(".") for finding in again)
+    sentence = f"{said}; each was counted once."
     return Doubt("some rows are copies of others", sentence, "remove the copies, or touch there again")
 
 
@@ -213,7 +211,7 @@ def _loose_priors(calibration: Calibration) -> Doubt | None:
     scatter = prior_scatter(calibration.bare)
     if scatter.chance_below(before["rmse_mm"]) > IMPROBABLE:
         return None
-    things = calibration.fit.problem.instrument.words.things
+    things = calibration.fit.problem.words.things
     moved, _ = tip_extremes(calibration.motion, calibration.workspace)
     return Doubt(
         "the priors look too loose",

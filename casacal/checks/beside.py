@@ -41,7 +41,7 @@ def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
 
     bound = bind(problem.without_effects, samples, backend="blocks")
     bound = bound.with_noise(found_noise(bound).scale)
-    bound = bound.with_noise(*with_effects(bound, problem).noise_scale)
+    bound = bound.with_noise(with_effects(bound, problem).scale)
     found: dict[str, Finding] = {}
     for test in leading_tests(bound, problem, CLEAR):
         cause = (

@@ -17,12 +17,14 @@ from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
+from casacal.checks.several import check_several
 from casacal.checks.suspects import flips
 from casacal.checks.tool import tool_moved
 from casacal.checks.undone import misfit
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_scatter import prior_scatter
@@ -45,8 +47,10 @@ OF_TWO = 3.0
 ORDER = {"error": 0, "warning": 1, "remark": 2}
 
 
-def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
-    """What is wrong, weak or worth knowing about samples of a problem with one instrument; worst first.
+def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, ...]:
+    """What is wrong, weak or worth knowing about samples; worst first.
+
+    Of several instruments each is looked at by itself, and then whether all agree about one arm.
 
     Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
     each found by undoing it, then outliers and noise, then effects beside the geometry. What one cause explains is not
@@ -55,8 +59,14 @@ def check(problem: Problem, samples: Samples) -> tuple[Finding, ...]:
     """
     if not isinstance(problem, Problem):
         raise CasacalError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
-    if not isinstance(samples, Samples):
+    if not isinstance(samples, (Samples, Measurements)):
         raise CasacalError(f"{came(samples)} came as samples", "Give Samples; problem.read(path) returns them")
+    if len(problem.instruments) > 1:
+        if not isinstance(samples, Measurements) or samples.names != problem.names:
+            fix = f"Give Measurements of {', '.join(problem.names)}"
+            raise CasacalError("The samples are not those of the problem's instruments", fix)
+        return _in_order([*check_several(problem, samples, lambda each: check(each.problem, each.samples))])
+    samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)

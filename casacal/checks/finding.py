@@ -13,6 +13,8 @@ Severity = Literal["error", "warning", "remark"]
 class Finding:
     """Something about samples: how bad, about what, why, and what to do; `lines` where it is about rows.
 
+    `instrument` names whose samples these are where a problem has several instruments.
+
     An error would make the result wrong; a warning makes it worse than it looks; a remark is good to know.
     """
 
@@ -21,10 +23,12 @@ class Finding:
     cause: str
     fix: str
     lines: tuple[int, ...] = ()
+    instrument: str = ""
 
     def __str__(self) -> str:
         where = f" (line{'s' if len(self.lines) > 1 else ''} {shown(self.lines)})" if self.lines else ""
-        return f"{self.severity}: {self.about}{where}: {self.cause}. {self.fix}."
+        of = f"{self.instrument}: " if self.instrument else ""
+        return f"{self.severity}: {of}{self.about}{where}: {self.cause}. {self.fix}."
 
 
 def counted(number: int, word: str = "row") -> str:

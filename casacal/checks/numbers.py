@@ -53,12 +53,12 @@ def wrong_number(bound: BoundProblem) -> list[Finding]:
     """
     if bound.groups is not None:
         return []
-    stated = bound.with_noise() if bound.noise_scale else bound
+    stated = bound.with_noise() if bound.scale else bound
     result = lm(stated)
     if not result.converged:
         return []
     for name, key, unit in _promising(stated, result.x, np.diagonal(result.covariance)):
-        freed = bind(bound.problem.with_prior({name: math.inf}), bound.block.samples)
+        freed = bind(bound.problem.with_prior({name: math.inf}), *bound.samples)
         found = lm(freed)
         j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
         by, std = float(found.x[j]), math.sqrt(found.covariance[j, j]) * noise

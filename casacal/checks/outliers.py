@@ -137,8 +137,7 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     size = alike / _scale_of_rows(bound, alike, scale)
     limit = most_by_chance(bound.rows, free)
     bad = np.flatnonzero(size > limit)
-    per_row = bound.rows // len(bound.block.samples)
-    rows = tuple(dict.fromkeys(int(k) // per_row for k in bad[np.argsort(-size[bad])]))
+    rows = tuple(dict.fromkeys(bound.sample_of[bad[np.argsort(-size[bad])]].tolist()))
     return Outliers(rows, float(size.max()), limit, scale)
 
 
@@ -151,12 +150,12 @@ def most_by_chance(rows: int, free: float) -> float:
 
 def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
     """Robust noise (rows,): that of all rows, or of the row's own face where that is rougher."""
-    faces = bound.block.samples.faces(bound.problem.instrument.groups)
-    per_row, own = bound.rows // len(faces), np.full(len(faces.names), scale)
+    faces = bound.faces
+    own = np.full(len(faces.names), scale)
     for k, rows in enumerate(faces.rows().values()):
         if rows.size >= FEWEST_OF_A_FACE:
-            own[k] = max(1.4826 * float(np.median(sizes.reshape(-1, per_row)[rows])), scale)
-    return np.repeat(own[faces.codes], per_row)
+            own[k] = max(1.4826 * float(np.median(sizes[bound.residuals_of(rows)])), scale)
+    return own[faces.codes][bound.sample_of]
 
 
 def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Finding]:
@@ -168,10 +167,20 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
         found: the rows.
 
     """
-    samples = bound.block.samples
     if not found.rows:
         return []
-    turns = lost_turns(bound, result, found.rows, found.scale)
+    findings = []
+    for i, own in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
+        if own.size:
+            findings += _of_instrument(bound, result, found, i, own.tolist())
+    return findings
+
+
+def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int, own: list[int]) -> list[Finding]:
+    """The same of rows of instrument `i`, numbered within it."""
+    samples = bound.samples[i]
+    name = bound.problem.names[i] if len(bound.samples) > 1 else ""
+    turns = lost_turns(bound, result, own, found.scale, i)
     findings = [
         Finding(
             "error",
@@ -180,15 +189,16 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
             f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm",
             "Measure there again, or correct the reading where the pointer was misread",
             tuple(sorted(samples.lines[k] for k in rows)),
+            name,
         )
         for (by, turned), rows in turns.items()
     ]
     explained = {k for rows in turns.values() for k in rows}
-    lines = tuple(sorted(samples.lines[k] for k in found.rows if k not in explained))
+    lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
     if lines:
         cause = f"{counted(len(lines))} up to {found.worst:.0f} standard deviations off; beyond {found.limit:.1f} is "
         fix = "Measure them again or remove them; calibrate sets them aside where they are few"
-        findings.append(Finding("error", "outliers", f"{cause}not chance", fix, lines))
+        findings.append(Finding("error", "outliers", f"{cause}not chance", fix, lines, name))
     return findings
 
 

@@ -25,24 +25,25 @@ SMALL = 1e-4
 
 
 def lost_turns(
-    bound: BoundProblem, result: Result, rows: Sequence[int], scale: float
+    bound: BoundProblem, result: Result, rows: Sequence[int], scale: float, i: int = 0
 ) -> dict[tuple[float, int], list[int]]:
     """Rows that fit with whole turns added to their reading, by what was added (mm) and how many turns that is.
 
     Args:
         bound: with a dial that has a reading; nothing is found for any other.
         result: a robust fit that these rows hardly pull.
-        rows: places of outliers in the samples.
+        rows: places of outliers in the samples of one instrument.
         scale: noise of the other rows over what is used.
+        i: which instrument.
 
     """
-    probe, samples = bound.problem.instrument.probe, bound.block.samples
-    if probe is None or probe.column is None or bound.rows != len(samples):
+    probe, samples, own = bound.problem.instruments[i].probe, bound.samples[i], bound.sample_rows(i)
+    if probe is None or probe.column is None or own.stop - own.start != len(samples):
         return {}
-    reading = samples.columns[probe.column]
-    further = bound.on(replace(samples, columns={**samples.columns, probe.column: reading + SMALL}))
-    here = bound.residual(result.x)
-    slopes = (further.residual(result.x) - here) / SMALL
+    reading, sets = samples.columns[probe.column], list(bound.samples)
+    sets[i] = replace(samples, columns={**samples.columns, probe.column: reading + SMALL})
+    here = bound.residual(result.x)[own]
+    slopes = (bound.on(*sets).residual(result.x)[own] - here) / SMALL
     found: dict[tuple[float, int], list[int]] = defaultdict(list)
     for k in rows:
         if abs(slopes[k]) < 1e-9:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
 from casacal.checks.check import strays
@@ -21,7 +24,6 @@ from casacal.checks.outliers import (
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
-from casacal.samples.samples import Samples
 from casacal.uncertainty.prior_scatter import prior_scatter
 
 MOST = 0.1
@@ -41,13 +43,13 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
     whether it is worth looking for these, so that clean samples cost one fit.
 
     Args:
-        bound: a problem with one instrument and the samples that are to be fitted; with effects beside the geometry,
-            their sizes and the noise as found.
+        bound: a problem and the samples that are to be fitted; with effects beside the geometry, their sizes and the
+            noise as found.
         drawn: the same rows under the geometry alone, which says what lies far off with the arm as drawn.
 
     """
-    samples, none = bound.block.samples, np.zeros(len(bound.block.samples), dtype=bool)
-    stray, findings = _off_their_face(drawn or bound, samples)
+    none = np.zeros(len(bound.measured), dtype=bool)
+    stray, findings = _off_their_face(drawn or bound)
     bad = stray.copy()
     for _ in range(ROUNDS):
         rest = _without(bound, bad)
@@ -61,12 +63,12 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
     if rest is not None and any(bound.beside):  # where much is known beside the geometry, others may expect a row so
-        bad &= stray | ~_expected(*_judged(rest, samples))
+        bad &= stray | ~_expected(*_judged(rest, bound))
         rest = _without(bound, bad)
     if rest is None:
         return none, ()
     if (bad & ~stray).any():
-        findings += _told(*_judged(rest, samples), np.flatnonzero(bad & ~stray))
+        findings += _told(*_judged(rest, bound), np.flatnonzero(bad & ~stray))
     return bad, tuple(findings)
 
 
@@ -76,16 +78,16 @@ def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None
         return bound
     if bad.sum() > MOST * len(bad):
         return None
-    rest = bound.block.samples.take(np.flatnonzero(~bad))
+    rest = bound.measured.take(np.flatnonzero(~bad)).sets
     try:
-        return bound.on(rest) if any(bound.beside) else bind(bound.problem, rest)
+        return bound.on(*rest) if any(bound.beside) else bind(bound.problem, *rest)
     except CasacalError:
         return None
 
 
 def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
     """Rows (N,) that a robust fit of them all cannot explain."""
-    found = np.zeros(len(bound.block.samples), dtype=bool)
+    found = np.zeros(len(bound.measured), dtype=bool)
     if bound.rows > _geometry(bound) and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
         found[list(studentised_outliers(*fitted).rows)] = True
     return found
@@ -101,7 +103,7 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     rest = _without(bound, bad)
     if rest is None:
         return bad
-    judged, result = _judged(rest, bound.block.samples)
+    judged, result = _judged(rest, bound)
     again = bad & ~stray & (_sizes(judged, result) < WORTH_ANOTHER_LOOK)
     more = _without(bound, bad & ~again)
     if not again.any() or more is None:
@@ -119,7 +121,7 @@ def _expected(judged: BoundProblem, result: Result) -> NDArray[np.bool_]:
 
 def _sizes(judged: BoundProblem, result: Result) -> Array:
     """How far rows (N,) are off, in standard deviations of their noise."""
-    return np.asarray(np.abs(judged.residual(result.x)).reshape(len(judged.block.samples), -1).max(axis=1))
+    return judged.largest(np.abs(judged.residual(result.x)))
 
 
 def _most(judged: BoundProblem) -> float:
@@ -133,17 +135,22 @@ def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[
     return single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
 
 
-def _judged(rest: BoundProblem, samples: Samples) -> tuple[BoundProblem, Result]:
+def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result]:
     """All rows with the noise that the rest shows, and a fit of the rest alone."""
     result = lm(rest)
     noise = 1.4826 * float(np.median(np.abs(rest.residual(result.x))))
-    return rest.on(samples).with_noise(times(rest.scale, max(noise, 1.0))), result
+    return rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0))), result
 
 
-def _off_their_face(bound: BoundProblem, samples: Samples) -> tuple[NDArray[np.bool_], list[Finding]]:
+def _off_their_face(bound: BoundProblem) -> tuple[NDArray[np.bool_], list[Finding]]:
     """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly."""
     scatter = prior_scatter(bound, flat_counts=True).rms
     worst = float(np.abs(bound.plain_residual(bound.x0)).max(initial=0.0))
     if not worst > GROSS * scatter:
-        return np.zeros(len(samples), dtype=bool), []
-    return strays(bound.problem, samples, scatter)
+        return np.zeros(len(bound.measured), dtype=bool), []
+    bad, findings = [], []
+    for alone in each_alone(bound.problem, bound.samples):
+        mine, told = strays(alone.problem, alone.samples, scatter)
+        bad.append(mine)
+        findings += [replace(each, instrument=alone.name) for each in told]
+    return np.concatenate(bad), findings

@@ -20,12 +20,13 @@ SMALLEST_FACE = 0.05
 SMALLEST_ANGLE = 20.0
 """Degrees between faces below which they count as parallel."""
 ROWS_PER_UNKNOWN = 2.0
+NO_LENGTH = "no length was measured"
 
 
 def setup_findings(bound: BoundProblem) -> list[Finding]:
     """Set-ups that leave the arm blind or weak, however good the readings."""
     probe, samples = bound.problem.instrument.probe, bound.block.samples
-    findings = _enough_rows(bound)
+    findings = enough_rows(bound)
     if probe is None:
         return findings
     sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
@@ -63,7 +64,8 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
     return findings + _directions(bound, probe, np.array(normals))
 
 
-def _enough_rows(bound: BoundProblem) -> list[Finding]:
+def enough_rows(bound: BoundProblem) -> list[Finding]:
+    """An error where rows are fewer than unknowns, a warning where they are hardly more."""
     ratio = bound.rows / max(bound.unknowns, 1)
     if ratio >= ROWS_PER_UNKNOWN:
         return []
@@ -98,7 +100,7 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
         findings.append(
             Finding(
                 "remark",
-                "no length was measured",
+                NO_LENGTH,
                 "faces fix angles; the size of the arm comes from the prior"
                 + (" and a few millimetres of dial travel" if probe.column is not None else ""),
                 "Measure one known length, such as a gauge block's step, declared as a Step in the problem",

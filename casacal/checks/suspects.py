@@ -20,6 +20,7 @@ from casacal.checks.fitted_faults import (
 )
 from casacal.checks.numbers import numbers
 from casacal.checks.undone import Fault, Undo, Undone
+from casacal.instruments import Suspect
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
@@ -32,7 +33,7 @@ def columns_and_joints(problem: Problem) -> Iterator[Fault]:
     """Mistakes in whole columns: sign, units, joints counted the other way or swapped."""
     turns = problem.robot.revolute
     for suspect in problem.instrument.suspects:
-        yield Fault(suspect.about, suspect.cause, suspect.fix, _scaled(suspect.columns, suspect.factor))
+        yield Fault(suspect.about, suspect.cause, suspect.fix, _rewritten(suspect))
     if turns.any():
         for factor, words in ANGLE_UNITS.items():
             cause, fix = f"the joint angles seem to be {words}", "Correct the unit in the columns' names"
@@ -105,9 +106,11 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, travel: fl
             yield Fault(f"dial sign of '{name}'", cause, fix, undo)
 
 
-def _scaled(names: tuple[str, ...], factor: float) -> Undo:
+def _rewritten(suspect: Suspect) -> Undo:
     def undo(problem: Problem, samples: Samples) -> Undone:
-        scaled = {name: samples.columns[name] * factor for name in names}
+        order = suspect.order or suspect.columns
+        pairs = zip(suspect.columns, order, strict=True)
+        scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
         return Undone(problem, replace(samples, columns={**samples.columns, **scaled}))
 
     return undo

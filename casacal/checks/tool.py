@@ -30,11 +30,16 @@ def tool_moved(problem: Problem, samples: Samples) -> list[Finding]:
 
 def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
     """The same at an estimate (n,) with its covariance (n, n); nothing for a held tool, or for one without a prior."""
-    probe = bound.problem.instrument.probe
+    moves = {
+        full[key]
+        for instrument, full in zip(bound.problem.instruments, bound.problem.full_names, strict=True)
+        if (probe := instrument.probe) is not None
+        for key in probe.moves
+    }
     named = {
         name: j
         for slot in bound.slots
-        if probe is not None and slot.key in probe.moves
+        if slot.key in moves
         for name, j, unit in zip(slot.unknown.names(slot.name), slot.columns, slot.unknown.units, strict=True)
         if unit == "mm" and np.isfinite(bound.prior_std[j])
     }

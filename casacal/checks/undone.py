@@ -16,6 +16,7 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
 KEPT = 0.9
@@ -61,19 +62,21 @@ class Fault:
 
 
 def quick_fit(
-    problem: Problem, samples: Samples, *, steps: int = STEPS, start: Array | None = None
+    problem: Problem, samples: Samples | Measurements, *, steps: int = STEPS, start: Array | None = None
 ) -> tuple[BoundProblem, Result] | None:
     """A robust fit in few steps; None where it cannot be bound or the figures overflow."""
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            bound = bind(problem, samples)
+            bound = bind(problem, *Measurements.of(samples).sets)
             result = lm(bound, start=start, loss=huber(), max_steps=steps)
     except CasacalError:
         return None
     return (bound, result) if math.isfinite(result.cost) else None
 
 
-def misfit(problem: Problem, samples: Samples, *, steps: int = STEPS, start: Array | None = None) -> float:
+def misfit(
+    problem: Problem, samples: Samples | Measurements, *, steps: int = STEPS, start: Array | None = None
+) -> float:
     """Size of residuals and of the parameters' moves after a quick robust fit; one where all is well.
 
     Root mean square of the whitened residuals, the largest tenth left out (single rows are no systematic fault, a face

@@ -11,7 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import add_adjustments, adjusted
-from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of, spare, whole_number
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    add_json,
+    add_problem,
+    add_samples,
+    read_samples,
+    sample_files,
+    spare,
+    whole_number,
+)
 from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 
@@ -88,11 +98,11 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--holdout-by {options.holdout_by} came without --holdout", "Say which part: --holdout 0.3")
     source = load_problem(options.problem)
     problem = adjusted(source.problem, options)
-    given = samples_of(source, options.samples)
+    given = sample_files(source, options)
     if options.out is not None:
         places = [Path(options.out) / name for name in FILES]
-        spare(places, given, options.readings, *(file.path for file in source.files))
-    samples = problem.read(given, readings=options.readings, key=options.id)
+        spare(places, *given.values(), options.readings, *(file.path for file in source.files))
+    samples = read_samples(source, options)
     box = None if options.box is None else _box(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
     with _Progress(method) as progress:
@@ -146,7 +156,8 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     elif options.verbose:
         say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
     else:
-        about = shlex.join([options.problem, *([options.samples] if options.samples else [])])
+        sets = [word for each in options.sets for word in ("--samples", each)]
+        about = shlex.join([options.problem, *([options.samples] if options.samples else []), *sets])
         room = MOST_LINES - len(wrapped(last))
         say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
     if folder is not None:

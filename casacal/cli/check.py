@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 
 from casacal.cli.adjust import add_adjustments, adjusted
-from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, samples_of
+from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, read_samples
 from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "what is wrong with samples, before anyone trusts a fit"
@@ -29,8 +29,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
 
     source = load_problem(options.problem)
-    place = samples_of(source, options.samples)
-    samples = source.problem.read(place, readings=options.readings, key=options.id, absurd=True)
+    samples = read_samples(source, options, absurd=True)
     findings = check(adjusted(source.problem, options), samples)
     counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
     if options.json:

@@ -12,6 +12,8 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.compensation.arm import CalibratedArm
     from casacal.problem.problem_file import ProblemFile
+    from casacal.samples.measurements import Measurements
+    from casacal.samples.samples import Samples
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -26,6 +28,11 @@ def add_result(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "result", metavar="RESULT", help="result.json of casacal calibrate, or the .truth.json of casacal simulate"
     )
+
+
+def add_instrument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Which of several instruments is meant."""
+    parser.add_argument("--instrument", metavar="NAME", help=f"{what}, where a problem has several instruments")
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +56,8 @@ def made_from(result: CalibratedArm) -> list[Path]:
     """The files that a result's arm and samples came from, where they may still stand."""
     place = Path(result.file).parent
     data = result.document.get("data") or {}
-    named = [file.path for file in result.source.files] + [data.get("file")]
+    sets = (data.get("instruments") or {}).values()
+    named = [file.path for file in result.source.files] + [data.get("file"), *(each.get("file") for each in sets)]
     return [place / name for name in named if isinstance(name, str) and name]
 
 
@@ -73,13 +81,66 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem",
     )
+    parser.add_argument(
+        "--samples",
+        action="append",
+        default=[],
+        dest="sets",
+        metavar="NAME=FILE",
+        help="samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
+        "samples-dial.csv and so on beside the problem",
+    )
     parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
     parser.add_argument(
         "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
     )
 
 
-def samples_of(source: ProblemFile, given: str | None) -> str:
+def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
+    """The samples file of each instrument, by its name: those that were named, or those beside the problem.
+
+    Raises CasacalError where there is none, and for an instrument that there is not.
+    """
+    names = source.problem.names
+    if len(names) == 1:
+        if options.sets:
+            raise CasacalError("--samples NAME=FILE is for several instruments", "Name the file alone, as SAMPLES")
+        return {names[0]: _only_file(source, options.samples)}
+    if options.samples is not None:
+        wanted = " ".join(f"--samples {name}=FILE" for name in names)
+        raise CasacalError(f"One file came for {len(names)} instruments", f"Name one for each: {wanted}")
+    if options.readings is not None:
+        raise CasacalError("--readings is for one instrument", "Join readings and poses in one file for each")
+    given = dict[str, str]()
+    for each in options.sets:
+        name, equals, file = each.partition("=")
+        if not equals or not file.strip():
+            raise CasacalError(f"--samples {each} is not NAME=FILE", f"Give one such as {names[0]}=samples.csv")
+        if source.problem.number(name.strip()) >= 0 and name.strip() in given:
+            raise CasacalError(f"--samples gives '{name.strip()}' twice", "Give it once")
+        given[name.strip()] = file
+    for i, name in enumerate(names):
+        beside = source.samples_of(i)
+        if name not in given and beside is not None and beside.is_file():
+            given[name] = beside.as_posix()
+        elif name not in given:
+            raise CasacalError(f"There are no samples of the {name}", f"Name them: --samples {name}=FILE")
+    return {name: given[name] for name in names}
+
+
+def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
+    """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
+    from casacal.samples.measurements import Measurements
+
+    problem, files = source.problem, sample_files(source, options)
+    if len(files) == 1:
+        (only,) = files.values()
+        return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
+    sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
+    return Measurements(problem.names, tuple(sets))
+
+
+def _only_file(source: ProblemFile, given: str | None) -> str:
     """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
     if given is not None:
         if not given.strip():

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_force, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, FAILED, add_force, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "nearest to the middle of the joints' ranges. Exit 1 when a target is not reached; every row is written."
     )
     add_result(parser)
+    add_instrument(parser, "whose tip is meant; default: the first")
     parser.add_argument(
         "targets", metavar="TARGETS", help="CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz"
     )
@@ -55,6 +56,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.outcome import Outcome
     from casacal.compensation.programs import notes, rounding_of, text_of
     from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
     from casacal.compensation.targets import read_targets
     from casacal.errors import CasacalError
     from casacal.files import write_text
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
             f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
         )
     spare([options.out], options.result, options.targets)
-    result = read_result(options.result)
+    result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], *made_from(result))
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_force, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, add_force, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal export` takes."""
     parser.description = "Write a calibrated arm in a form that other programs read."
     add_result(parser)
+    add_instrument(parser, "whose tip is meant; default: the first")
     parser.add_argument(
         "--to",
         required=True,
@@ -42,13 +43,14 @@ def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
     from casacal.compensation.caution import verdict_part
     from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export
 
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     spare([options.out], options.result, options.source)
-    result = read_result(options.result)
+    result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], *made_from(result))
     prefix = options.prefix if options.to == "c" else None
     export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)

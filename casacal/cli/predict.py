@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "poses of a calibrated arm at joint values"
@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and the reading where JOINTS has that column."
     )
     add_result(parser)
+    add_instrument(parser, "whose tip is meant; default: the first")
     parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
     parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
     parser.add_argument(
@@ -38,9 +39,10 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.caution import caution, verdict_part
     from casacal.compensation.predict import predict, read_joints, write_prediction
     from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
 
     spare([options.out], options.result, options.joints)
-    result = read_result(options.result)
+    result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], *made_from(result))
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)

@@ -18,6 +18,29 @@ if TYPE_CHECKING:
 HELP = "samples of a simulated cell, with the truth behind them"
 
 
+NUMBERS = {
+    "tilt": ("DEG", "largest angle between plunger and face normal"),
+    "travel": ("MM", "range of the dial"),
+    "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
+    "resolution": ("MM", "step of the dial's display; 0 for none"),
+    "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
+    "dial-cycle": ("MM", "error that comes back with every turn of the pointer"),
+    "hysteresis": ("MM", "of the dial: readings lag by half of it"),
+    "drift": ("MM", "growth of the readings from the first row to the last"),
+    "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
+    "backlash": ("RAD", "backlash of each joint"),
+    "encoder-step": ("RAD", "step in which joint values are said"),
+    "flatness": ("MM", "peak-to-valley form error of the faces"),
+    "flatness-reach": ("X", "half widths of a face over which heights are alike"),
+    "compliance": ("MM", "RMS sag of the tip under gravity"),
+    "thermal": ("X", "growth of the arm from the first row to the last: 3e-5 is 30 um for each metre"),
+    "outliers": ("F", "fraction of rows with a gross error"),
+    "outlier-size": ("MM", "size of those errors"),
+    "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
+}
+"""Options that are a number: its unit, and what it is."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal simulate` takes."""
     parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
@@ -25,7 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="FILE", help="samples to write, such as x.csv; the truth goes to x.truth.json"
     )
-    parser.add_argument("--samples", type=int, default=120, metavar="N", help="how many touches; default: 120")
+    parser.add_argument(
+        "--samples",
+        action="append",
+        default=[],
+        metavar="N",
+        help="how many touches; default: 120; of several instruments dial=120, once for each",
+    )
     parser.add_argument(
         "--seed",
         type=whole_number,
@@ -33,27 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="K",
         help="seed of arm, touches and noise; default: 0",
     )
-    numbers = {
-        "tilt": ("DEG", "largest angle between plunger and face normal"),
-        "travel": ("MM", "range of the dial"),
-        "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
-        "resolution": ("MM", "step of the dial's display; 0 for none"),
-        "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
-        "dial-cycle": ("MM", "error that comes back with every turn of the pointer"),
-        "hysteresis": ("MM", "of the dial: readings lag by half of it"),
-        "drift": ("MM", "growth of the readings from the first row to the last"),
-        "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
-        "backlash": ("RAD", "backlash of each joint"),
-        "encoder-step": ("RAD", "step in which joint values are said"),
-        "flatness": ("MM", "peak-to-valley form error of the faces"),
-        "flatness-reach": ("X", "half widths of a face over which heights are alike"),
-        "compliance": ("MM", "RMS sag of the tip under gravity"),
-        "thermal": ("X", "growth of the arm from the first row to the last: 3e-5 is 30 um for each metre"),
-        "outliers": ("F", "fraction of rows with a gross error"),
-        "outlier-size": ("MM", "size of those errors"),
-        "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
-    }
-    for name, (unit, words) in numbers.items():
+    for name, (unit, words) in NUMBERS.items():
         parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
     parser.add_argument(
         "--gear-wave",
@@ -75,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate as the options say; returns 0."""
     from casacal.binding.bound_problem import bind
-    from casacal.calibration.result_json import write_simulation
+    from casacal.calibration.result_json import sample_paths, write_simulation
     from casacal.problem.cell import Cell
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
@@ -88,21 +97,24 @@ def run(options: argparse.Namespace) -> int:
             f"simulate writes CSV, and '{out}' is called otherwise", f"Name it {out.with_suffix('.csv').name}"
         )
     source = load_problem(options.problem)
-    spare([out, out.with_suffix(".truth.json")], *(file.path for file in source.files))
-    cell = _cell(source, options)
-    simulation = simulate(source.problem, cell, samples=options.samples, seed=options.seed)
-    before, after = planned_accuracy(bind(source.problem, simulation.samples))
+    for place in sample_paths(out, source.problem.names):
+        _spare_measurements(place)
+        spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files))
+    cell, counts = _cell(source, options), _counts(source, options.samples)
+    simulation = simulate(source.problem, cell, samples=counts, seed=options.seed)
+    before, after = planned_accuracy(bind(source.problem, simulation.measured))
     paths = write_simulation(simulation, source, Path(options.out))
     faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
     written = [path.as_posix() for path in paths]
     if options.json:
         tip = {"before_rms_mm": before, "after_rms_mm": after}
-        say_json({"samples": options.samples, "faces": faces, "tip": tip, "written": written})
+        say_json({"samples": sum(counts.values()), "faces": faces, "tip": tip, "written": written})
         return DONE
     where = "in random postures"
     if isinstance(cell, Cell):
         where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
-    say_paragraph(f"Simulated, not measured: {options.samples} samples {where}")
+    each = [f"{count} samples" + (f" of the {name}" if len(counts) > 1 else "") for name, count in counts.items()]
+    say_paragraph(f"Simulated, not measured: {', '.join(each)} {where}")
     say_paragraph(
         "Samples like these can bring the tip error over the workspace, apart from where the base stands, from "
         f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
@@ -122,6 +134,23 @@ def _spare_measurements(out: Path) -> None:
         raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
 
 
+def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
+    """How many samples each instrument takes: N for all, or NAME=N for each."""
+    names = source.problem.names
+    found = dict.fromkeys(names, 120)
+    for text in given:
+        name, equals, number = text.rpartition("=")
+        try:
+            count = int(number)
+        except ValueError:
+            wanted = "120" if len(names) == 1 else f"120, or {names[0]}=120"
+            raise CasacalError(f"--samples {text} is no number of samples", f"Give {wanted}") from None
+        if equals:
+            source.problem.number(name)
+        found |= {name: count} if equals else dict.fromkeys(names, count)
+    return found
+
+
 def _wave(text: str) -> tuple[int, float]:
     """Order and amplitude of a gear wave, as ORDER=RAD says them."""
     order, _, amplitude = text.partition("=")
@@ -138,9 +167,9 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     from casacal.problem.disturbances import AMOUNTS, Disturbances
     from casacal.simulation.places import default_cell
 
-    instrument = source.problem.instrument
-    faced = instrument.probe is not None
-    cell = source.cell or (default_cell(source.problem) if faced else Disturbances())
+    instrument, problem = source.problem.instruments[0], source.problem
+    faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
+    cell = source.cell or (default_cell(problem.measured_by(faced[0])) if faced else Disturbances())
     asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
     if asked and not faced:
         raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")

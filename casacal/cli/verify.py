@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add_json, add_result
+from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration promised, or than the tolerance."
     )
     add_result(parser)
+    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
     parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
     parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
     parser.add_argument(
@@ -46,18 +47,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the tolerance is exceeded."""
     from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
     from casacal.problem.problem_file import load_problem
-    from casacal.verification.verify import verify
+    from casacal.verification.verify import measured_by, verify
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     result = read_result(options.result)
     other = None if options.problem is None else load_problem(options.problem)
-    problem = result.source.problem if other is None else other.problem
+    named = options.instrument
+    if other is None:
+        named = measured_by(result, options.samples, named)
+    problem = seen_by(result, named).source.problem if other is None else other.problem
     found = verify(
         result,
         problem.read(options.samples, readings=options.readings, key=options.id),
         problem=other,
+        instrument=named,
         standing=names_of("--standing", options.standing),
         tolerance=options.tolerance,
     )

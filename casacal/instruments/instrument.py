@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.instruments.residual_block import ResidualBlock
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
 from casacal.user_code import Portable
@@ -78,13 +79,17 @@ class Probe:
 
 @dataclass(frozen=True)
 class Suspect:
-    """A mistake that people make with columns: what it is called, seems to be, and needs; undone by the factor."""
+    """A mistake that people make with columns: what it is called, seems to be, and needs.
+
+    Undone by the factor; where they stand in the wrong order, each takes what stands in the column of `order`.
+    """
 
     about: str
     cause: str
     fix: str
     columns: tuple[str, ...]
     factor: float
+    order: tuple[str, ...] = ()
 
 
 UNIT_MISTAKES = {
@@ -150,6 +155,20 @@ class Instrument(Portable, ABC):
     def residual_std(self) -> float:
         """Standard deviation of what the residual sees beside errors of columns and joints, in its unit."""
         return 0.0
+
+    @property
+    def blocks(self) -> tuple[ResidualBlock, ...]:
+        """Parts of the residual that differ in unit or noise, in order; none where `residual_std` says it all."""
+        return ()
+
+    @property
+    def begins_at(self) -> Mapping[str, float]:
+        """Readings from which simulated ones are looked for, where zero is none."""
+        return {}
+
+    def stands(self, key: str, near: Array, normal: Array) -> Array:
+        """Nominal of an unknown that was declared without one where it is simulated, near a place (3, mm)."""
+        return self.unknowns[key].placed(near, normal)
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Where the instrument touches or is watched (3, mm); the flange's origin unless overridden."""

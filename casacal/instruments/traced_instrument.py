@@ -12,6 +12,7 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.instruments.dial_on_plane import touched_plane
 from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight
+from casacal.instruments.residual_block import ResidualBlock
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.packed import packed_symbols
@@ -27,6 +28,7 @@ DECLARED = (
     "column_stds",
     "residual_std",
     "probe",
+    "blocks",
 )
 
 
@@ -97,6 +99,11 @@ class TracedInstrument(Instrument):
     def residual_std(self) -> float:
         """As declared."""
         return float(self.declared["residual_std"])
+
+    @property
+    def blocks(self) -> tuple[ResidualBlock, ...]:
+        """As declared; none in files from before they were."""
+        return tuple(self.declared.get("blocks", ()))
 
     @property
     def probe(self) -> Probe | None:

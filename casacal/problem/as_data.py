@@ -29,8 +29,10 @@ from casacal.instruments import (
     SphereTouch,
     Step,
     TrackedPoint,
+    TrackedPose,
 )
 from casacal.instruments.instrument import Probe
+from casacal.instruments.residual_block import ResidualBlock
 from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.problem.problem import Problem
 from casacal.robots.conventions import Conventions
@@ -46,9 +48,10 @@ from casacal.values import FrozenMapping
 
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
-BUILT_IN = (DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch)
+BUILT_IN = (DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch, TrackedPose)
 INSTRUMENTS = (*BUILT_IN, Step, TracedInstrument)
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, Probe, TracedPose)}
+PARTS = (Probe, ResidualBlock, TracedPose)
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS)}
 """What may stand in such data: nothing else is ever made of them."""
 
 
@@ -67,6 +70,8 @@ def problem_data(problem: Problem) -> dict[str, Any]:
         "pose": _encoded(pose),
         "instruments": [_encoded(_declared(instrument, robot)) for instrument in problem.instruments],
     }
+    if len(problem.instruments) > 1:
+        data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
     return {"sha256": _digest(data), **data}
 
 
@@ -80,7 +85,13 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         if pose is None:
             pose = arm.pose
         robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
-        problem = Problem(robot, *(_decoded(each) for each in kept["instruments"]))
+        instruments = [_decoded(each) for each in kept["instruments"]]
+        names = [str(name) for name in kept.get("names", ("",))]
+        problem = (
+            Problem(robot, *instruments)
+            if len(instruments) == 1
+            else Problem(robot, dict(zip(names, instruments, strict=True)), shared=_decoded(kept["shared"]))
+        )
         _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
         return problem
     except CasacalError:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
-from typing import TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
 
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
@@ -12,27 +11,31 @@ from casacal.instruments.declaration import with_unknown
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
 
-Prefixed: TypeAlias = Mapping[str, Instrument]
-"""Instruments by what the names of their unknowns begin with."""
+Names = Sequence[Mapping[str, str]]
+"""For each instrument the full name of each of its unknowns, by key."""
 
 
-def all_unknowns(robot: Robot, instruments: Prefixed) -> Iterator[tuple[str, Unknown]]:
-    """Every unknown by its name: those of the robot, then of each instrument."""
+def all_unknowns(robot: Robot, instruments: Sequence[Instrument], names: Names) -> Iterator[tuple[str, Unknown]]:
+    """Every unknown by its name, once: those of the robot, then of each instrument."""
     yield from robot.parameters.items()
-    for prefix, instrument in instruments.items():
+    told: set[str] = set()
+    for instrument, full in zip(instruments, names, strict=True):
         for key, unknown in instrument.unknowns.items():
-            yield prefix + key, unknown
+            if full[key] not in told:
+                yield full[key], unknown
+            told.add(full[key])
 
 
-def replaced(robot: Robot, instruments: Prefixed, name: str, unknown: Unknown) -> tuple[Robot, list[Instrument]]:
-    """Robot and instruments with another unknown in the place of the one of that name, prefix included."""
+def replaced(
+    robot: Robot, instruments: Sequence[Instrument], names: Names, name: str, unknown: Unknown
+) -> tuple[Robot, list[Instrument]]:
+    """Robot and instruments with another unknown in the place of the one of that full name, wherever it is shared."""
     if name in robot.parameters:
         robot = dataclasses.replace(robot, parameters={**robot.parameters, name: unknown})
     changed = []
-    for prefix, instrument in instruments.items():
-        key = name.removeprefix(prefix)
-        of_it = name.startswith(prefix) and key in instrument.unknowns
-        changed.append(with_unknown(instrument, key, unknown) if of_it else instrument)
+    for instrument, full in zip(instruments, names, strict=True):
+        key = next((key for key, known in full.items() if known == name), None)
+        changed.append(instrument if key is None else with_unknown(instrument, key, unknown))
     return robot, changed
 
 

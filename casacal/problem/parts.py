@@ -49,5 +49,5 @@ def _check_with(robot: Robot, instrument: Instrument) -> None:
         raise ProblemError(f"Robot and {name} both name '{sorted(twice)[0]}'", "Rename one of them")
     noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
     noisy_columns = any(std > 0 for std in instrument.column_stds.values())
-    if instrument.residual_std <= 0 and not noisy_columns and not noisy_joints:
+    if instrument.residual_std <= 0 and not instrument.blocks and not noisy_columns and not noisy_joints:
         raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")

@@ -3,69 +3,45 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial, reduce
 from pathlib import Path
 
 from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
-from casacal.instruments import Instrument
 from casacal.instruments.declaration import with_setting
 from casacal.problem.compile import RowModel, models_like
-from casacal.problem.edits import all_unknowns, chosen, replaced, with_std
-from casacal.problem.parts import check_parts
+from casacal.problem.edits import chosen, replaced, with_std
+from casacal.problem.measured_arm import MeasuredArm
 from casacal.problem.symbols import Symbols
-from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.joins import KEY, joined_tables
 from casacal.tables.read import read_any_table
 from casacal.unknowns import Unknown
-from casacal.values import FrozenMapping, Value
+from casacal.values import FrozenMapping
 
 KITS = ("with_kit", "with_rich_kit")
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class Problem(Value):
+class Problem(MeasuredArm):
     """A robot and the instruments that measured it; a value, without state of its own.
 
     Raises ProblemError for what is none of these, when names collide, or when an instrument declares no noise.
     """
 
-    robot: Robot
-    instruments: tuple[Instrument, ...]
-    effects: tuple[Effect, ...]
-    """What arm and cell do beside their geometry."""
-
-    def __init__(self, robot: Robot, *instruments: Instrument, effects: Sequence[Effect] = ()) -> None:
-        check_parts(robot, instruments, effects)
-        object.__setattr__(self, "effects", tuple(effects))
-        object.__setattr__(self, "robot", robot)
-        object.__setattr__(self, "instruments", tuple(instruments))
-
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instruments, to the last operation of their residuals."""
-        return self is other or (isinstance(other, Problem) and self._symbols == other._symbols)
+        if self is other or not isinstance(other, Problem):
+            return self is other
+        mine, theirs = ((problem.shared, problem._named_alike) for problem in (self, other))
+        return mine == theirs and self._symbols == other._symbols
 
     def __hash__(self) -> int:
         return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
 
     def __repr__(self) -> str:
-        names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
-        return f"<Problem: {self.robot!r} measured by {names}>"
-
-    @property
-    def instrument(self) -> Instrument:
-        """The only instrument; raises ProblemError where there are several."""
-        if len(self.instruments) > 1:
-            names = ", ".join(type(instrument).__name__ for instrument in self.instruments)
-            raise ProblemError(
-                f"'{self.robot.name}' is measured by {len(self.instruments)} instruments ({names}), and this takes one",
-                "Make a problem with one of them, or use bind and lm, which take several",
-            )
-        return self.instruments[0]
+        return f"<Problem: {self.robot!r} measured by {self._said}>"
 
     @property
     def model(self) -> RowModel:
@@ -145,10 +121,6 @@ class Problem(Value):
         together = joined_tables(read_any_table(path), read_any_table(readings), key=key)
         return Samples.from_table(together, layout, absurd=absurd)
 
-    def prefix(self, instrument: int) -> str:
-        """How the names of an instrument's unknowns begin: with nothing when there is only one."""
-        return "" if len(self.instruments) == 1 else f"instrument{instrument + 1}."
-
     def fix(self, *names: str) -> Problem:
         """Copy with unknowns held at nominal: a key ("alpha") or a component ("a3", "tool_x").
 
@@ -194,11 +166,11 @@ class Problem(Value):
         Raises UnknownNameError for what is none of its numbers, ProblemError for a value that it refuses.
         """
         changed = reduce(lambda one, item: with_setting(one, *item), values.items(), self.instrument)
-        return Problem(self.robot, changed, effects=self.effects)
+        return self.with_parts(self.robot, [changed])
 
     def with_effects(self, *effects: Effect) -> Problem:
         """Copy with these effects beside the geometry, in the place of those it had."""
-        return Problem(self.robot, *self.instruments, effects=effects)
+        return self._copy(self.robot, self.instruments, effects)
 
     @cached_property
     def without_effects(self) -> Problem:
@@ -222,12 +194,6 @@ class Problem(Value):
             result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
         return list(dict.fromkeys(result))
 
-    def _prefixed(self) -> Mapping[str, Instrument]:
-        return {self.prefix(i): instrument for i, instrument in enumerate(self.instruments)}
-
-    def _named(self) -> Iterator[tuple[str, Unknown]]:
-        return all_unknowns(self.robot, self._prefixed())
-
     def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
         for key, unknown in self._named():
             meant = chosen(name, key, unknown)
@@ -236,5 +202,4 @@ class Problem(Value):
         raise UnknownNameError("free unknown", name, self.free_names())
 
     def _with(self, name: str, unknown: Unknown) -> Problem:
-        robot, instruments = replaced(self.robot, self._prefixed(), name, unknown)
-        return Problem(robot, *instruments, effects=self.effects)
+        return self.with_parts(*replaced(self.robot, self.instruments, self.full_names, name, unknown))

@@ -60,8 +60,16 @@ class ProblemFile(Value):
 
     @property
     def samples(self) -> Path | None:
-        """The samples file beside it; None for a problem made in memory."""
-        return Path(self.path).parent / "samples.csv" if self.path else None
+        """The samples file beside it, of the first of several instruments; None for a problem made in memory."""
+        return self.samples_of(0)
+
+    def samples_of(self, instrument: int) -> Path | None:
+        """The samples file of one instrument beside it: samples.csv, or samples-dial.csv where there are several."""
+        if not self.path:
+            return None
+        several = len(self.problem.instruments) > 1
+        name = f"samples-{self.problem.names[instrument]}.csv" if several else "samples.csv"
+        return Path(self.path).parent / name
 
 
 def load_problem(path: str | Path) -> ProblemFile:

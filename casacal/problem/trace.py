@@ -139,7 +139,7 @@ def seen(
     here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
     for effect in effects:
         found = _traced(_or_nothing(effect.residual), "residual", effect.words, None, here)
-        residual += ca.sum1(found)  # nothing at all sums to zero
+        residual += _in_its_unit(instrument, residual) * ca.sum1(found)  # nothing at all sums to zero
     if (
         columns
         and instrument.columns
@@ -172,6 +172,12 @@ def _with_effects(
         for name, error in effect.reading(here).items():
             read[name] = read[name] + error
     return here.pose, SimpleNamespace(**read)
+
+
+def _in_its_unit(instrument: Instrument, residual: Expression) -> Any:
+    """One for each component in the unit in which the instrument speaks, zero for others: effects are of that unit."""
+    units = [block.unit for block in instrument.blocks for _ in range(block.size)]
+    return ca.DM([float(unit == instrument.words.unit) for unit in units]) if len(units) == residual.numel() else 1
 
 
 def _or_nothing(call: Any) -> Any:

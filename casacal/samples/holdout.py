@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels, combinations
 
@@ -46,6 +49,26 @@ def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: s
     else:
         mask = _whole(samples, holdout, rng, by, _groups(samples, by, face))
     return np.flatnonzero(~mask), np.flatnonzero(mask)
+
+
+def split_each(
+    measured: Measurements, holdout: float, seed: int, by: str, faces: Sequence[str | None]
+) -> tuple[Rows, Rows]:
+    """The same of several instruments, each by itself; one whose samples have no such column is fitted whole."""
+    parts, refused = [], list[CasacalError]()
+    for some, face in zip(measured.sets, faces, strict=True):
+        try:
+            parts.append(split(some, holdout, seed, by, face))
+        except CasacalError as error:
+            if len(measured.sets) == 1:
+                raise
+            refused.append(error)
+            parts.append((np.arange(len(some)), np.zeros(0, dtype=np.intp)))
+    if len(refused) == len(parts):
+        raise refused[0]
+    joined = ((rows[k] + first for rows, first in zip(parts, measured.starts, strict=False)) for k in (0, 1))
+    fitted, held = (np.concatenate(list(each)) for each in joined)
+    return fitted, held
 
 
 def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ twice, they say nothing of the scatter of touches.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
 SAME = 1e-4
@@ -51,6 +52,14 @@ def repeats_of(samples: Samples, groups: str | None) -> Repeats:
     return Repeats(np.asarray(codes, dtype=np.intp).ravel(), np.asarray(sizes, dtype=np.intp))
 
 
+def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
+    """The same of several instruments, whose rows never repeat one another."""
+    each = [repeats_of(some, column) for some, column in zip(measured.sets, groups, strict=True)]
+    before = np.cumsum([0, *(len(again.sizes) for again in each)])
+    codes = [again.codes + first for again, first in zip(each, before, strict=False)]
+    return Repeats(np.concatenate(codes), np.concatenate([again.sizes for again in each]))
+
+
 def copies_of(samples: Samples) -> NDArray[np.bool_]:
     """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
@@ -66,7 +75,7 @@ def copies_of(samples: Samples) -> NDArray[np.bool_]:
 
 
 def without_copies(samples: Samples) -> Samples:
-    """The same rows, each once."""
+    """The same rows of one instrument, each once."""
     again = copies_of(samples)
     return samples.take(np.flatnonzero(~again)) if again.any() else samples
 

@@ -11,20 +11,19 @@ import numpy as np
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.kernels.batch import Batch
-from casacal.problem.cell import OF_TOUCHES, Cell, Face
+from casacal.problem.cell import Cell, Face
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.arm_errors import ArmErrors
+from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
 from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.places import random_tips, spot, stands
-from casacal.simulation.true_arm import plane_coordinates, streams
+from casacal.simulation.true_arm import Draw, plane_coordinates
 from casacal.tables.labels import Labels
 from casacal.unknowns import Unknown
 
-LABELS = ("1", "2", "3")
-"""Labels of simulated rows where neither the instrument nor a cell names any."""
 CANDIDATES = 80
 """Random postures for each row; the one that fits best is where its search begins."""
 ROUNDS, STEPS = 30, 40
@@ -74,20 +73,20 @@ class Bench:
 
 
 def fitting_rows(
-    problem: Problem, cell: Disturbances, samples: int, seed: int
+    problem: Problem, cell: Disturbances, samples: int, draw: Draw
 ) -> tuple[Samples, dict[str, Array], ArmErrors]:
     """Samples of an instrument that is shown no faces, the true local coordinates by name, and the arm's errors.
 
     Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
-    _check(problem, cell)
-    truth_rng, pose_rng, noise_rng, _, gear_rng = streams(seed, 5)
-    labels = _labels(problem, cell, samples)
-    bench, local = _bench(problem, cell, labels, truth_rng, samples)
+    check_asked(problem, cell)
+    truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
+    labels = row_labels(problem, cell, samples)
+    bench, local = _bench(problem, cell, labels, truth_rng, samples, draw)
     instrument, robot = problem.instrument, problem.robot
     gross = noise_rng.random(samples) < cell.outliers
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
-    own = instrument.residual_std if cell.repeatability is None else cell.repeatability
+    own = own_noise(problem) if cell.repeatability is None else cell.repeatability
     target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
     free = _found(bench, target, pose_rng)
     joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
@@ -98,36 +97,16 @@ def fitting_rows(
     for k, (name, dimension) in enumerate(instrument.columns.items()):
         shown = readings[:, k] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    name = f"simulated-{seed}"
-    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name), local, arm
-
-
-def _check(problem: Problem, cell: Disturbances) -> None:
-    plain = Cell(faces=cell.faces) if isinstance(cell, Cell) else cell
-    own = [name for name in OF_TOUCHES if getattr(cell, name, None) != getattr(plain, name, None)]
-    if own:
-        raise SimulationError(
-            f"{type(problem.instrument).__name__} touches no faces that the simulator knows, and the cell has {own[0]}",
-            "Leave them out, or give the instrument a `probe`",
-        )
-
-
-def _labels(problem: Problem, cell: Disturbances, samples: int) -> dict[str, Labels]:
-    """Labels of the rows, in turn: those that the instrument knows, the cell's faces, or 1, 2, 3."""
-    instrument, turn, found = problem.instrument, np.arange(samples), {}
-    for column in problem.layout().labels:
-        known = instrument.known_columns.values() if instrument.known_by == column else ()
-        names = tuple(dict.fromkeys(label for values in known for label in values))
-        if isinstance(cell, Cell):
-            names = names or tuple(face.label for face in cell.faces)
-        names = names or LABELS
-        found[column] = Labels(names, turn % len(names))
-        turn //= len(names)  # each label of one column meets each of the next
-    return found
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), local, arm
 
 
 def _bench(
-    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, samples: int
+    problem: Problem,
+    cell: Disturbances,
+    labels: Mapping[str, Labels],
+    rng: np.random.Generator,
+    samples: int,
+    draw: Draw,
 ) -> tuple[Bench, dict[str, Array]]:
     """The true arm before its true instrument, and the local coordinates of all that is unknown, by name."""
     model, instrument, robot = problem.model, problem.instrument, problem.robot
@@ -142,8 +121,9 @@ def _bench(
         named = dict(zip(names, labels.get(unknown.per or "", names), strict=True))
         for k, (name, label) in enumerate(named.items()):
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = unknown.placed(*place) if unknown.nominal is None else unknown.nominal
-            local[name] = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            local[name] = np.asarray(draw.known.get(name, drawn))
             if isinstance(cell, Cell) and _is_flat(unknown):
                 local[name] = plane_coordinates(unknown, nominals[name], *place)
         z.append(np.array([local[name] for name in names]).reshape(samples, -1))
@@ -210,7 +190,9 @@ def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) 
     """For each row the random posture, readings at zero, that comes nearest."""
     robot = bench.problem.robot
     tried = random_joints(robot, len(rows) * CANDIDATES, rng)
-    free = np.hstack([tried, np.zeros((len(tried), bench.read))])
+    instrument = bench.problem.instrument
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    free = np.hstack([tried, np.tile(readings, (len(tried), 1))])
     if bench.read:  # readings follow from any posture
         return free[::CANDIDATES]
     e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))

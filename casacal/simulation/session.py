@@ -19,7 +19,7 @@ from casacal.simulation.dial_errors import DialErrors
 from casacal.simulation.joint_errors import drawn_waves, rounded, unwaved, waved, ways, yielding
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import find_touches
-from casacal.simulation.true_arm import streams, true_unknowns
+from casacal.simulation.true_arm import Draw, true_unknowns
 from casacal.tables.labels import Labels
 
 
@@ -50,12 +50,12 @@ class Plan:
 
 
 def touched_rows(
-    problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int, seed: int
+    problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int, draw: Draw
 ) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
     """Samples of touches, the true local coordinates by name, and the errors of arm and dial that were drawn."""
     _refuse(cell, probe)
-    truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = streams(seed, 7)
-    local = true_unknowns(problem, probe, cell.error_scale, truth_rng)
+    truth_rng, pose_rng, noise_rng, form_rng, gear_rng, dial_rng, way_rng = draw.streams(7, of_the_arm=(0, 4))
+    local = draw.true(true_unknowns(problem, probe, cell.error_scale, truth_rng))
     touch = Touch.of(problem.robot, instrument, probe, local)
     plan = Plan.of(samples, len(cell.faces), cell.repeats)
     noise = probe.noise_std if cell.repeatability is None else cell.repeatability
@@ -88,9 +88,8 @@ def touched_rows(
         shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=samples) * noise + outlier
         columns[probe.column] = rounded(shown, cell.resolution)
     labels = {probe.label: Labels([face.label for face in cell.faces], plan.which)} if probe.label is not None else {}
-    name = f"simulated-{seed}"
     recorded = rounded(said, cell.encoder_step)
-    rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, name, name)
+    rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name)
     return rows, local, arm, dial
 
 

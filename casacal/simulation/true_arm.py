@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
 import casadi as ca
 import numpy as np
 
@@ -18,9 +21,34 @@ def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.ra
     return {key: error_scale * u.start_stds * rng.normal(size=u.size) for key, u in unknowns.items()}
 
 
-def streams(seed: int, count: int) -> tuple[np.random.Generator, ...]:
-    """Independent random numbers for each thing that is drawn; further ones leave the first as they are."""
-    return tuple(np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(count))
+@dataclass(frozen=True)
+class Draw:
+    """What is drawn at random: an arm by its seed, and one of several sessions in which it is measured.
+
+    known: true local coordinates that stand already, by key, such as those of the same arm in another session.
+    """
+
+    seed: int
+    session: int = 0
+    known: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Stands for the file of such samples."""
+        return f"simulated-{self.seed}" + (f"-{self.session + 1}" if self.session else "")
+
+    def streams(self, count: int, of_the_arm: Sequence[int]) -> tuple[np.random.Generator, ...]:
+        """Independent random numbers for each thing that is drawn; further ones leave the first as they are.
+
+        Those of the arm are the same in every session.
+        """
+        arm = np.random.SeedSequence(self.seed).spawn(count)
+        here = np.random.SeedSequence((self.seed, self.session)).spawn(count) if self.session else arm
+        return tuple(np.random.default_rng(arm[k] if k in of_the_arm else here[k]) for k in range(count))
+
+    def true(self, drawn: Mapping[str, Array]) -> dict[str, Array]:
+        """Local coordinates as they were drawn, but for those that stand."""
+        return {key: np.asarray(self.known.get(key, values)) for key, values in drawn.items()}
 
 
 def plane_coordinates(plane: Unknown, nominal: Array, centre: Array, normal: Array) -> Array:

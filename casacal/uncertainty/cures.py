@@ -109,6 +109,9 @@ def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator
     The first unknowns are those of `arm`, of which the samples told (s, s).
     """
     touches = _touches(bound, x)
+    if len(bound.samples) > 1:
+        yield from _more_of_each(bound, x, told)
+        return
     if touches is None:
         more = EXTRA_TOUCHES / len(bound.samples[0])
         yield "same", f"{EXTRA_TOUCHES} more samples of the same kind", (1 + more) * told, arm.prior_std
@@ -123,6 +126,16 @@ def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator
         except CasacalError:  # such as a plunger that would lie in the face
             continue
         yield offer.kind, offer.words, information, prior_std
+
+
+def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[tuple[str, str, Array, Array]]:
+    """More of what each of several instruments has measured: as much as its rows tell of the shared unknowns now."""
+    for i, name in enumerate(bound.problem.names):
+        others = np.flatnonzero(bound.measured.instruments != i)
+        arm, at = seen(bound.take(others), x)
+        more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
+        words = f"{EXTRA_TOUCHES} more samples of the {name}"
+        yield f"same as {name}", words, told + more * (told - arm.information(at)), arm.prior_std
 
 
 def _touches(bound: BoundProblem, x: Array) -> Touches | None:

@@ -123,7 +123,7 @@ class _Linear:
         sizes = effect_sizes(
             whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start, search=search
         )
-        density = float(np.log(np.concatenate([block.noise.ravel() for block in whole.blocks])).sum())
+        density = float(np.log(whole.noise).sum())
         return replace(sizes, evidence=sizes.evidence - density)
 
 
@@ -144,17 +144,19 @@ def _evidence(found: _Found) -> float:
 def _errs_together(whole: BoundProblem) -> bool:
     """Whether rows err together by more than each does alone."""
     sizes = [slot.unknown.prior_stds[0] for slot in whole.slots if slot.beside == JointField.key]
-    return bool(sizes) and float(sizes[0]) > float(np.median(whole.block.noise))
+    return bool(sizes) and float(sizes[0]) > float(np.median(whole.noise))
 
 
 def times_found(whole: BoundProblem) -> dict[str, float]:
     """Times by which each effect came out larger than it was expected to be, by key."""
     problem, found = whole.problem, {}
     for effect in problem.effects:
-        expected = effect.unknowns(Site(problem.robot, problem.instrument))
         slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
-        if slot is not None:
-            found[effect.key] = float(slot.unknown.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
+        for instrument in problem.instruments:
+            expected = effect.unknowns(Site(problem.robot, instrument))
+            if slot is not None and effect.key in expected:
+                found[effect.key] = float(slot.unknown.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
+                break
     return found
 
 
@@ -166,7 +168,7 @@ def at_most(whole: BoundProblem) -> tuple[Effect, ...]:
 
 def errors_are_shared(whole: BoundProblem) -> bool:
     """Whether rows have less noise of their own than was stated, and with what they share as much or more."""
-    own, stated = (float(np.median(each.block.noise)) for each in (whole, whole.with_noise()))
+    own, stated = (float(np.median(each.noise)) for each in (whole, whole.with_noise()))
     return own < stated and err_as_stated(whole)
 
 
@@ -175,6 +177,6 @@ def err_as_stated(whole: BoundProblem) -> bool:
     beside = np.array(whole.beside, dtype=bool)
     normal = whole.normal(whole.x0).information
     told = np.diagonal(normal.dense() if isinstance(normal, Arrow) else normal)
-    noise = float(np.median(whole.block.noise))
+    noise = float(np.median(whole.noise))
     together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
-    return together >= float(np.median(whole.with_noise().block.noise))
+    return together >= float(np.median(whole.with_noise().noise))

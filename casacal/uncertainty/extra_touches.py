@@ -131,7 +131,7 @@ class Known:
         groups, named = samples.labels[own[0].unknown.per or ""], {slot.label for slot in own}
         codes = [k for k, name in enumerate(groups.names) if instrument.instance(key, name) in named]
         rows = samples.take(np.flatnonzero(np.isin(groups.codes, codes)))
-        part = BoundProblem(bound.problem, slots, (rows,), "blocks", noise_scale=bound.noise_scale)
+        part = BoundProblem(bound.problem, slots, (rows,), "blocks", scale=bound.scale)
         information, few = part.information(x), len(told)
         information[:few, :few] += told - _left(information, part.prior_std, few)
         return Known(bound, slots, x, information)
@@ -148,7 +148,7 @@ class Known:
         new = [_placed(slot, strange) for slot in new]
         slots, x = _in_row([*old.values(), *new], np.concatenate([self.x, np.zeros(sum(s.unknown.size for s in new))]))
         scale = _scale(self.bound.scale, noise)
-        extra = BoundProblem(problem, slots, (rows,), "blocks", noise_scale=(scale,))
+        extra = BoundProblem(problem, slots, (rows,), "blocks", scale=scale)
         information = extra.information(x)
         information[: self.x.size, : self.x.size] += self.information
         return information, extra.prior_std

@@ -58,12 +58,12 @@ def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
         return False
     step = held @ told.toward - x
-    samples = bound.block.samples
-    few = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_ROWS)).astype(np.intp))
-    part = bound if few.size == len(samples) else bound.on(samples.take(few))
+    count = len(bound.measured)
+    few = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(np.intp))
+    part = bound if few.size == count else bound.take(few)
     jacobian = part.jacobian(x)
     free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
-    seen = (part.block.joint_noise / part.block.noise).ravel() ** 2
+    seen = (part.joint_noise / part.noise) ** 2
     judged = free > SMALLEST
     if not judged.any():
         return False
@@ -75,9 +75,9 @@ def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
 
 def with_joints(whole: BoundProblem, found: BoundProblem) -> Iterator[BoundProblem]:
     """The rows with parts of the noise, as it was found beyond what was stated, put down to the joints."""
-    seen, scale = whole.block.joint_noise, found.scale
+    seen, scale = whole.joint_noise, found.scale
     shared = of_repeats(scale)
-    level, own = (float((each.block.noise**2).mean()) for each in (found, found.with_noise(shared)))
+    level, own = (float((each.noise**2).mean()) for each in (found, found.with_noise(shared)))
     if not (level > own and np.isfinite(seen).all() and (seen > 0).any()):
         return
     for part in PARTS:

@@ -47,18 +47,17 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
     which has no more rows than unknowns of its own. Rows that a robust loss ignored do not count.
 
     Args:
-        bound: with the noise as it is used; one instrument.
+        bound: with the noise as it is used.
         result: its fit, from which each of these starts.
 
     """
-    samples = bound.block.samples
-    faces = samples.faces(bound.problem.instrument.groups)
+    faces = bound.faces
     if not 2 <= len(faces.names) <= MOST_FACES or bound.rows > MOST_ROWS or bound.groups is not None:
         return ()
     found = []
     for face, rows in faces.rows().items():
-        others = np.setdiff1d(np.arange(len(samples)), rows)
-        one = _left_out(bound.on(samples.take(others)), bound, rows, result, face)
+        others = np.setdiff1d(np.arange(len(faces)), rows)
+        one = _left_out(bound.take(others), bound, rows, result, face)
         found += [] if one is None else [one]
     return tuple(found)
 
@@ -70,15 +69,15 @@ def _left_out(
     if not fit.converged:
         return None
     known = np.isfinite(np.diagonal(fit.covariance))  # what the others do not hold, these rows alone know
-    per_row = bound.rows // len(bound.block.samples)
-    index = (rows[:, None] * per_row + np.arange(per_row)).ravel()
+    index = bound.residuals_of(rows)
     index = index[result.weights[index] >= HALF_WEIGHT]
     slopes = bound.jacobian(fit.x)[index]
     spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(known, known)])
     judged = expected(bound.residual(fit.x)[index], spread, slopes[:, ~known])
     if judged.freedom < 1:
         return None
-    actual, predicted = (_rms(sizes * bound.block.noise.ravel()[index]) for sizes in (judged.left, judged.std))
+    of_unit = bound.leading[index]
+    actual, predicted = (_rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
     p = chance(judged.chi_square, judged.freedom)
     return LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p)
 

@@ -40,9 +40,9 @@ def leverages(bound: BoundProblem, result: Result) -> Array:
     if bound.groups is not None:
         return np.clip(_by_group(bound, result), 0.0, 1.0)
     held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_information)
-    samples, found = bound.block.samples, []
-    for rows in np.array_split(np.arange(len(samples)), 1 + len(samples) // TOGETHER):
-        part = bound if rows.size == len(samples) else bound.on(samples.take(rows))
+    count, found = len(bound.measured), []
+    for rows in np.array_split(np.arange(count), 1 + count // TOGETHER):
+        part = bound if rows.size == count else bound.take(rows)
         found.append(((part.jacobian(result.x) @ held) ** 2).sum(axis=1))
     return np.asarray(np.clip(np.concatenate(found) * result.weights, 0.0, 1.0))
 

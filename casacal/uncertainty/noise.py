@@ -21,7 +21,6 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
-from casacal.tables.labels import Labels
 from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, ratio_interval
 from casacal.uncertainty.leverage import leverages
 from casacal.uncertainty.pure_error import PureError, condensed, pure_error, repeats_in
@@ -69,7 +68,7 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
     does not say, and the other faces are not free of it because they show it less.
 
     Args:
-        bound: with the noise as stated; one instrument.
+        bound: with the noise as stated.
         loss: a robust loss, whose ignored rows do not count.
 
     """
@@ -104,9 +103,11 @@ def noise_over_stated(result: Result) -> Noise:
     bound = result.problem
     assert isinstance(bound, BoundProblem)
     scale = bound.scale
-    stated = bound.with_noise().block.noise
-    of_a_touch = bound.with_noise({name: each for name, each in scale.items() if name != SHARED}).block.noise
+    stated = bound.with_noise().noise
+    of_a_touch = bound.with_noise({name: each for name, each in scale.items() if name != SHARED}).noise
     mean = math.sqrt(float((of_a_touch**2).sum() / (stated**2).sum()))
+    if len(bound.samples) > 1:  # whose residuals may be of different units
+        mean = math.sqrt(float(((of_a_touch / stated) ** 2).mean()))
     again = repeats_in(bound) if result.loss is None else None
     ratio, low, high = (mean * each for each in _interval(result, again))
     return Noise(ratio, low, high, scale, None if again is None else pure_error(result, again))
@@ -130,28 +131,28 @@ def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = 
     """A factor for each face where they differ in noise, or where they did before; None where they do not."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    faces = bound.block.samples.faces(bound.problem.instrument.groups)
+    faces = bound.noise_labels
     if len(faces.names) < 2:
         return None
     kept = result.weights >= HALF_WEIGHT
     squares, free = bound.residual(result.x) ** 2 * kept, kept - leverages(bound, result) * kept
-    per_row = bound.rows // len(faces)
-    codes = np.repeat(faces.codes, per_row)
+    codes = faces.codes
     total, freedom = (np.bincount(codes, each, len(faces.names)).astype(np.float64) for each in (squares, free))
     if (freedom < FEWEST).any():
         return None
     if scale is None:
-        if bartlett(total, freedom) > UNEQUAL or _smooth(bound.residual(result.x).reshape(-1, per_row), faces):
+        if bartlett(total, freedom) > UNEQUAL or _smooth(bound, bound.residual(result.x)):
             return None
         scale = dict.fromkeys(faces.names, common)
     found = np.sqrt(total / freedom)
     return {name: max(scale[name] * float(each), 1.0) for name, each in zip(faces.names, found, strict=True)}
 
 
-def _smooth(r: Array, faces: Labels) -> bool:
+def _smooth(bound: BoundProblem, r: Array) -> bool:
     """Whether rows of some face that follow one another err alike: products of neighbours, of unit size each."""
-    for rows in faces.rows().values():
-        own = r[rows] / max(float(np.sqrt((r[rows] ** 2).mean())), 1e-300)
+    for rows in bound.faces.rows().values():
+        own = r[bound.residuals_of(rows)].reshape(len(rows), -1)
+        own = own / max(float(np.sqrt((own**2).mean())), 1e-300)
         products = own[1:] * own[:-1]
         if float(products.sum()) > SMOOTH * math.sqrt(max(products.size, 1)):
             return True

@@ -92,7 +92,7 @@ def _cell(faces: tuple[Face, ...], tilt: float) -> Cell:
 
 def _is_found(bound: BoundProblem) -> bool:
     """Whether the rows show more noise than is stated, which no better indicator takes away."""
-    return any(factor > 1.1 for scale in bound.noise_scale for factor in by_face(scale).values())
+    return any(factor > 1.1 for factor in by_face(bound.scale).values())
 
 
 def _across(face: Face) -> tuple[Array, ...]:

@@ -39,12 +39,12 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     The mean square residual is a sum of squares of independent normal numbers, weighted with eigenvalues; two moments
     of it are matched (Satterthwaite).
     """
-    samples, stds = bound.block.samples, bound.start_std if flat_counts else bound.prior_std
+    stds = bound.start_std if flat_counts else bound.prior_std
     if bound.groups is not None:
         return _of_many_faces(bound, stds)
-    if len(samples) > MOST_ROWS:
-        bound = bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
-    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
+    if len(bound.measured) > MOST_ROWS:
+        bound = bound.take(np.unique(np.linspace(0, len(bound.measured) - 1, MOST_ROWS).astype(int)))
+    noise = bound.noise
     slopes = bound.jacobian(bound.x0) * noise[:, None]
     arm = ~bound.datum & np.isfinite(stds)
     moved, planes = slopes[:, arm] * stds[arm], slopes[:, bound.datum]
@@ -54,7 +54,7 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
 
 def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
     """The same, faces taken out one by one."""
-    noise = np.concatenate([block.noise.ravel() for block in bound.blocks])
+    noise = bound.noise
     parts = []
     for part in bound.group_rows(bound.x0):
         plain = replace(part, own=part.own * noise[part.rows, None], shared=part.shared * noise[part.rows, None])

@@ -10,7 +10,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import by_face, factors
 from casacal.least_squares.result import Result
-from casacal.samples.repeats import Repeats, repeats_of
+from casacal.samples.repeats import Repeats
 from casacal.uncertainty.figures import ratio_interval
 from casacal.uncertainty.leverage import effective_unknowns
 
@@ -42,11 +42,13 @@ class PureError:
 
 def repeats_in(bound: BoundProblem) -> Repeats:
     """Which whitened rows repeat one another, component by component of the residual."""
-    samples = bound.block.samples
-    again = repeats_of(samples, bound.problem.instrument.groups)
-    per_row = bound.rows // len(samples)
-    codes = (again.codes[:, None] * per_row + np.arange(per_row)).ravel()
-    return Repeats(codes, np.repeat(again.sizes, per_row))
+    again = bound.repeats
+    width = int(bound.components.max(initial=1))
+    sizes = np.zeros((len(again.sizes), width), dtype=np.intp)
+    np.add.at(sizes, (again.codes[bound.sample_of], bound.component_of), 1)
+    there = np.cumsum((sizes > 0).ravel()) - 1  # samples of one instrument may have fewer components than another's
+    codes = there[again.codes[bound.sample_of] * width + bound.component_of]
+    return Repeats(codes, sizes[sizes > 0])
 
 
 def pure_error(result: Result, again: Repeats) -> PureError | None:
@@ -62,14 +64,8 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     if not again.any:
         return None
     scale = bound.scale
-    column, samples, per_row = (
-        bound.problem.instrument.groups,
-        bound.block.samples,
-        bound.rows // len(bound.block.samples),
-    )
-    plain = by_face(scale)
-    of_a_touch = bound.residual(result.x) * np.repeat(factors(samples, column, scale), per_row)
-    faces = np.repeat(factors(samples, column, plain), per_row)
+    of_a_touch = bound.residual(result.x) * factors(bound, scale)
+    faces = factors(bound, by_face(scale))
     r = of_a_touch / faces
     mean = again.summed(r) / again.sizes
     within, freedom = float(((r - mean[again.codes]) ** 2).sum()), float(len(r) - len(mean))
@@ -85,7 +81,7 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     shared = effect / (effect + noise) if chance < LACKING and effect > 0 else 0.0
     total = float(((of_a_touch - (again.summed(of_a_touch) / again.sizes)[again.codes]) ** 2).sum())
     ratio, low, high = ratio_interval(total, freedom)
-    return PureError(int((again.sizes > 1).sum()) // per_row, ratio, low, high, f, chance, shared)
+    return PureError(int((bound.repeats.sizes > 1).sum()), ratio, low, high, f, chance, shared)
 
 
 def condensed(result: Result, again: Repeats) -> tuple[Array, float]:

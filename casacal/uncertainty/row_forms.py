@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, diags, identity, kron
+from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from casacal.array_types import Array
+from casacal.binding.all_rows import AllRows
 from casacal.uncertainty.quadratic_forms import chance_of_ratio
 from casacal.uncertainty.scores import Ground
 
@@ -67,10 +68,13 @@ class RowForm:
 
 
 def near_on_faces(tips: Array, faces: NDArray[np.integer[Any]], places: NDArray[np.intp]) -> csr_matrix:
-    """Which touches (N, N) are near one another on one face, but not in the same place: tips (N, 3; mm), codes (N,)."""
+    """Which touches (N, N) are near one another on one face, but not in the same place: tips (N, 3; mm), codes (N,).
+
+    A code below zero is of no face.
+    """
     _, first = np.unique(places, return_index=True)
     pairs: list[NDArray[np.intp]] = []
-    for face in np.unique(faces):
+    for face in np.unique(faces[faces >= 0]):
         rows = first[faces[first] == face]
         if len(rows) < 2:
             continue
@@ -81,11 +85,18 @@ def near_on_faces(tips: Array, faces: NDArray[np.integer[Any]], places: NDArray[
     return csr_matrix(of_place @ between @ of_place.T)
 
 
-def following(lines: Sequence[int], places: NDArray[np.intp]) -> csr_matrix:
-    """Which touches (N, N) follow one another, by their lines (N,), but not in the same place, by codes (N,)."""
-    order = np.argsort(np.asarray(lines), kind="stable")
+def following(
+    lines: Sequence[int], places: NDArray[np.intp], instruments: NDArray[np.intp] | None = None
+) -> csr_matrix:
+    """Which touches (N, N) follow one another, by their lines (N,), but not in the same place, by codes (N,).
+
+    Those of one instrument follow none of another's.
+    """
+    which = np.zeros(len(lines), dtype=np.intp) if instruments is None else instruments
+    order = np.lexsort((np.asarray(lines), which))
     pairs = np.column_stack([order[:-1], order[1:]])
-    return _pairs(pairs[places[pairs[:, 0]] != places[pairs[:, 1]]], len(lines))
+    apart = (places[pairs[:, 0]] != places[pairs[:, 1]]) & (which[pairs[:, 0]] == which[pairs[:, 1]])
+    return _pairs(pairs[apart], len(lines))
 
 
 def alike(places: NDArray[np.intp]) -> csr_matrix:
@@ -94,10 +105,15 @@ def alike(places: NDArray[np.intp]) -> csr_matrix:
     return csr_matrix(of_place @ of_place.T)
 
 
-def whitened(form: csr_matrix, noise: Array) -> csr_matrix:
-    """The same of touches with noise (N, m), component by component, as residuals (N m,) over their noise see it."""
-    scale = diags(1.0 / noise.ravel())
-    return csr_matrix(scale @ kron(form, identity(noise.shape[1])) @ scale)
+def whitened(form: csr_matrix, rows: AllRows) -> csr_matrix:
+    """The same of samples (N, N), component by component, as residuals (rows,) over their noise see it."""
+    scale, total = diags(1.0 / rows.noise), csr_matrix((rows.noise.size, rows.noise.size))
+    for component in range(int(rows.components.max(initial=0))):
+        mine = np.flatnonzero(rows.component_of == component)
+        places = (np.ones(mine.size), (mine, rows.sample_of[mine]))
+        of_samples = csr_matrix(places, shape=(rows.noise.size, len(rows.components)))
+        total = total + of_samples @ form @ of_samples.T
+    return csr_matrix(scale @ total @ scale)
 
 
 def diagonal(values: Array) -> csr_matrix:

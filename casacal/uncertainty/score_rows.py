@@ -15,7 +15,6 @@ from casacal.binding.nominal import nominal_tips
 from casacal.discrepancy import GearWaves
 from casacal.instruments.dial_parts import dial_cycle, dial_gain
 from casacal.problem.problem import Problem
-from casacal.samples.repeats import repeats_of
 from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
 
 FLAT = 1e-3
@@ -86,57 +85,67 @@ def _dial_columns(bound: BoundProblem, x: Array, tips: int) -> Iterator[Columns]
     gain that makes readings vanish would seem to explain why the arm errs. So the gain is of what the drawn arm would
     read, which depends on no error; the pointer's angle, of what the fitted one does.
     """
-    probe, declared = bound.problem.instrument.probe, bound.problem.instrument.unknowns
-    if probe is None or probe.column is None or not probe.turn:
-        return
-    samples = bound.block.samples
-    read = samples.columns[probe.column]
-    shifted = [
-        bound.on(replace(samples, columns={**samples.columns, probe.column: read + step})).plain_residual(x)
-        for step in (STEP, -STEP)
-    ]
-    steep = (shifted[0] - shifted[1]) / (2 * STEP)
-    told = np.abs(steep) > FLAT
-    drawn, fitted = (
-        read - np.where(told, bound.plain_residual(at) / np.where(told, steep, 1.0), 0.0) for at in (bound.x0, x)
-    )
-    slope = steep / bound.block.noise.ravel()
-    gain, cycle = dial_gain(), dial_cycle()
-    if "gain" not in declared:
-        size = float(gain.prior_stds[0])
-        way = size / 100 * slope * drawn
-        yield Columns("gain", "gain of the dial", size, gain.unit, way[:, None], np.zeros((tips, 1)))
-    if "cycle" not in declared:
-        size, angle = float(cycle.prior_stds[0]), 2 * math.pi * fitted / probe.turn
-        ways = size / 1000 * slope[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        words = "errors with every turn of the dial's pointer"
-        yield Columns("cycle", words, size, cycle.unit, ways, np.zeros((tips, 2)))
+    for i, instrument in enumerate(bound.problem.instruments):
+        probe, declared = instrument.probe, instrument.unknowns
+        if probe is None or probe.column is None or not probe.turn:
+            continue
+        read = np.zeros(bound.rows)
+        own = bound.sample_rows(i)
+        read[own] = bound.samples[i].columns[probe.column]
+        steep = _steepness(bound, x, i, probe.column)
+        told = np.abs(steep) > FLAT
+        drawn, fitted = (
+            read - np.where(told, bound.plain_residual(at) / np.where(told, steep, 1.0), 0.0) for at in (bound.x0, x)
+        )
+        slope, before = steep / bound.noise, bound.problem.prefix(i)
+        gain, cycle = dial_gain(), dial_cycle()
+        if "gain" not in declared:
+            size = float(gain.prior_stds[0])
+            way = size / 100 * slope * drawn
+            yield Columns(f"{before}gain", "gain of the dial", size, gain.unit, way[:, None], np.zeros((tips, 1)))
+        if "cycle" not in declared:
+            size, angle = float(cycle.prior_stds[0]), 2 * math.pi * fitted / probe.turn
+            ways = size / 1000 * slope[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+            words = "errors with every turn of the dial's pointer"
+            yield Columns(f"{before}cycle", words, size, cycle.unit, ways, np.zeros((tips, 2)))
+
+
+def _steepness(bound: BoundProblem, x: Array, i: int, column: str) -> Array:
+    """Slope (rows,) of all residuals by what instrument `i` reads in a column."""
+    shifted = []
+    for step in (STEP, -STEP):
+        samples = list(bound.samples)
+        columns = samples[i].columns
+        samples[i] = replace(samples[i], columns={**columns, column: columns[column] + step})
+        shifted.append(bound.on(*samples).plain_residual(x))
+    return np.asarray((shifted[0] - shifted[1]) / (2 * STEP))
 
 
 def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Form]:
     """Rows that are near one another on a face, follow one another, repeat one another, or see more of the joints."""
-    samples, noise, instrument = bound.block.samples, bound.block.noise, bound.problem.instrument
-    places = repeats_of(samples, instrument.groups)
-    near = following(samples.lines, places.codes)
+    measured, places, unit = bound.measured, bound.repeats, bound.problem.instruments[0].words.unit
+    near = following(measured.lines, places.codes, measured.instruments)
     pairs = {"succession": ("touches err like those just before and after", near)}
-    if instrument.probe is not None:
-        tips, faces = nominal_tips(bound.problem, 0, samples), samples.faces(instrument.groups).codes
+    touching = np.array([instrument.probe is not None for instrument in bound.problem.instruments])
+    if touching.any():
+        tips = np.vstack([nominal_tips(bound.problem, i, some) for i, some in enumerate(bound.samples)])
+        faces = np.where(touching[measured.instruments], bound.faces.codes, -1)
         near = near_on_faces(tips, faces, places.codes)
         pairs["neighbours"] = ("touches err like their neighbours on the face", near)
     for key, (words, form) in pairs.items():
         if form.nnz:
-            shared = csr_matrix(form + identity(len(samples)))
-            yield Form(key, words, instrument.words.unit, whitened(form, noise), whitened(shared, noise))
+            shared = csr_matrix(form + identity(len(measured)))
+            yield Form(key, words, unit, whitened(form, bound), whitened(shared, bound))
     if places.any:
         words = "repeats agree better with one another than with the fit"
-        yield Form(REPEATS, words, instrument.words.unit, None, whitened(alike(places.codes), noise))
+        yield Form(REPEATS, words, unit, None, whitened(alike(places.codes), bound))
     if WAVE in columns:
         wave = columns[WAVE]
-        moved = diagonal((bound.block.joint_noise / noise).ravel() ** 2)
+        moved = diagonal((bound.joint_noise / bound.noise) ** 2)
         own = math.sqrt(3 * float((wave.tip**2).sum()) / len(wave.tip)) / wave.expected
         yield Form(JOINTS, "repeatability of the joints", "rad", moved, moved, own)
 
 
 def noise_mm(bound: BoundProblem) -> float:
     """Noise of a touch as stated, its median, in the unit of the residual."""
-    return float(np.median(bound.with_noise().block.noise))
+    return float(np.median(bound.with_noise().noise))

@@ -66,7 +66,7 @@ def _rows_of(bound: BoundProblem, problem: Problem) -> _Rows | None:
     if not set(bound.scale) - {OTHERS, SHARED}:
         return _Rows.of(bound, problem)
     shared = of_repeats(bound.scale)
-    factor = math.sqrt(float(((bound.block.noise / bound.with_noise(shared).block.noise) ** 2).mean()))
+    factor = math.sqrt(float(((bound.noise / bound.with_noise(shared).noise) ** 2).mean()))
     rows = _Rows.of(bound.with_noise({**shared, OTHERS: factor}), problem)
     return rows if rows is not None and rows.alike_but_for_joints(1 / factor**2) else _Rows.of(bound, problem)
 
@@ -101,10 +101,10 @@ class _Rows:
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem) -> _Rows | None:
-        if bound.groups is not None or not bound.unknowns or len(bound.samples) > 1:
+        if bound.groups is not None or not bound.unknowns:
             return None
-        if len(samples := bound.block.samples) > MOST_ROWS:
-            bound = bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
+        if (count := len(bound.measured)) > MOST_ROWS:
+            bound = bound.take(np.unique(np.linspace(0, count - 1, MOST_ROWS).astype(int)))
         result = lm(bound)
         if not result.converged or not math.isfinite(result.cost):
             return None
@@ -134,8 +134,7 @@ class _Rows:
             return False
         left = self.residual + self.jacobian @ ground.step
         squares = left**2 / (max(known.noise, least) + known.variance * form.covariance.diagonal())
-        faces = self.bound.block.samples.faces(self.bound.problem.instrument.groups)
-        codes = np.repeat(faces.codes, len(left) // len(faces.codes))
+        codes = self.bound.noise_labels.codes
         total, count = (np.bincount(codes, each).astype(np.float64) for each in (squares, np.ones(len(codes))))
         return bartlett(total[count > 0], count[count > 0] * ground.freedom / len(left)) > UNEQUAL
 

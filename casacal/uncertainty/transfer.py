@@ -8,7 +8,7 @@ stand on one side, so that what only knows its neighbours gains nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.samples.samples import Samples
+from casacal.tables.labels import Labels
 from casacal.uncertainty.marginal_likelihood import Told, evidence, told
 
-FACES, REGIONS = "faces", "regions"
+FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"
 """Splits that samples have of themselves; further ones have the names of columns."""
 
 MOST_PARTS = 12
@@ -56,18 +57,18 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
     """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
 
     Args:
-        bound, x, keys: as for `in_sample_gains`; one instrument. Of very many rows some stand for all.
+        bound, x, keys: as for `in_sample_gains`. Of very many rows some stand for all.
 
     Returns no split where there is no face beside another, and no region that could be left out.
 
     """
     bound = _some(bound)
     slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information
-    heights, per_row = slopes @ x - r, bound.rows // len(bound.block.samples)
+    heights = slopes @ x - r
     priors = {key: _without(bound, prior, key) for key in keys}
     found: dict[str, dict[str, float]] = {key: {} for key in priors}
-    for name, parts in splits(bound.block.samples, bound.problem.instrument.groups).items():
-        rows = [(part[:, None] * per_row + np.arange(per_row)).ravel() for part in parts]
+    for name, parts in _splits_of(bound).items():
+        rows = [bound.residuals_of(part) for part in parts]
         seen = [Told.of(slopes[part], heights[part]) for part in rows]
         whole = _densities(seen, prior)
         for key, without in priors.items():
@@ -76,10 +77,8 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
 
 
 def _some(bound: BoundProblem) -> BoundProblem:
-    samples = bound.block.samples
-    if len(samples) <= MOST_ROWS:
-        return bound
-    return bound.on(samples.take(np.unique(np.linspace(0, len(samples) - 1, MOST_ROWS).astype(int))))
+    count = len(bound.measured)
+    return bound if count <= MOST_ROWS else bound.take(np.unique(np.linspace(0, count - 1, MOST_ROWS).astype(int)))
 
 
 def _densities(seen: list[Told], prior: Array) -> float:
@@ -95,17 +94,28 @@ def _densities(seen: list[Told], prior: Array) -> float:
     return total
 
 
+def _splits_of(bound: BoundProblem) -> dict[str, list[Rows]]:
+    """The splits of an only instrument's samples; of several, faces of all, the instruments themselves, and regions."""
+    if len(bound.samples) == 1:
+        return splits(bound.samples[0], bound.groups_by[0])
+    return _splits({FACES: bound.faces, INSTRUMENTS: bound.measured.by_instrument()}, bound.measured.joints)
+
+
 def splits(samples: Samples, face: str | None) -> dict[str, list[Rows]]:
     """Rows that are left out together, by the name of the split: faces, regions, values of further columns."""
     columns = {FACES if name == face else name: labels for name, labels in samples.labels.items()}
+    return _splits(columns, samples.joints)
+
+
+def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Rows]]:
     found = {}
     for name, labels in columns.items():
         groups = np.array_split(np.arange(len(labels.names)), min(MOST_PARTS, len(labels.names)))
         if len(groups) > 1:
             found[name] = [np.flatnonzero(np.isin(labels.codes, group)) for group in groups]
-    regions = [np.arange(len(samples))]
+    regions = [np.arange(len(joints))]
     for _ in range(HALVINGS):
-        regions = [half for region in regions for half in _halves(samples.joints, region)]
+        regions = [half for region in regions for half in _halves(joints, region)]
     if len(regions) > 1:
         found[REGIONS] = regions
     return found

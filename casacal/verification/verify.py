@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
-from casacal.calibration.calibrate import samples_from
+from casacal.calibration.given import samples_of
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
+from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
@@ -42,6 +43,7 @@ def verify(
     samples: Samples | Any,
     *,
     problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
     standing: Collection[str] = (),
     tolerance: float | None = None,
 ) -> Verification:
@@ -59,6 +61,8 @@ def verify(
         samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
         problem: the same arm with the instrument of these rows, where it is not that of the calibration: a `Problem`,
             what `load_problem` returns, or a path.
+        instrument: which of the calibration's instruments took these rows, where there are several; by default the one
+            whose columns they have.
         standing: labels of faces ("floor") or unknowns ("plane", "tool") that stand where the calibration found them,
             and so are not fitted again.
         tolerance: largest residual, mm, that 95 % of the rows may have.
@@ -75,8 +79,9 @@ def verify(
     if isinstance(standing, str):
         raise CasacalError(f"'{standing}' came as a list of what stands", f"Give ['{standing}']")
     arm = _arm(result)
+    arm = seen_by(arm, instrument if problem is not None else measured_by(arm, samples, instrument))
     source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
-    rows = samples_from(samples, source)
+    rows = samples_of(samples, source, 0)
     rows, copied, fitted = _fresh_among(arm, rows, source.problem)
     unit = source.problem.instrument.words.unit
     if tolerance is not None and unit != "mm":
@@ -87,6 +92,31 @@ def verify(
             raise SamplesError(rows.file, "the residuals of some rows are not finite", "Check their values with check")
     found = judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance))
     return replace(found, copied_lines=copied, fitted_lines=fitted)
+
+
+def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
+    """Which instrument of a calibration took some rows: the one that is named, else the one that reads most of them.
+
+    Raises CasacalError where none could have, or several as well.
+    """
+    problem, fits = arm.source.problem, dict[str, int]()
+    if instrument is not None or len(problem.instruments) == 1:
+        return instrument
+    reasons = []
+    for i, name in enumerate(problem.names):
+        try:
+            rows = samples_of(samples, arm.source, i)
+            labelled = [column for column, labels in rows.labels.items() if labels.names != (column,)]
+            fits[name] = len(rows.columns) + len(labelled)
+        except CasacalError as error:
+            reasons.append(f"for the {name}: {error.what}")
+    best = [name for name, count in fits.items() if count == max(fits.values())]
+    if len(best) == 1:
+        return best[0]
+    if best:
+        fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
+        raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
+    raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
 
 
 def _arm(result: Any) -> CalibratedArm:

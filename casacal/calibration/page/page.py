@@ -35,19 +35,19 @@ def report_page(
         box: where the arm will work, mm in the base frame, or None.
 
     """
-    touches = Touches.of(calibration)
+    each = Touches.of_each(calibration)
     main = tag(
         "main",
         heading(calibration, document),
         verdict_section(calibration, document),
-        measured_section(touches, document),
-        residuals_section(touches, document),
-        expected_section(touches, document, box),
+        measured_section(each, document),
+        residuals_section(each, document),
+        expected_section(each, document, box),
         parameters_section(calibration, document),
         unseen_section(document),
         beside_section(document),
         reference_section(calibration, document),
-        outliers_section(touches, document),
+        outliers_section(each, document),
         provenance_section(document, command),
     )
     title = f"Calibration of {calibration.fit.problem.robot.name} ({document['problem']['name']})"

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.page.markup import Markup, tag
+from casacal.instruments import Instrument
+from casacal.samples.measurements import Measurements
+from casacal.samples.samples import Samples
 from casacal.tables.labels import Labels
 from casacal.unknowns.fits import fitted_plane
 
@@ -30,6 +34,7 @@ class Part:
     """Fitted or held-out rows: all unknowns x after, residuals before and after (N, m; mm), noise, weight."""
 
     bound: BoundProblem
+    instrument: int
     held: bool
     x: Array
     before: Array
@@ -45,12 +50,17 @@ class Part:
     @cached_property
     def lines(self) -> NDArray[np.int64]:
         """Line of each row in its file (N,)."""
-        return np.asarray(self.bound.block.samples.lines, dtype=np.int64)
+        return np.asarray(self.samples.lines, dtype=np.int64)
+
+    @property
+    def samples(self) -> Samples:
+        """The rows as they were read."""
+        return self.bound.samples[self.instrument]
 
     @property
     def labels(self) -> Labels | None:
         """What the rows are grouped by (N,); None where nothing groups them."""
-        return self.bound.block.samples.labels.get(self.bound.problem.instrument.groups or "")
+        return self.samples.labels.get(self.bound.problem.instruments[self.instrument].groups or "")
 
     def rows_of(self, label: str) -> Rows:
         """Rows of one face."""
@@ -79,29 +89,50 @@ class Places:
 
 @dataclass(frozen=True)
 class Touches:
-    """All rows of a calibration, fitted and held out."""
+    """All rows of one instrument of a calibration, fitted and held out; its name is empty for an only one."""
 
     calibration: Calibration
     parts: tuple[Part, ...]
+    number: int = 0
+    name: str = ""
 
     @staticmethod
-    def of(calibration: Calibration) -> Touches:
-        """Residuals of a calibration's rows, before and after."""
-        parts = [_part(calibration, calibration.fit, held=False)]
-        if calibration.heldout is not None:
-            parts.append(_part(calibration, calibration.heldout, held=True))
-        return Touches(calibration, tuple(parts))
+    def of(calibration: Calibration, number: int = 0) -> Touches:
+        """Residuals of the rows of an instrument, before and after."""
+        parts, names = [_part(calibration, calibration.fit, number, held=False)], calibration.fit.problem.names
+        if calibration.heldout is not None and len(calibration.heldout.samples[number]):
+            parts.append(_part(calibration, calibration.heldout, number, held=True))
+        return Touches(calibration, tuple(parts), number, names[number] if len(names) > 1 else "")
+
+    @staticmethod
+    def of_each(calibration: Calibration) -> tuple[Touches, ...]:
+        """The same of every instrument."""
+        return tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
+
+    @property
+    def instrument(self) -> Instrument:
+        """What measured the rows."""
+        return self.calibration.fit.problem.instruments[self.number]
+
+    @property
+    def samples(self) -> Samples:
+        """All of its rows as they were given."""
+        return Measurements.of(self.calibration.samples).sets[self.number]
+
+    def named(self, words: str) -> str:
+        """A name for a picture or a table, or a title, that belongs to this instrument among several."""
+        return f"{words}-{self.name}" if self.name else words
 
     @property
     def has_faces(self) -> bool:
         """Whether rows carry the label of a face."""
-        return self.calibration.fit.problem.instrument.groups in self.calibration.samples.labels
+        return self.instrument.groups in self.samples.labels
 
     @cached_property
     def faces(self) -> tuple[str, ...]:
         """Labels of the faces in file order; one for all rows where there are none."""
-        column = self.calibration.fit.problem.instrument.groups
-        return self.calibration.samples.labels[column].names if column is not None and self.has_faces else ("all rows",)
+        column = self.instrument.groups
+        return self.samples.labels[column].names if column is not None and self.has_faces else ("all rows",)
 
     @property
     def series(self) -> tuple[str, ...]:
@@ -120,7 +151,7 @@ class Touches:
     def places(self, label: str, most: int = LOOKED_AT) -> Places | None:
         """Where a face was touched; None where its touches lie on a line, so that they have no u and v."""
         chosen = [thinned(part.rows_of(label), most) for part in self.parts]
-        seen = [_seen(part.bound, part.x, rows) for part, rows in zip(self.parts, chosen, strict=True)]
+        seen = [_seen(part, rows) for part, rows in zip(self.parts, chosen, strict=True)]
         tips, plungers = (np.vstack(each) for each in zip(*seen, strict=True))
         plane = fitted_plane(tips)
         if not plane.flat:
@@ -138,6 +169,11 @@ class Touches:
         )
 
 
+def by_instrument(touches: Touches) -> Markup | None:
+    """The heading of what is said of one of several instruments."""
+    return tag("h3", f"By the {touches.name}") if touches.name else None
+
+
 def spread(values: Array) -> float:
     """Robust standard deviation about zero of values (N,): 1.4826 times the median size."""
     return 1.4826 * float(np.median(np.abs(values)))
@@ -150,19 +186,19 @@ def thinned(rows: Rows, most: int) -> Rows:
     return rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))]
 
 
-def _part(calibration: Calibration, bound: BoundProblem, *, held: bool) -> Part:
-    count = len(bound.block.samples)
+def _part(calibration: Calibration, bound: BoundProblem, number: int, *, held: bool) -> Part:
+    count, own = len(bound.samples[number]), bound.sample_rows(number)
     pair = calibration.heldout_x if held else (calibration.before.x, calibration.used_x)
-    before, after = (bound.plain_residual(x).reshape(count, -1) for x in pair)
-    weight = np.ones(count) if held else calibration.result.weights.reshape(count, -1).min(axis=1)
-    return Part(bound, held, pair[1], before, after, bound.block.noise, weight)
+    before, after = (bound.plain_residual(x)[own].reshape(count, -1) for x in pair)
+    weight = np.ones(count) if held else calibration.result.weights[own].reshape(count, -1).min(axis=1)
+    return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise, weight)
 
 
-def _seen(bound: BoundProblem, x: Array, rows: Rows) -> tuple[Array, Array]:
-    """Tips (k, 3; mm) of some rows at x (n,), and directions of the plunger (k, 3), zero where there is none."""
-    block = bound.block
+def _seen(part: Part, rows: Rows) -> tuple[Array, Array]:
+    """Tips (k, 3; mm) of some rows, and directions of the plunger (k, 3), zero where there is none."""
+    block = part.bound.blocks[part.instrument]
     pattern = block.pattern[rows]
-    inputs = x[block.columns[pattern]], block.constants[pattern], block.rows(rows)
+    inputs = part.x[block.columns[pattern]], block.constants[pattern], block.rows(rows)
     (tips,) = block.model.batch.tip(*inputs)
     if block.model.plunger is None:
         return tips, np.zeros_like(tips)

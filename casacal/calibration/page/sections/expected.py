@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,15 +26,19 @@ MARKED = 240
 """Touches drawn on the maps, of all faces together."""
 
 
-def expected_section(touches: Touches, document: Mapping[str, Any], box: Box | None) -> Markup:
+def expected_section(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> Markup:
     """Figures, then a side view and a top view of error and correction."""
     title = "Tip error to expect over the workspace"
     if document["verdict"]["level"] == "do not use":
         words = "Not stated: a figure would be worth nothing while the verdict is not to use this result."
         return section("expected", title, paragraph(words))
-    calibration = touches.calibration
+    calibration = each[0].calibration
     workspace = Workspace.of(calibration)
-    faces = [touches.places(label, max(MARKED // len(touches.faces), 3)) for label in touches.faces[:MARKED]]
+    faces = [
+        touches.places(label, max(MARKED // (len(each) * len(touches.faces)), 3))
+        for touches in each
+        for label in touches.faces[:MARKED]
+    ]
     marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
     return section(
         "expected",

@@ -20,14 +20,16 @@ MOST_MAPS = 12
 
 def face_maps(touches: Touches) -> Markup | None:
     """One map per face, all on one scale; None where rows touch no face."""
-    if not touches.has_faces or touches.calibration.fit.problem.instrument.probe is None:
+    if not touches.has_faces or touches.instrument.probe is None:
         return None
     found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
     maps = [(label, places, _means(places)) for label, places in found if places is not None]
     if not maps:
         return None
     scale = Scale.of_signs(np.concatenate([p.residuals if m is None else m.values for _, p, m in maps]))
-    pictures = [_map(k, label, places, means, scale) for k, (label, places, means) in enumerate(maps)]
+    pictures = [
+        _map(touches.named(f"face-{k}"), label, places, means, scale) for k, (label, places, means) in enumerate(maps)
+    ]
     some, pointed = any(means for *_, means in maps), any(means is None for *_, means in maps)
     words = ["Residual after the fit over each face; u and v are seen from the tool."]
     if pointed and len(touches.parts) > 1:
@@ -39,7 +41,7 @@ def face_maps(touches: Touches) -> Markup | None:
     )
     if len(touches.faces) > len(maps):
         words.append(f"{len(touches.faces) - len(maps)} more are not drawn.")
-    key = scale.key("face-key", "residual after, mm")
+    key = scale.key(touches.named("face-key"), "residual after, mm")
     return tag("div", tag("h3", "Over each face"), figure(" ".join(words), *pictures, key=key))
 
 
@@ -47,13 +49,13 @@ def _means(places: Places) -> Squares | None:
     return in_squares(places.uv, places.residuals, SQUARES) if len(places.uv) > POINTS else None
 
 
-def _map(k: int, label: str, places: Places, means: Squares | None, scale: Scale) -> Markup:
+def _map(name: str, label: str, places: Places, means: Squares | None, scale: Scale) -> Markup:
     low, high = places.uv.min(axis=0), places.uv.max(axis=0)
     edge = 0.08 * float((high - low).max())
     panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
     size = np.abs(places.residuals)
     return picture(
-        f"face-{k}",
+        name,
         f"Residual over face {label}",
         f"{len(size):,} touches; the largest residual is {size.max():.4f} mm.",
         panel.height,

@@ -45,7 +45,7 @@ def _histogram(touches: Touches, when: When) -> Markup:
     panel = Panel((-half, half), (0.0, top))
     beyond = int((np.abs(everything) > half).sum())
     return picture(
-        f"histogram-{when}",
+        touches.named(f"histogram-{when}"),
         f"{TITLES[when]}: share of rows by residual",
         f"Histogram of {len(everything):,} residuals from {-half:g} to {half:g} mm, {beyond:,} of them beyond; "
         f"median size {np.median(np.abs(everything)):.4f} mm.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,33 +20,34 @@ LARGE = 4.0
 """Whitened residual beyond which fewer than one in ten thousand good rows lie."""
 
 
-def outliers_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
-    """The worst rows, most telling first; then those that the loss ignored."""
+def outliers_section(each: Sequence[Touches], document: Mapping[str, Any]) -> Markup:
+    """The worst rows of all instruments, most telling first; then those that the loss ignored."""
     worst: list[tuple[float, int, list[object]]] = []
-    beyond = 0
-    for part in touches.parts:
+    beyond, touches = 0, each[0]
+    for name, part in ((of.name, part) for of in each for part in of.parts):
         white = np.abs(part.after / part.noise).max(axis=1)
         beyond += int((white > LARGE).sum())
         order = np.argsort(-white, kind="stable")[:SHOWN]
-        worst += [(-float(white[i]), int(part.lines[i]), _row(part, int(i), float(white[i]))) for i in order]
+        rows = [(-float(white[i]), int(part.lines[i]), _row(part, int(i), float(white[i]))) for i in order]
+        worst += [(size, line, [f"{name} {row[0]}".strip(), *row[1:]]) for size, line, row in rows]
     worst.sort(key=lambda entry: entry[:2])
     columns = [
         ("Line", WORDS),
-        (touches.calibration.fit.problem.instrument.words.group.capitalize(), WORDS),
+        (touches.calibration.fit.problem.words.group.capitalize(), WORDS),
         ("Rows", WORDS),
         ("Residual, mm", NUMBER),
         (f"Times {touches.calibration.noise_words}", NUMBER),
     ]
     if touches.calibration.result.loss is not None:
         columns.append(("Weight", NUMBER))
-    rows = [row[: len(columns)] for _, _, row in worst[:SHOWN]]
+    shown = [row[: len(columns)] for _, _, row in worst[:SHOWN]]
     return section(
         "outliers",
         "Rows that fit worst",
         paragraph(_opening(touches, beyond)),
         _aside(touches.calibration.aside_lines),
         _ignored(touches, document["down_weighted_lines"]),
-        table("worst-rows", "Largest residuals, by line of the file", columns, rows),
+        table("worst-rows", "Largest residuals, by line of the file", columns, shown),
     )
 
 
@@ -74,7 +75,7 @@ def _row(part: Part, i: int, white: float) -> list[object]:
     ]
 
 
-def _aside(lines: tuple[int, ...]) -> Markup | None:
+def _aside(lines: tuple[int | str, ...]) -> Markup | None:
     if not lines:
         return None
     named = ", ".join(str(line) for line in lines[:LINES])
@@ -86,7 +87,7 @@ def _aside(lines: tuple[int, ...]) -> Markup | None:
     )
 
 
-def _ignored(touches: Touches, lines: tuple[int, ...]) -> Markup | None:
+def _ignored(touches: Touches, lines: tuple[int | str, ...]) -> Markup | None:
     loss = touches.calibration.result.loss
     if loss is None:
         return None

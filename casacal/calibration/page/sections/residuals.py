@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from casacal.calibration.page.markup import Markup, paragraph, section
@@ -11,15 +11,20 @@ from casacal.calibration.page.sections.face_maps import face_maps
 from casacal.calibration.page.sections.histograms import histograms
 from casacal.calibration.page.sections.row_plots import row_plots
 from casacal.calibration.page.table import NUMBER, WORDS, table
-from casacal.calibration.page.touches import TITLES, Touches
+from casacal.calibration.page.touches import TITLES, Touches, by_instrument
 from casacal.uncertainty.score_test import sized
 
 FIGURES = (("RMSE", "rmse_mm"), ("MAE", "mae_mm"), ("STD", "std_mm"), ("MAX", "max_mm"))
 
 
-def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
-    """Figures, histograms, rows and faces."""
-    said = touches.calibration.fit.problem.instrument.words
+def residuals_section(each: Sequence[Touches], document: Mapping[str, Any]) -> Markup:
+    """Figures, histograms, rows and faces; pictures instrument by instrument."""
+    said = each[0].calibration.fit.problem.words
+    pictures = [
+        part
+        for touches in each
+        for part in (by_instrument(touches), histograms(touches), row_plots(touches), face_maps(touches))
+    ]
     what, alone = f"{said.residual[:1].upper()}{said.residual[1:]}", f"{said.before}, the arm as drawn"
     return section(
         "residuals",
@@ -29,21 +34,21 @@ def residuals_section(touches: Touches, document: Mapping[str, Any]) -> Markup:
             "it touched and be wrong elsewhere."
         ),
         _table(document),
-        *_left_out(document, touches.calibration.fit.problem.instrument.words.group),
-        _noise(touches, document["noise"]),
-        histograms(touches),
-        row_plots(touches),
-        face_maps(touches),
+        *_left_out(document, said.group),
+        _noise(each[0], document["noise"]),
+        *pictures,
     )
 
 
 def _table(document: Mapping[str, Any]) -> Markup:
     rows = []
-    for when in TITLES:
-        for part, words in (("fit", "fitted rows"), ("heldout", "held-out rows")):
-            found = document["metrics"][when][part]
-            if found is not None:
-                rows.append([f"{TITLES[when]}, {words}", *(fixed(found[key]) for _, key in FIGURES)])
+    of_each = document.get("metrics_by_instrument", {"": document["metrics"]})
+    for name, metrics in of_each.items():
+        for when in TITLES:
+            for part, words in (("fit", "fitted rows"), ("heldout", "held-out rows")):
+                found, title = metrics[when][part], f"{name}: {TITLES[when].lower()}" if name else TITLES[when]
+                if found is not None:
+                    rows.append([f"{title}, {words}", *(fixed(found[key]) for _, key in FIGURES)])
     columns = [("Rows", WORDS), *((f"{name}, mm", NUMBER) for name, _ in FIGURES)]
     return table("residual-figures", "Residuals, not accuracy", columns, rows)
 

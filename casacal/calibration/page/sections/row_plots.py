@@ -31,7 +31,7 @@ def row_plots(touches: Touches) -> Markup:
     if len(touches.series) > MOST_SERIES:
         some = f" Of {len(touches.series):,} series {MOST_SERIES} are drawn."
     held = " Blue and grey dots are fitted rows, orange squares held-out ones." if len(touches.parts) > 1 else ""
-    group = touches.calibration.fit.problem.instrument.words.group
+    group = touches.instrument.words.group
     kind = group if touches.has_faces and len(touches.series) > 1 else "series"
     caption = (
         f"Residual of each row in file order, {kind} by {kind}, before and after on scales of their own: a slope is "
@@ -55,7 +55,7 @@ def _by_row(touches: Touches, when: When) -> Markup:
     order = "rows in file order" if touches.has_faces else "rows in file order, coordinate by coordinate"
     between = range(1, count) if count <= LINED else ()
     return picture(
-        f"rows-{when}",
+        touches.named(f"rows-{when}"),
         f"{TITLES[when]}: residual of each row",
         f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} mm.",
         panel.height,

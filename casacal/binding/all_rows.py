@@ -1,0 +1,131 @@
+"""The rows of all instruments together: which sample each residual is of, its face, its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.blocks import Block
+from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements, Places
+from casacal.samples.repeats import Repeats, repeats_in
+from casacal.samples.samples import Samples
+from casacal.tables.labels import Labels
+
+
+class AllRows:
+    """Samples of every instrument, numbered one after another, and the scalar residuals (rows,) that they have."""
+
+    problem: Problem
+    samples: tuple[Samples, ...]
+    blocks: tuple[Block, ...]
+
+    def on(self, *samples: Samples | Measurements) -> Self:
+        """The same unknowns on other rows."""
+        raise NotImplementedError
+
+    @property
+    def block(self) -> Block:
+        """The rows of the only instrument; raises ProblemError where there are several."""
+        _ = self.problem.instrument
+        return self.blocks[0]
+
+    @cached_property
+    def measured(self) -> Measurements:
+        """The samples of all instruments."""
+        return Measurements(self.problem.names, self.samples)
+
+    def take(self, rows: Sequence[int] | Places) -> Self:
+        """The same unknowns on some of the samples, by their numbers."""
+        return self.on(*self.measured.take(rows).sets)
+
+    @property
+    def groups_by(self) -> tuple[str | None, ...]:
+        """The column by which each instrument's rows are grouped."""
+        return tuple(instrument.groups for instrument in self.problem.instruments)
+
+    @cached_property
+    def faces(self) -> Labels:
+        """The face (N,) of each sample, or what else its instrument groups rows by."""
+        return self.measured.labelled(self.groups_by)
+
+    @cached_property
+    def noise_labels(self) -> Labels:
+        """What (rows,) the noise of each residual may differ by: its face, or its instrument where there are several.
+
+        Where an instrument's residual has blocks, their names, after its own among several.
+        """
+        instruments, several = self.problem.instruments, len(self.samples) > 1
+        if not several and not instruments[0].blocks:
+            return self.faces.take(self.sample_of)
+        names, codes = list[str](), np.zeros(self.sample_of.size, dtype=np.intp)
+        for i, (name, instrument) in enumerate(zip(self.problem.names, instruments, strict=True)):
+            own, sizes = self.sample_rows(i), [block.size for block in instrument.blocks] or [1]
+            blocks = [block.name for block in instrument.blocks] or [""]
+            which = np.repeat(np.arange(len(blocks)), sizes)
+            component = self.component_of[own] if instrument.blocks else np.zeros(own.stop - own.start, dtype=np.intp)
+            codes[own] = len(names) + which[component]
+            names += [f"{name} {block}".strip() if several else block for block in blocks]
+        return Labels(names, codes)
+
+    @cached_property
+    def leading(self) -> NDArray[np.bool_]:
+        """Which residuals (rows,) are of the unit in which their instrument speaks; figures are of these."""
+        found = []
+        for block, instrument in zip(self.blocks, self.problem.instruments, strict=True):
+            units = [part.unit for part in instrument.blocks for _ in range(part.size)]
+            alike = [unit == instrument.words.unit for unit in units] or [True] * block.noise.shape[1]
+            found.append(np.tile(alike, len(block.noise)))
+        return np.concatenate(found)
+
+    @cached_property
+    def repeats(self) -> Repeats:
+        """Which samples repeat one another."""
+        return repeats_in(self.measured, self.groups_by)
+
+    @cached_property
+    def components(self) -> Places:
+        """How many residuals each sample has (N,)."""
+        return np.concatenate([np.full(len(block.noise), block.noise.shape[1]) for block in self.blocks])
+
+    @cached_property
+    def sample_of(self) -> Places:
+        """The sample that each residual is of (rows,)."""
+        return np.repeat(np.arange(len(self.components)), self.components)
+
+    @cached_property
+    def component_of(self) -> Places:
+        """Which component of its sample's residual each one is (rows,)."""
+        starts = np.cumsum(self.components) - self.components
+        return np.arange(self.sample_of.size) - starts[self.sample_of]
+
+    def residuals_of(self, samples: Places | NDArray[np.bool_]) -> Places:
+        """Numbers of the residuals of some samples, in the order of all."""
+        chosen = np.zeros(len(self.components), dtype=bool)
+        chosen[samples] = True
+        return np.flatnonzero(chosen[self.sample_of])
+
+    def sample_rows(self, i: int) -> slice:
+        """The residuals of instrument `i`, among all."""
+        ends = np.cumsum([0, *(block.noise.size for block in self.blocks)])
+        return slice(int(ends[i]), int(ends[i + 1]))
+
+    def largest(self, values: Array) -> Array:
+        """The largest (N,) of values (rows,) in each sample."""
+        starts = np.cumsum(self.components) - self.components
+        return np.asarray(np.maximum.reduceat(values, starts))
+
+    @cached_property
+    def noise(self) -> Array:
+        """Standard deviation (rows,) of each residual at the nominal, in its unit."""
+        return np.concatenate([block.noise.ravel() for block in self.blocks])
+
+    @cached_property
+    def joint_noise(self) -> Array:
+        """The same where every joint errs by one radian of its own, and nothing else."""
+        return np.concatenate([block.joint_noise.ravel() for block in self.blocks])

@@ -1,0 +1,51 @@
+"""Figures of residuals before and after, of fitted and of held-out rows: not accuracy."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.uncertainty.figures import residual_figures
+
+Figures: TypeAlias = dict[str, float]
+Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
+"""By "before" and "after", then by "fit" and "heldout"; None where no row is held out."""
+
+WHEN = ("before", "after")
+
+Pair: TypeAlias = tuple[Array, Array]
+"""Unknowns (n,) before and after."""
+
+
+def residual_metrics(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair) -> Metrics:
+    """Of all residuals that are in the unit in which their instrument speaks."""
+    return {
+        when: {"fit": _leading(fit, x), "heldout": None if heldout is None else _leading(heldout, there)}
+        for when, x, there in zip(WHEN, xs, held, strict=True)
+    }
+
+
+def metrics_by_part(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair) -> dict[str, Metrics]:
+    """The same of each of several instruments and of each block of a residual, in its own unit, by name.
+
+    Nothing for an only instrument whose residual has no blocks.
+    """
+    if len(fit.samples) == 1 and not fit.problem.instruments[0].blocks:
+        return {}
+    return {
+        name: {
+            when: {"fit": _part(name, fit, x), "heldout": None if heldout is None else _part(name, heldout, there)}
+            for when, x, there in zip(WHEN, xs, held, strict=True)
+        }
+        for name in fit.noise_labels.names
+    }
+
+
+def _leading(bound: BoundProblem, x: Array) -> Figures:
+    return residual_figures(bound.plain_residual(x)[bound.leading])
+
+
+def _part(name: str, bound: BoundProblem, x: Array) -> Figures | None:
+    rows = bound.noise_labels.rows().get(name)
+    return None if rows is None or not rows.size else residual_figures(bound.plain_residual(x)[rows])

@@ -1,0 +1,71 @@
+"""A result of several instruments as one of them sees the arm: its tip, its faces, its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.values import FrozenMapping
+
+NAMED = ("parameters", "unknowns")
+"""Parts of a result whose entries have the name of an unknown."""
+
+ALL_ROWS = "plane"
+"""What a face is called where there is one for all rows."""
+
+
+def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
+    """The same arm with one of its instruments, by default the first; itself where it has no other.
+
+    Names of that instrument's unknowns lose its own name, as if it were the only one. What the others have for
+    themselves stays under their names. Raises UnknownNameError where no instrument is called so.
+    """
+    problem = arm.source.problem
+    if len(problem.instruments) == 1:
+        if instrument is not None:
+            problem.number(instrument)
+        return arm
+    name = problem.names[0] if instrument is None else instrument
+    one = problem.measured_by(name)
+    source = replace(arm.source, problem=one)
+    return CalibratedArm(arm.file, source, FrozenMapping(_document(arm.document, name)))
+
+
+def _document(document: Mapping[str, Any], name: str) -> dict[str, Any]:
+    def own(each: str) -> str:
+        return each.removeprefix(f"{name}.")
+
+    found = dict(document)
+    for part in NAMED:
+        if part in found:
+            found[part] = _renamed(found[part], own)
+    if "covariance_of" in found:
+        found["covariance_of"] = [own(each) for each in found["covariance_of"]]
+    if isinstance(said := found.get("discrepancy"), Mapping):
+        more: dict[str, Any] = {"unknowns": _renamed(said["unknowns"], own)}
+        for part in ("covariance_of", "without_corrections"):
+            if part in said:
+                known = said[part]
+                more[part] = [own(each) for each in known] if part == "covariance_of" else _renamed(known, own)
+        found["discrepancy"] = {**said, **more}
+    if isinstance(found.get("proposed"), Mapping):
+        found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
+    if isinstance(noise := found.get("noise"), Mapping):
+        found["noise"] = {**noise, "by_face": _faces(noise.get("by_face") or {}, name)}
+    data = found.get("data")
+    if isinstance(data, Mapping) and name in (data.get("instruments") or {}):
+        found["data"] = {**data, **data["instruments"][name]}
+    return found
+
+
+def _renamed(rows: Any, own: Callable[[str], str]) -> list[dict[str, Any]]:
+    return [{**row, "name": own(row["name"])} for row in rows]
+
+
+def _faces(by_face: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Noise by the faces of one instrument."""
+    before = f"{name} "
+    found = {face.removeprefix(before): value for face, value in by_face.items() if face.startswith(before)}
+    return {**found, ALL_ROWS: by_face[name]} if name in by_face else found

@@ -1,0 +1,162 @@
+"""The pose of a body on the flange, read by a tracker, a camera or another device that sees six coordinates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.instruments.instrument import Dimension, Instrument, Sight, Suspect, Words
+from casacal.instruments.residual_block import ResidualBlock
+from casacal.kinematics import Expression, chain, position, rotation, rotation_of_quaternion
+from casacal.unknowns import Frame, Unknown
+from casacal.unknowns.hand_eye import hand_eye
+from casacal.values import is_real
+
+QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
+POSITION = ("x", "y", "z")
+
+HALF_TURN = 1e-12
+"""Keeps the residual of the orientation smooth where it is half a turn off; nothing near zero."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedPose(Instrument):
+    """A body on the flange whose position (x, y, z) and orientation (quat_w, quat_x, quat_y, quat_z) are read.
+
+    The quaternion turns the body's axes into the device's. Six residuals per row: three of the position, mm, and three
+    of the orientation, rad: twice the vector of the quaternion between reading and model, whose length is the chord of
+    the angle between them, 2 sin(angle / 2). That is zero where they agree and nowhere else, unlike the antisymmetric
+    part of their rotation, which vanishes at half a turn, too.
+
+    With a camera on the flange that looks at a board this is hand-eye calibration: body is the camera, the device the
+    board, and the readings are the camera's poses in the board's frame.
+
+    Args:
+        position_std: standard deviation of each coordinate, mm; or the name of the column that says it.
+        angle_std: standard deviation of the orientation about each axis, rad; or the name of such a column.
+        body: transform from the flange to the body; proposed from the data when not given.
+        station: transform from the robot's base to the device; proposed from the data when not given.
+
+    Raises ProblemError for a noise that is not positive.
+
+    """
+
+    position_std: float | str
+    angle_std: float | str
+    body: Frame = Frame()
+    station: Frame = Frame()
+
+    def __post_init__(self) -> None:
+        for name in ("position_std", "angle_std"):
+            std = getattr(self, name)
+            if not isinstance(std, str) and (not is_real(std) or not 0 < std < math.inf):
+                raise ProblemError(f"{name} of TrackedPose is {std!r}", "Give a positive number, or name a column")
+
+    @property
+    def columns(self) -> Mapping[str, Dimension]:
+        """Position and quaternion, and the columns that say how good they are."""
+        found: dict[str, Dimension] = dict.fromkeys(POSITION, "length")
+        found |= dict.fromkeys(QUATERNION, "number")
+        for std, dimension in ((self.position_std, "length"), (self.angle_std, "angle")):
+            if isinstance(std, str):
+                found[std] = dimension  # type: ignore[assignment]
+        return found
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Body and station."""
+        return {"body": self.body, "station": self.station}
+
+    @property
+    def datum(self) -> tuple[str, ...]:
+        """Both: nobody knew beforehand where they are."""
+        return tuple(key for key, frame in self.unknowns.items() if not np.isfinite(frame.prior_stds).any())
+
+    @property
+    def blocks(self) -> tuple[ResidualBlock, ...]:
+        """Position and orientation."""
+        place = ResidualBlock("position", 3, "mm", self.position_std)
+        return (place, ResidualBlock("orientation", 3, "rad", self.angle_std))
+
+    @property
+    def words(self) -> Words:
+        """Poses."""
+        return Words("residual of each coordinate", "mm", "poses", "body and station fitted alone", accuracy=True)
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Units, a mirrored frame, and quaternions whose numbers stand in another order, or turn the other way."""
+        lengths = tuple(Suspect(each.about, each.cause, each.fix, POSITION, each.factor) for each in super().suspects)
+        last = ("quat_x", "quat_y", "quat_z", "quat_w")
+        order = "the quaternions seem to come as x, y, z, w, and the columns call them w, x, y, z"
+        turn = "the quaternions seem to turn from the device to the body, not from the body to the device"
+        mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
+        right = "Export them in a right-handed frame, or correct the column that is wrong"
+        return (
+            *lengths,
+            Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, _shifted(last)),
+            Suspect("sense of the quaternions", turn, "Invert them: negate quat_x, quat_y and quat_z",
+                    ("quat_x", "quat_y", "quat_z"), -1.0),
+            Suspect("left-handed frame", mirror, right, ("z",), -1.0),
+        )  # fmt: skip
+
+    @property
+    def begins_at(self) -> Mapping[str, float]:
+        """No turn, which zeros are not."""
+        return {"quat_w": 1.0}
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Where the body is (3, mm)."""
+        del row
+        return position(chain(pose, p.body))
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Position predicted minus read (3, mm), and orientation (3, rad)."""
+        seen = chain(p.station, pose, p.body)
+        place = position(seen) - ca.vertcat(row.x, row.y, row.z)
+        quaternion = ca.vertcat(*(getattr(row, name) for name in QUATERNION))
+        read = rotation_of_quaternion(quaternion / ca.norm_2(quaternion))
+        return ca.vertcat(place, chord(ca.mtimes(read.T, rotation(seen))))
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Body and station of T X = Z B (Shah 2013), whichever is asked for."""
+        turns = sight.poses[:, :3, :3]
+        read = np.column_stack([sight.columns[name] for name in QUATERNION])
+        places = np.column_stack([sight.columns[name] for name in POSITION])
+        found = hand_eye(turns, sight.poses[:, :3, 3], read, places)
+        if found is None:
+            raise ProblemError(
+                "The postures of TrackedPose turn the flange about one axis only",
+                "Take poses that turn it about two axes or more, three of them at least",
+            )
+        return Frame.encode(found[0 if key == "body" else 1])
+
+    def stands(self, key: str, near: Array, normal: Array) -> Array:
+        """A simulated body sits 100 mm before the flange."""
+        if key != "body":
+            return super().stands(key, near, normal)
+        mount = np.eye(4)
+        mount[:3, 3] = 20.0, -30.0, 100.0
+        return Frame.encode(mount)
+
+
+def chord(turn: Expression) -> Expression:
+    """Twice the vector (3) of the unit quaternion of a rotation (3x3) with positive scalar: axis * 2 sin(angle / 2).
+
+    Its square is half of ||turn - 1||^2 (Frobenius), the chordal distance.
+    """
+    vee = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2  # axis sin(angle)
+    cosine = ca.sqrt(ca.fmax(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], 0) / 4 + HALF_TURN)  # of half the angle
+    return vee / cosine
+
+
+def _shifted(order: tuple[str, ...]) -> tuple[str, ...]:
+    """For each of w, x, y, z the column in which it stands where they were written as x, y, z, w."""
+    return tuple(QUATERNION[order.index(name)] for name in QUATERNION)

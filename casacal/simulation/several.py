@@ -1,0 +1,55 @@
+"""A simulated arm that several instruments measure: one truth, and a session of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+from casacal.array_types import Array
+from casacal.errors import SimulationError
+from casacal.problem.cell import OF_TOUCHES, Cell
+from casacal.problem.disturbances import Disturbances
+from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements
+from casacal.simulation.simulation import Simulation
+from casacal.simulation.single import simulate_one
+from casacal.simulation.true_arm import Draw
+from casacal.values import FrozenMapping
+
+
+def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mapping[str, int], seed: int) -> Simulation:
+    """Samples of every instrument on the same true arm; what they share is the same, too.
+
+    Those that touch faces touch those of the cell. Raises SimulationError as `simulate` does, and for what only those
+    that touch can be asked.
+    """
+    local: dict[str, Array] = {}
+    parts: list[Simulation] = []
+    for i, name in enumerate(problem.names):
+        alone = problem.measured_by(name)
+        names = {key: key for key in problem.robot.parameters} | dict(problem.full_names[i])
+        known = {key: local[full] for key, full in names.items() if full in local}
+        own = cell if alone.instrument.probe is not None else _elsewhere(alone, cell)
+        part = simulate_one(alone, own, counts[name], Draw(seed, i, FrozenMapping(known)))
+        parts.append(part)
+        for key, value in part.local.items():
+            head, dot, label = key.partition(".")
+            local.setdefault(names[head] + dot + label, value)
+    sets = tuple(part.samples for part in parts)
+    touched = next((part.cell for part in parts if isinstance(part.cell, Cell)), parts[0].cell)
+    return Simulation(
+        problem, Measurements(problem.names, sets), FrozenMapping(local), touched, seed, parts=tuple(parts)
+    )
+
+
+def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None:
+    """What disturbs an instrument that touches no faces, in the cell of those that do."""
+    if not isinstance(cell, Cell):
+        return cell
+    plain = Cell(faces=cell.faces)
+    if asked := [name for name in OF_TOUCHES if getattr(cell, name) != getattr(plain, name)]:
+        raise SimulationError(
+            f"The cell has {asked[0]}, and {type(alone.instrument).__name__} touches no faces that the simulator knows",
+            "Leave it out, or simulate the instruments that touch by themselves",
+        )
+    return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
