@@ -13,6 +13,7 @@ from casacal import (
     Sockets,
     SphereTouch,
     TrackedPoint,
+    TrackedPose,
     load_problem,
     tool_point,
 )
@@ -32,6 +33,7 @@ INSTRUMENTS = {
     "SphereTouch": SphereTouch(noise_std=0.02, tool=_tool, radii=Parameter(RADII, prior_std=0.002)),
     "KnownPoint": KnownPoint(noise_std=0.05, tool=_tool, points=PLATE),
     "TrackedPoint": TrackedPoint(noise_std=0.05, tool=_tool),
+    "TrackedPose": TrackedPose(position_std=0.05, angle_std=2e-4),
 }
 PROBLEMS = {name: Problem(ROBOT, instrument) for name, instrument in INSTRUMENTS.items()}
 

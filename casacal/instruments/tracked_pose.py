@@ -22,7 +22,7 @@ from casacal.values import is_real
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 POSITION = ("x", "y", "z")
 
-HALF_TURN = 1e-12
+HALF_TURN = 1e-16
 """Keeps the residual of the orientation smooth where it is half a turn off; nothing near zero."""
 
 
@@ -77,7 +77,8 @@ class TrackedPose(Instrument):
     @property
     def datum(self) -> tuple[str, ...]:
         """Both: nobody knew beforehand where they are."""
-        return tuple(key for key, frame in self.unknowns.items() if not np.isfinite(frame.prior_stds).any())
+        frames = self.unknowns.items()
+        return tuple(key for key, frame in frames if frame.size and not np.isfinite(frame.prior_stds).any())
 
     @property
     def blocks(self) -> tuple[ResidualBlock, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -10,6 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
+from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
 from casacal.problem.cell import Cell, Face
 from casacal.problem.disturbances import Disturbances
@@ -20,9 +21,9 @@ from casacal.simulation.arm_errors import ArmErrors
 from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
 from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.places import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, plane_coordinates
+from casacal.simulation.true_arm import Draw, Truth, plane_coordinates
 from casacal.tables.labels import Labels
-from casacal.unknowns import Unknown
+from casacal.unknowns import Frame, Unknown
 
 CANDIDATES = 80
 """Random postures for each row; the one that fits best is where its search begins."""
@@ -72,17 +73,15 @@ class Bench:
         return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
-def fitting_rows(
-    problem: Problem, cell: Disturbances, samples: int, draw: Draw
-) -> tuple[Samples, dict[str, Array], ArmErrors]:
-    """Samples of an instrument that is shown no faces, the true local coordinates by name, and the arm's errors.
+def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Truth, ArmErrors]:
+    """Samples of an instrument that is shown no faces, all that is unknown of them, and the arm's errors.
 
     Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
     check_asked(problem, cell)
     truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
     labels = row_labels(problem, cell, samples)
-    bench, local = _bench(problem, cell, labels, truth_rng, samples, draw)
+    bench, truth = _bench(problem, cell, labels, truth_rng, samples, draw)
     instrument, robot = problem.instrument, problem.robot
     gross = noise_rng.random(samples) < cell.outliers
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
@@ -97,7 +96,35 @@ def fitting_rows(
     for k, (name, dimension) in enumerate(instrument.columns.items()):
         shown = readings[:, k] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), local, arm
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), truth, arm
+
+
+def _true(
+    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, draw: Draw
+) -> tuple[Truth, dict[str, Array]]:
+    """Local coordinates of all that is unknown, and the nominals that they are about, by name."""
+    instrument, reached = problem.instrument, random_tips(problem)
+    local: dict[str, Array] = {}
+    nominals: dict[str, Array] = {}
+    frames: dict[str, Array] = {}
+    for key, unknown in problem.model.unknowns.items():
+        seen = [None] if unknown.per is None else labels[unknown.per].names
+        named = {_named(instrument, key, label): label or key for label in seen}
+        for k, (name, label) in enumerate(named.items()):
+            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
+            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            local[name] = np.asarray(draw.known.get(name, drawn))
+            if isinstance(unknown, Frame) and unknown.nominal is None:
+                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
+            if isinstance(cell, Cell) and _is_flat(unknown):
+                local[name] = plane_coordinates(unknown, nominals[name], *place)
+    return Truth(local, frames), nominals
+
+
+def _named(instrument: Instrument, key: str, label: str | None) -> str:
+    """The name of an unknown, or of the one that rows of a label see."""
+    return key if label is None else f"{key}.{instrument.instance(key, label)}"
 
 
 def _bench(
@@ -107,26 +134,15 @@ def _bench(
     rng: np.random.Generator,
     samples: int,
     draw: Draw,
-) -> tuple[Bench, dict[str, Array]]:
-    """The true arm before its true instrument, and the local coordinates of all that is unknown, by name."""
+) -> tuple[Bench, Truth]:
+    """The true arm before its true instrument, and all that is unknown of them."""
     model, instrument, robot = problem.model, problem.instrument, problem.robot
-    reached = random_tips(problem)
-    local: dict[str, Array] = {}
-    nominals: dict[str, Array] = {}
+    truth, nominals = _true(problem, cell, labels, rng, draw)
     z, c = [], []
     for key, unknown in model.unknowns.items():
-        names = [key] * samples
-        if unknown.per is not None:
-            names = [f"{key}.{instrument.instance(key, label)}" for label in labels[unknown.per]]
-        named = dict(zip(names, labels.get(unknown.per or "", names), strict=True))
-        for k, (name, label) in enumerate(named.items()):
-            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
-            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            local[name] = np.asarray(draw.known.get(name, drawn))
-            if isinstance(cell, Cell) and _is_flat(unknown):
-                local[name] = plane_coordinates(unknown, nominals[name], *place)
-        z.append(np.array([local[name] for name in names]).reshape(samples, -1))
+        of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
+        names = [_named(instrument, key, label) for label in of_rows]
+        z.append(np.array([truth.local[name] for name in names]).reshape(samples, -1))
         if key in model.constants:
             c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
     known = []
@@ -144,7 +160,7 @@ def _bench(
         np.hstack(c) if c else np.zeros((samples, 0)),
         np.array(known, dtype=np.float64).T.reshape(samples, -1),
         _faces(problem, cell, labels, samples),
-    ), local
+    ), truth
 
 
 def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:

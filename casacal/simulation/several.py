@@ -24,6 +24,7 @@ def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mappin
     that touch can be asked.
     """
     local: dict[str, Array] = {}
+    frames: dict[str, Array] = {}
     parts: list[Simulation] = []
     for i, name in enumerate(problem.names):
         alone = problem.measured_by(name)
@@ -32,14 +33,14 @@ def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mappin
         own = cell if alone.instrument.probe is not None else _elsewhere(alone, cell)
         part = simulate_one(alone, own, counts[name], Draw(seed, i, FrozenMapping(known)))
         parts.append(part)
-        for key, value in part.local.items():
-            head, dot, label = key.partition(".")
-            local.setdefault(names[head] + dot + label, value)
+        for of_part, of_all in ((part.local, local), (part.frames, frames)):
+            for key, value in of_part.items():
+                head, dot, label = key.partition(".")
+                of_all.setdefault(names[head] + dot + label, value)
     sets = tuple(part.samples for part in parts)
     touched = next((part.cell for part in parts if isinstance(part.cell, Cell)), parts[0].cell)
-    return Simulation(
-        problem, Measurements(problem.names, sets), FrozenMapping(local), touched, seed, parts=tuple(parts)
-    )
+    together, true = Measurements(problem.names, sets), FrozenMapping(frames)
+    return Simulation(problem, together, FrozenMapping(local), touched, seed, frames=true, parts=tuple(parts))
 
 
 def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None:

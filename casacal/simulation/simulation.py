@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from casacal.simulation.arm_errors import ArmErrors
 from casacal.simulation.dial_errors import DialErrors
 from casacal.simulation.joint_errors import waved
 from casacal.simulation.reach import Touch
-from casacal.simulation.true_arm import plane_coordinates
+from casacal.simulation.true_arm import frame_coordinates, plane_coordinates
 from casacal.values import Value
 
 
@@ -39,6 +39,8 @@ class Simulation(Value):
     """What moves the tip beside the geometry, as it was drawn."""
     dial_errors: DialErrors = DialErrors()
     """What the dial gets wrong beside what the problem declares, as it was drawn."""
+    frames: Mapping[str, Array] = field(default_factory=dict)
+    """True transforms (4, 4; mm) by name of the frames that rows propose."""
     parts: tuple[Simulation, ...] = ()
     """The same arm with each of several instruments."""
 
@@ -64,6 +66,8 @@ class Simulation(Value):
         for slot in bound.slots:
             if slot.name in self.local and slot.unknown.nominal is not None:
                 x[slot.columns] = self.local[slot.name]
+            elif slot.name in self.frames:
+                x[slot.columns] = frame_coordinates(slot.unknown, slot.nominal, self.frames[slot.name])
             elif faces and slot.unknown.nominal_plane(slot.nominal) is not None:
                 face = faces[slot.label] if slot.label is not None else next(iter(faces.values()))
                 x[slot.columns] = plane_coordinates(slot.unknown, slot.nominal, np.asarray(face.centre), face.axes[0])

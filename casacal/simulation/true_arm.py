@@ -51,6 +51,27 @@ class Draw:
         return {key: np.asarray(self.known.get(key, values)) for key, values in drawn.items()}
 
 
+@dataclass(frozen=True)
+class Truth:
+    """What is true of all that is unknown: local coordinates by name, about where simulation puts the nominal.
+
+    frames: transforms (4, 4; mm) by name of those frames that rows propose, which stand elsewhere for whoever fits.
+    """
+
+    local: Mapping[str, Array]
+    frames: Mapping[str, Array] = field(default_factory=dict)
+
+
+def frame_coordinates(frame: Unknown, nominal: Array, matrix: Array) -> Array:
+    """Local coordinates (6,) of a true transform (4, 4; mm) about a nominal frame."""
+    from scipy.spatial.transform import Rotation
+
+    turn = nominal[:9].reshape(3, 3) @ matrix[:3, :3]  # the nominal rotation, column by column, is transposed so
+    quaternion = np.roll(Rotation.from_matrix(turn).as_quat(canonical=True), 1)
+    raw = np.concatenate([quaternion, matrix[:3, 3] - nominal[9:12]])
+    return np.asarray(frame.raw_local(ca.DM(nominal), ca.DM(raw))).ravel()
+
+
 def plane_coordinates(plane: Unknown, nominal: Array, centre: Array, normal: Array) -> Array:
     """Local coordinates (3,) of a face about a nominal plane; none (0,) where the plane is held.
 

@@ -24,14 +24,13 @@ def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tu
         quaternions, read: of the body in the device's frame: w, x, y, z (N, 4), and origins (N, 3; mm).
 
     """
-    if len(turns) < 3:
+    apart = np.linalg.svd(np.einsum("kia,kjb->ijab", turns, turns).reshape(9, 9), compute_uv=False)
+    if len(turns) < 3 or apart[0] - apart[1] < APART * apart[0]:  # of turns about one axis the largest two are alike
         return None
     seen = Rotation.from_quat(np.roll(quaternions, -1, axis=1)).as_matrix()
     # S' M = T B for every row: vec(T B) = (1 x T) vec(B), vec(S' M) = (M' x 1) vec(S')
     cross = np.einsum("kia,kjb->ijab", seen, turns).reshape(9, 9)
-    left, sizes, right = np.linalg.svd(cross / len(turns))
-    if sizes[0] - sizes[1] < APART * sizes[0]:
-        return None
+    left, _, right = np.linalg.svd(cross)
     station, body = _rotation(left[:, 0].reshape(3, 3), right[0].reshape(3, 3))
     # p = S_R (T_R b + t) + s, linear in b and s
     rows = np.concatenate([np.einsum("ij,kjl->kil", station, turns), np.tile(np.eye(3), (len(turns), 1, 1))], axis=2)
