@@ -39,6 +39,7 @@ ORDER = [
     "calibration",
     "verification",
     "study",
+    "bench",
     "cli",
     "__main__",
 ]

@@ -9,7 +9,20 @@ import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
-from casacal.cli import calibrate, check, compensate, completion, doctor, export, new, predict, simulate, study, verify
+from casacal.cli import (
+    bench,
+    calibrate,
+    check,
+    compensate,
+    completion,
+    doctor,
+    export,
+    new,
+    predict,
+    simulate,
+    study,
+    verify,
+)
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
 from casacal.cli.terminal import complain, finish, prepare
 from casacal.errors import CasacalError
@@ -25,6 +38,7 @@ COMMANDS = {
     "verify": verify,
     "compensate": compensate,
     "study": study,
+    "bench": bench,
     "new": new,
     "export": export,
     "completion": completion,

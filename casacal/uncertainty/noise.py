@@ -163,6 +163,8 @@ def bartlett(total: Array, freedom: Array) -> float:
     """Chance that variances, sums of squares (k,) over degrees of freedom (k,), differ so much (Bartlett 1937)."""
     from scipy.special import gammaincc
 
+    if len(total) < 2:
+        return 1.0  # nothing to differ from
     variance, pooled = np.maximum(total / freedom, 1e-300), max(float(total.sum() / freedom.sum()), 1e-300)
     spread = float(freedom.sum() * math.log(pooled) - (freedom * np.log(variance)).sum())
     faces = len(total)

@@ -1,0 +1,133 @@
+"""The benchmark as a study: every set, every split of it fold by fold, every method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.bench.benchmark_set import BenchmarkSet
+from casacal.bench.methods import WAYS, Judged, Told, Way
+from casacal.bench.splits import BLOCKED, RANDOM, STATED, unseen_rows
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.least_squares.result import Result, Status
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.study.description import Method, Study
+
+KINDS = (STATED, RANDOM, BLOCKED)
+QUICK_FOLDS = 1
+QUICK_ROWS = 100
+"""Rows at most of a set in the quick form."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold of one split of a set."""
+
+    bench: BenchmarkSet
+    data: str
+    kind: str
+    number: int
+    quick: bool = False
+
+    def trial(self, seed: int) -> FoldTrial:
+        """The same whatever the seed: the split has its own."""
+        del seed
+        problem = self.bench.problem
+        samples = rows_of(self.bench, self.data, problem, quick=self.quick)
+        unseen = unseen_rows(samples, self.kind, self.bench.blocks, self.bench.stated)[self.number]
+        fitted = np.setdiff1d(np.arange(len(samples)), unseen)
+        return FoldTrial(problem, samples.take(fitted), samples.take(unseen), self.bench.metric)
+
+
+def rows_of(bench: BenchmarkSet, data: str | Path, problem: Problem, *, quick: bool = False) -> Samples:
+    """The rows of a set; in the quick form some of them, evenly spread."""
+    samples = bench.read(Path(data), problem)
+    if not quick or len(samples) <= QUICK_ROWS:
+        return samples
+    return samples.take(np.unique(np.linspace(0, len(samples) - 1, QUICK_ROWS).astype(int)))
+
+
+@dataclass(frozen=True)
+class FoldTrial:
+    """Rows to fit, rows that are not seen, and how what is left of these counts."""
+
+    arm: Problem
+    fitted: Samples
+    unseen: Samples
+    metric: str
+
+    @cached_property
+    def problem(self) -> BoundProblem:
+        """The rows that are fitted, under the geometry; its name says the rest to methods."""
+        return UnseenToo(bind(self.arm.without_effects, self.fitted), self)
+
+    def judge(self, result: Result) -> dict[str, float]:
+        """Sum of the squares of what is left, how many rows were not seen, and whether the method denied itself."""
+        squares = result.trace["squares"]
+        figures = {"squares": float(squares.sum()), "rows": float(squares.size)}
+        return figures | {"refused": float(result.trace["refused"][0])}
+
+    def detail(self, result: Result) -> Mapping[str, Any]:
+        """Nothing more."""
+        del result
+        return {}
+
+
+class UnseenToo(BoundProblem):
+    """A bound problem that knows which rows it has not seen."""
+
+    def __init__(self, bound: BoundProblem, fold: FoldTrial) -> None:
+        super().__init__(bound.problem, bound.slots, bound.samples, surveys=bound.surveys)
+        self.fold = fold
+
+
+def estimate(metered: Any, way: Way) -> Result:
+    """What a way to calibrate leaves of the unseen rows, in place of a trace."""
+    problem: UnseenToo = metered.problem  # what the harness counts evaluations of
+    fold = problem.fold
+    told = way(fold.arm, fold.fitted, fold.unseen)
+    residuals = np.asarray(told.residuals if isinstance(told, Told) else told, dtype=np.float64)
+    refused = isinstance(told, Told) and told.verdict == "do not use"
+    trace = {"squares": Judged.of(residuals, fold.metric).squares, "refused": np.array([float(refused)])}
+    return Result("bench", problem, problem.x0.copy(), Status.UNSAID, trace, 0, 0, 0)
+
+
+def benchmark(
+    sets: Sequence[BenchmarkSet], data: str | Path, ways: Mapping[str, Way] = WAYS, *, quick: bool = False
+) -> Study:
+    """A study of these sets and methods; its quick form has few rows, one fold at random and one block.
+
+    Raises CasacalError where a set's measurements are missing, or cannot be split as it says.
+    """
+    settings = {}
+    for each in sets:
+        samples = rows_of(each, data, each.problem, quick=quick)
+        for kind in KINDS[1:] if quick else KINDS:
+            count = len(unseen_rows(samples, kind, each.blocks, each.stated))
+            for number in range(min(count, QUICK_FOLDS) if quick else count):
+                settings[setting_name(each.name, kind, number)] = Fold(each, str(data), kind, number, quick)
+    methods = {name: Method(partial(estimate, way=way)) for name, way in ways.items()}
+    return Study("bench", settings, methods, trials=1, details=0)
+
+
+def setting_name(name: str, kind: str, number: int) -> str:
+    """A fold's name among the settings."""
+    return f"{name} / {kind} / {number + 1}"
+
+
+def mean_squares(squares: Array, rows: Array, seed: int = 0) -> tuple[float, float, float]:
+    """Root mean square over folds, with its 95 % interval by bootstrap over them; of one fold alone it has none."""
+    total = float(np.sqrt(squares.sum() / rows.sum()))
+    if squares.size < 2:
+        return total, float("nan"), float("nan")
+    drawn = np.random.default_rng(seed).integers(squares.size, size=(2000, squares.size))
+    values = np.sqrt(squares[drawn].sum(axis=1) / rows[drawn].sum(axis=1))
+    low, high = np.quantile(values, [0.025, 0.975])
+    return total, float(low), float(high)

@@ -1,0 +1,68 @@
+"""Which rows are fitted and which are not: as a set's own page says, at random, and in blocks that have no neighbours.
+
+A random split leaks where rows have neighbours: a method that knows the nearest rows looks good without knowing the
+arm. So every figure of a random split stands beside one of blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.errors import CasacalError, UnknownNameError
+from casacal.samples.samples import Samples
+from casacal.tables.labels import Labels
+from casacal.uncertainty.transfer import REGIONS, splits
+
+Rows = NDArray[np.intp]
+
+FOLDS = 5
+MOST_BLOCKS = 12
+
+STATED, RANDOM, BLOCKED = "stated", "random", "blocked"
+
+
+def unseen_rows(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -> list[Rows]:
+    """Rows that are left out, fold by fold: "stated", "random" or "blocked".
+
+    Raises CasacalError where the set cannot be split so.
+    """
+    if kind == RANDOM:
+        return _folds(np.random.default_rng(0).permutation(len(samples)), FOLDS)
+    if kind == BLOCKED:
+        return _blocks(samples, blocks)
+    order = np.random.default_rng(int(stated.get("seed", 0))).permutation(len(samples))
+    if "column" in stated:
+        labels = _labels(samples, str(stated["column"]))
+        return [np.flatnonzero(labels.codes == labels.names.index(str(stated["value"])))]
+    if "folds" in stated:
+        return _folds(order, int(stated["folds"]))
+    count = len(order) - round((1 - float(stated["part"])) * len(order)) if "part" in stated else 0
+    return [np.sort(order[len(order) - count :])] if count else []
+
+
+def _blocks(samples: Samples, blocks: str) -> list[Rows]:
+    if blocks == "order":
+        return _folds(np.arange(len(samples)), FOLDS)
+    if blocks == "regions":
+        return splits(samples, None)[REGIONS]
+    labels = _labels(samples, blocks)
+    groups = np.array_split(np.arange(len(labels.names)), min(MOST_BLOCKS, len(labels.names)))
+    if len(groups) < 2:
+        raise CasacalError(f"The column '{blocks}' of {samples.file} has one value", "Name one with several")
+    return [np.flatnonzero(np.isin(labels.codes, group)) for group in groups]
+
+
+def _labels(samples: Samples, column: str) -> Labels:
+    if column in samples.labels:
+        return samples.labels[column]
+    if column in samples.extra:
+        return Labels.of(samples.extra[column])
+    raise UnknownNameError("column", column, [*samples.labels, *samples.extra])
+
+
+def _folds(order: Rows, count: int) -> list[Rows]:
+    return [np.sort(part) for part in np.array_split(order, count)]

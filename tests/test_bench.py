@@ -1,0 +1,209 @@
+"""`casacal bench`: a set that the test makes, methods of its own, and what is wrong with a set said in a sentence."""
+
+import hashlib
+import json
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from instruments_on_ur5 import PROBLEMS
+
+from casacal import Samples, load_problem, simulate
+from casacal.bench.benchmark import benchmark, mean_squares
+from casacal.bench.benchmark_set import read_set, read_sets
+from casacal.bench.methods import WAYS, Judged, geometry_and_process
+from casacal.bench.splits import unseen_rows
+from casacal.cli.main import main
+from casacal.errors import CasacalError, UnknownNameError
+from casacal.samples.write import write_samples
+
+PROBLEM = """
+from instruments_on_ur5 import PROBLEMS
+
+problem = PROBLEMS["TrackedPoint"]
+"""
+SET = """
+title = "A simulated UR5"
+source = "this test"
+licence = "none"
+file = "there/rows.csv"
+sha256 = "{sha256}"
+metric = "{metric}"
+blocks = "{blocks}"
+
+[stated]
+part = 0.25
+seed = 3
+
+[[published]]
+method = "flat"
+figure = 1.7
+by = "nobody"
+"""
+OWN = """
+import numpy as np
+
+def flat(problem, fitted, unseen):
+    return np.ones((len(unseen), 3))
+
+def lost(problem, fitted, unseen):
+    raise ValueError("no idea")
+
+methods = {"flat": flat, "lost": lost}
+"""
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder of sets, and one of data."""
+    folder, data = tmp_path / "sets" / "mine", tmp_path / "data" / "there"
+    folder.mkdir(parents=True)
+    data.mkdir(parents=True)
+    (folder / "problem.py").write_text(PROBLEM, encoding="utf-8")
+    problem = load_problem(folder).problem
+    write_samples(data / "rows.csv", problem.layout(), simulate(problem, samples=60, seed=1).samples, ["simulated"])
+    digest = hashlib.sha256((data / "rows.csv").read_bytes()).hexdigest()
+    (folder / "set.toml").write_text(SET.format(sha256=digest, metric="distance", blocks="regions"), encoding="utf-8")
+    (tmp_path / "own.py").write_text(OWN, encoding="utf-8")
+    return tmp_path
+
+
+def ran(place, *words):
+    return main(["bench", str(place / "sets"), "--data", str(place / "data"), "--out", str(place / "out"), *words])
+
+
+def test_figures_are_those_of_the_residuals_that_a_method_returns(place, capsys):
+    """A method that leaves 1 mm along each axis of every row: sqrt(3) in every split, whatever is bootstrapped."""
+    words = ["--methods", str(place / "own.py"), "--method", "flat", "--method", "lost", "--method", "geometry (SciPy)"]
+    assert ran(place, *words) == 0
+    report = (place / "out" / "report.md").read_text(encoding="utf-8")
+    flat = next(line for line in report.splitlines() if line.startswith("| flat"))
+    assert re.findall(r"\d\.\d{3}", flat) == ["1.732"] * 7, "stated, random and blocked with their intervals"
+    assert flat.endswith("| 1.00 | 1.7 (nobody) | yes |")
+    assert "`lost`: ValueError: no idea" in report
+    fitted = next(line for line in report.splitlines() if line.startswith("| geometry (SciPy)"))
+    assert 0.07 < float(fitted.split("|")[2]) < 0.12, "three axes of 0.05 mm, and what 45 rows do not know"
+    lines = (place / "out" / "records.jsonl").read_text(encoding="utf-8").splitlines()
+    folds = {record["setting"] for record in map(json.loads, lines)}
+    assert len(folds) == 1 + 5 + 4
+    assert ran(place, *words) == 2, "records stand there"
+    assert ran(place, *words, "--resume") == 0
+    capsys.readouterr()
+    assert ran(place, "--method", "flat") == 2
+    assert "flat" in capsys.readouterr().err
+
+
+def test_the_quick_form_has_two_folds_of_every_set(place):
+    assert ran(place, "--quick", "--method", "as drawn", "--method", "casacal, geometry") == 0
+    report = (place / "out" / "report.md").read_text(encoding="utf-8")
+    assert "yes" not in report.split("## A simulated")[1], "few rows reproduce nothing"
+    assert len((place / "out" / "records.jsonl").read_text(encoding="utf-8").splitlines()) == 4
+
+
+def test_methods_rank_as_they_must(place):
+    """On a simulated arm without anything beside its geometry, geometry wins over the drawing and over offsets."""
+    bench = read_set(place / "sets" / "mine")
+    problem = bench.problem
+    rows = bench.read(place / "data", problem)
+    unseen = unseen_rows(rows, "stated", bench.blocks, bench.stated)[0]
+    fitted = np.setdiff1d(np.arange(len(rows)), unseen)
+    parts = rows.take(fitted), rows.take(unseen)
+    left = {
+        name: float(np.sqrt(Judged.of(np.asarray(WAYS[name](problem, *parts)), "distance").squares.mean()))
+        for name in ("as drawn", "joint offsets", "geometry (SciPy)", "geometry + Gaussian process")
+    }
+    assert left["as drawn"] > left["joint offsets"] > 3 * left["geometry (SciPy)"]
+    assert left["geometry + Gaussian process"] < 1.2 * left["geometry (SciPy)"]
+
+
+def test_a_process_over_the_joints_finds_what_geometry_cannot():
+    """A bump that no length or angle makes, between its own neighbours."""
+    problem = PROBLEMS["TrackedPoint"]
+    samples = simulate(problem, samples=240, seed=2).samples
+    middle, spread = samples.joints.mean(axis=0), samples.joints.std(axis=0)
+    bump = 0.8 * np.exp(-(((samples.joints - middle) / spread) ** 2).sum(axis=1) / 4)
+    bent = Samples(
+        samples.joints, {**samples.columns, "z": samples.columns["z"] + bump}, {}, samples.lines, {}, "bent", "bent"
+    )
+    rows = np.random.default_rng(0).permutation(240)
+    some, rest = bent.take(rows[:190]), bent.take(rows[190:])
+    with_it, without = (
+        np.sqrt((np.asarray(way(problem, some, rest)) ** 2).sum(axis=1).mean())
+        for way in (geometry_and_process, WAYS["geometry (SciPy)"])
+    )
+    assert with_it < 0.95 * without
+
+
+def test_splits_leave_out_every_row_once():
+    joints = np.random.default_rng(0).normal(size=(53, 6))
+    samples = Samples(joints, {}, {}, tuple(range(2, 55)), {"day": tuple("abc"[k % 3] for k in range(53))}, "x", "x")
+    for kind, blocks in (("random", "order"), ("blocked", "order"), ("blocked", "regions"), ("blocked", "day")):
+        folds = unseen_rows(samples, kind, blocks, {})
+        assert sorted(np.concatenate(folds).tolist()) == list(range(53))
+    assert [len(fold) for fold in unseen_rows(samples, "blocked", "day", {})] == [18, 18, 17]
+    assert all(np.ptp(fold) == len(fold) - 1 for fold in unseen_rows(samples, "blocked", "order", {}))
+    (part,) = unseen_rows(samples, "stated", "order", {"part": 0.3, "seed": 0})
+    np.testing.assert_array_equal(part, np.sort(np.random.default_rng(0).permutation(53)[37:]))
+    assert unseen_rows(samples, "stated", "order", {}) == []
+    with pytest.raises(UnknownNameError, match="night"):
+        unseen_rows(samples, "blocked", "night", {})
+
+
+def test_intervals_are_of_folds():
+    squares, rows = np.array([4.0, 9.0, 1.0, 16.0]), np.array([4.0, 4.0, 4.0, 4.0])
+    value, low, high = mean_squares(squares, rows)
+    assert value == pytest.approx(np.sqrt(30 / 16))
+    assert 0.5 < low < value < high < 2.0
+    assert np.isnan(mean_squares(squares[:1], rows[:1])[1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('title = "A simulated UR5"', "", "does not say its title"),
+        ('metric = "distance"', 'metric = "feeling"', "is 'feeling'"),
+        ('blocks = "regions"', 'blocks = "night"', "night"),
+        ("figure = 1.7", "", "lacks a part"),
+        ("[stated]", "[stated", "is no TOML"),
+        ("there/rows.csv", "elsewhere.csv", "are not at"),
+        ('sha256 = "', 'sha256 = "0', "is not the file"),
+    ],
+)
+def test_what_is_wrong_with_a_set_is_said(place, capsys, old, new, said):
+    path = place / "sets" / "mine" / "set.toml"
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    assert ran(place, "--method", "as drawn") == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (place / "out" / "report.md").exists()
+
+
+def test_what_is_wrong_with_a_command_is_said(place, capsys, monkeypatch):
+    monkeypatch.delenv("CASACAL_DATA", raising=False)
+    bad = place / "bad.py"
+    for words, text, said in (
+        (["bench", str(place / "sets")], "", "Name theirs with --data, or in CASACAL_DATA"),
+        (["bench", str(place), "--data", str(place)], "", "There is no set of the benchmark"),
+        (["bench", str(place / "sets"), "--data", str(place / "data"), "--only", "yours"], "", "There are: mine"),
+        (["bench", str(place / "sets"), "--data", str(place / "data"), "--methods", str(bad)], "x = 1", "no `methods`"),
+        (["bench", str(place / "sets"), "--data", str(place / "data"), "--methods", str(bad)], "1/0", "ZeroDivision"),
+        (["bench", str(place / "sets"), "--data", str(place / "data"), "--method", "magic"], "", "named 'magic'"),
+    ):
+        bad.write_text(text, encoding="utf-8")
+        assert main([*words, "--out", str(place / "nothing")]) == 2
+        assert said in capsys.readouterr().err
+    assert not (place / "nothing").exists()
+
+
+def test_sets_of_the_project_are_described_whole():
+    """Each can be read, its problem traced; its measurements are not part of the project."""
+    sets = read_sets(ROOT / "studies" / "bench")
+    assert len(sets) >= 7
+    for each in sets:
+        assert each.problem.models[0].components >= 1
+        assert len(each.sha256) == 64
+        assert not list((ROOT / "studies" / "bench" / each.name).glob("*.csv"))
+    with pytest.raises(CasacalError, match="are not at"):
+        benchmark(sets, ROOT)
