@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from casacal.instruments import KnownPoint as KnownPoint
     from casacal.instruments import Probe as Probe
     from casacal.instruments import ResidualBlock as ResidualBlock
+    from casacal.instruments import SelfContact as SelfContact
     from casacal.instruments import Sight as Sight
     from casacal.instruments import Sockets as Sockets
     from casacal.instruments import SphereTouch as SphereTouch
@@ -91,6 +92,7 @@ if TYPE_CHECKING:
     from casacal.robots.conventions import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
+    from casacal.robots.two_arms import facing as facing
     from casacal.samples.measurements import Measurements as Measurements
     from casacal.samples.samples import Samples as Samples
     from casacal.simulation.simulate import simulate as simulate
@@ -148,6 +150,7 @@ _HOMES = {
         "Step",
         "Suspect",
         "ResidualBlock",
+        "SelfContact",
         "TrackedPoint",
         "TrackedPose",
         "Words",
@@ -169,6 +172,7 @@ _HOMES = {
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),
+    "casacal.robots.two_arms": ("facing",),
     "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),
     "casacal.simulation.simulate": ("simulate",),

@@ -16,6 +16,7 @@ from casacal.instruments.instrument import Suspect as Suspect
 from casacal.instruments.instrument import Words as Words
 from casacal.instruments.known_point import KnownPoint as KnownPoint
 from casacal.instruments.residual_block import ResidualBlock as ResidualBlock
+from casacal.instruments.self_contact import SelfContact as SelfContact
 from casacal.instruments.sphere_touch import SphereTouch as SphereTouch
 from casacal.instruments.tracked_point import TrackedPoint as TrackedPoint
 from casacal.instruments.tracked_pose import TrackedPose as TrackedPose

@@ -25,6 +25,7 @@ from casacal.instruments import (
     FixedPoint,
     Instrument,
     KnownPoint,
+    SelfContact,
     Sockets,
     SphereTouch,
     Step,
@@ -48,7 +49,18 @@ from casacal.values import FrozenMapping
 
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
-BUILT_IN = (DialOnPlane, DialOnBody, TrackedPoint, KnownPoint, FixedPoint, Sockets, Distance, SphereTouch, TrackedPose)
+BUILT_IN = (
+    DialOnPlane,
+    DialOnBody,
+    TrackedPoint,
+    KnownPoint,
+    FixedPoint,
+    Sockets,
+    Distance,
+    SphereTouch,
+    TrackedPose,
+    SelfContact,
+)
 INSTRUMENTS = (*BUILT_IN, Step, TracedInstrument)
 PARTS = (Probe, ResidualBlock, TracedPose)
 KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS)}
