@@ -13,7 +13,7 @@ from casacal import Samples, load_problem, simulate
 from casacal.bench.benchmark import benchmark, mean_squares
 from casacal.bench.benchmark_set import read_set, read_sets
 from casacal.bench.methods import WAYS, Judged, geometry_and_process
-from casacal.bench.splits import unseen_rows
+from casacal.bench.splits import folds
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.write import write_samples
@@ -85,8 +85,8 @@ def test_figures_are_those_of_the_residuals_that_a_method_returns(place, capsys)
     fitted = next(line for line in report.splitlines() if line.startswith("| geometry (SciPy)"))
     assert 0.07 < float(fitted.split("|")[2]) < 0.12, "three axes of 0.05 mm, and what 45 rows do not know"
     lines = (place / "out" / "records.jsonl").read_text(encoding="utf-8").splitlines()
-    folds = {record["setting"] for record in map(json.loads, lines)}
-    assert len(folds) == 1 + 5 + 4
+    made = {record["setting"] for record in map(json.loads, lines)}
+    assert len(made) == 1 + 5 + 4
     assert ran(place, *words) == 2, "records stand there"
     assert ran(place, *words, "--resume") == 0
     capsys.readouterr()
@@ -106,8 +106,7 @@ def test_methods_rank_as_they_must(place):
     bench = read_set(place / "sets" / "mine")
     problem = bench.problem
     rows = bench.read(place / "data", problem)
-    unseen = unseen_rows(rows, "stated", bench.blocks, bench.stated)[0]
-    fitted = np.setdiff1d(np.arange(len(rows)), unseen)
+    fitted, unseen = folds(rows, "stated", bench.blocks, bench.stated)[0]
     parts = rows.take(fitted), rows.take(unseen)
     left = {
         name: float(np.sqrt(Judged.of(np.asarray(WAYS[name](problem, *parts)), "distance").squares.mean()))
@@ -139,15 +138,22 @@ def test_splits_leave_out_every_row_once():
     joints = np.random.default_rng(0).normal(size=(53, 6))
     samples = Samples(joints, {}, {}, tuple(range(2, 55)), {"day": tuple("abc"[k % 3] for k in range(53))}, "x", "x")
     for kind, blocks in (("random", "order"), ("blocked", "order"), ("blocked", "regions"), ("blocked", "day")):
-        folds = unseen_rows(samples, kind, blocks, {})
-        assert sorted(np.concatenate(folds).tolist()) == list(range(53))
-    assert [len(fold) for fold in unseen_rows(samples, "blocked", "day", {})] == [18, 18, 17]
-    assert all(np.ptp(fold) == len(fold) - 1 for fold in unseen_rows(samples, "blocked", "order", {}))
-    (part,) = unseen_rows(samples, "stated", "order", {"part": 0.3, "seed": 0})
-    np.testing.assert_array_equal(part, np.sort(np.random.default_rng(0).permutation(53)[37:]))
-    assert unseen_rows(samples, "stated", "order", {}) == []
+        made = folds(samples, kind, blocks, {})
+        assert sorted(np.concatenate([unseen for _, unseen in made]).tolist()) == list(range(53))
+        assert all(sorted([*fitted, *unseen]) == list(range(53)) for fitted, unseen in made)
+    assert [len(unseen) for _, unseen in folds(samples, "blocked", "day", {})] == [18, 18, 17]
+    assert all(np.ptp(unseen) == len(unseen) - 1 for _, unseen in folds(samples, "blocked", "order", {}))
+    order = np.random.default_rng(0).permutation(53)
+    ((_, part),) = folds(samples, "stated", "order", {"part": 0.3, "seed": 0})
+    np.testing.assert_array_equal(part, np.sort(order[37:]))
+    ((some, rest),) = folds(samples, "stated", "order", {"part": 0.3, "seed": 0, "rows": 20})
+    np.testing.assert_array_equal(some, np.sort(order[:14]))
+    np.testing.assert_array_equal(rest, np.sort(order[14:20]))
+    ((_, third),) = folds(samples, "stated", "order", {"column": "day", "value": "b"})
+    np.testing.assert_array_equal(third, np.arange(1, 53, 3))
+    assert folds(samples, "stated", "order", {}) == []
     with pytest.raises(UnknownNameError, match="night"):
-        unseen_rows(samples, "blocked", "night", {})
+        folds(samples, "blocked", "night", {})
 
 
 def test_intervals_are_of_folds():

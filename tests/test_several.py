@@ -37,6 +37,7 @@ from casacal.errors import UnknownNameError
 from casacal.problem.as_data import problem_data, problem_from
 from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
+from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 SOURCE = "from three_instruments import problem, CELL\n\ncell = CELL\n"
@@ -390,6 +391,20 @@ def test_verify_asks_whose_rows_it_cannot_tell(found, simulated):
         verify(result, simulated.measured.sets[0])
     with pytest.raises(UnknownNameError, match="middle"):
         verify(result, rows, instrument="middle")
+
+
+def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):
+    wide = problem.with_settings({"dial.sign": -1, "tracker.noise_std": 0.2})
+    assert (wide.instruments[0].sign, wide.instruments[1].noise_std, wide.instruments[2].noise_std) == (-1, 0.2, 0.03)
+    assert wide.shared == problem.shared
+    with pytest.raises(UnknownNameError, match="sign"):
+        problem.with_settings({"sign": -1})
+    (tmp_path / "problem.py").write_text(SOURCE, encoding="utf-8")
+    assert main(["simulate", str(tmp_path), "--out", str(tmp_path / "samples.csv"), "--samples", "20"]) == 0
+    assert main(["check", str(tmp_path), "--set", "dial.sign=-1"]) == 1
+    assert "dial: wrong dial sign" in capsys.readouterr().out
+    narrow = scaled_to_accuracy(problem, 0.5)
+    assert prior_tip_rms(narrow) == pytest.approx(0.5)
 
 
 def test_threads_share_a_problem_and_find_the_same(simulated):

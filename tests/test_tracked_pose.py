@@ -24,6 +24,7 @@ from casacal import (
     check,
     ipopt,
     lm,
+    load,
     simulate,
 )
 from casacal.instruments.tracked_pose import QUATERNION, chord
@@ -130,6 +131,23 @@ def test_a_camera_is_calibrated_on_an_arm_that_is_held():
             np.testing.assert_allclose(np.array(slot.value(true)), simulated.frames[slot.key], atol=1e-9)
             np.testing.assert_allclose(np.array(slot.value(result.x)), simulated.frames[slot.key], atol=0.15)
     assert np.abs((result.x - true) / result.std).max() < 4.5
+
+
+def test_the_tip_is_where_the_body_was_found(rows, tmp_path):
+    """Predicted, compensated and as a function: the flange, times the body as it came out of the fit."""
+    found = calibrate(problem, rows, reference=False, discrepancy="none")
+    found.save(tmp_path)
+    body = np.array(next(s for s in found.fit.slots if s.key == "body").value(found.result.x))
+    joints = rows.joints[:4]
+    wanted = (found.fit.poses(found.result.x, joints) @ body)[:, :3, 3]
+    for arm in (found, load(tmp_path)):
+        np.testing.assert_allclose(arm.predict(joints, frame="tip").positions, wanted, atol=1e-6)
+        one = np.array(arm.tip_function()(joints[0])).ravel()
+        np.testing.assert_allclose(one, wanted[0], atol=1e-6)
+    assert np.isfinite(found.predict(joints, frame="tip", std=True).std).all()
+    reached = found.compensate(joints, frame="tip")
+    drawn = found.predict(joints, frame="tip", nominal=True).positions
+    np.testing.assert_allclose(found.predict(reached.joints, frame="tip").positions, drawn, atol=2e-3)
 
 
 def test_what_is_written_otherwise_is_named(rows):

@@ -13,7 +13,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.bench.benchmark_set import BenchmarkSet
 from casacal.bench.methods import WAYS, Judged, Told, Way
-from casacal.bench.splits import BLOCKED, RANDOM, STATED, unseen_rows
+from casacal.bench.splits import BLOCKED, RANDOM, STATED, folds
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem import Problem
@@ -41,8 +41,7 @@ class Fold:
         del seed
         problem = self.bench.problem
         samples = rows_of(self.bench, self.data, problem, quick=self.quick)
-        unseen = unseen_rows(samples, self.kind, self.bench.blocks, self.bench.stated)[self.number]
-        fitted = np.setdiff1d(np.arange(len(samples)), unseen)
+        fitted, unseen = folds(samples, self.kind, self.bench.blocks, self.bench.stated)[self.number]
         return FoldTrial(problem, samples.take(fitted), samples.take(unseen), self.bench.metric)
 
 
@@ -110,7 +109,7 @@ def benchmark(
     for each in sets:
         samples = rows_of(each, data, each.problem, quick=quick)
         for kind in KINDS[1:] if quick else KINDS:
-            count = len(unseen_rows(samples, kind, each.blocks, each.stated))
+            count = len(folds(samples, kind, each.blocks, each.stated))
             for number in range(min(count, QUICK_FOLDS) if quick else count):
                 settings[setting_name(each.name, kind, number)] = Fold(each, str(data), kind, number, quick)
     methods = {name: Method(partial(estimate, way=way)) for name, way in ways.items()}

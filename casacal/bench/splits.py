@@ -25,23 +25,34 @@ MOST_BLOCKS = 12
 STATED, RANDOM, BLOCKED = "stated", "random", "blocked"
 
 
-def unseen_rows(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -> list[Rows]:
-    """Rows that are left out, fold by fold: "stated", "random" or "blocked".
+def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -> list[tuple[Rows, Rows]]:
+    """Rows to fit and rows that are not seen, fold by fold: "stated", "random" or "blocked".
+
+    stated: {"part": 0.3, "seed": 0}, the last of a permutation, of so many "rows" of it where these are said;
+    {"folds": 5, "seed": 0}; {"column": "split", "value": "test"}; or nothing.
 
     Raises CasacalError where the set cannot be split so.
     """
+    everything = np.arange(len(samples))
     if kind == RANDOM:
-        return _folds(np.random.default_rng(0).permutation(len(samples)), FOLDS)
+        return _against(everything, _folds(np.random.default_rng(0).permutation(len(samples)), FOLDS))
     if kind == BLOCKED:
-        return _blocks(samples, blocks)
+        return _against(everything, _blocks(samples, blocks))
     order = np.random.default_rng(int(stated.get("seed", 0))).permutation(len(samples))
     if "column" in stated:
         labels = _labels(samples, str(stated["column"]))
-        return [np.flatnonzero(labels.codes == labels.names.index(str(stated["value"])))]
+        return _against(everything, [np.flatnonzero(labels.codes == labels.names.index(str(stated["value"])))])
     if "folds" in stated:
-        return _folds(order, int(stated["folds"]))
-    count = len(order) - round((1 - float(stated["part"])) * len(order)) if "part" in stated else 0
-    return [np.sort(order[len(order) - count :])] if count else []
+        return _against(everything, _folds(order, int(stated["folds"])))
+    if "part" not in stated:
+        return []
+    order = order[: int(stated.get("rows", len(order)))]
+    return _against(order, [order[round((1 - float(stated["part"])) * len(order)) :]])
+
+
+def _against(rows: Rows, unseen: list[Rows]) -> list[tuple[Rows, Rows]]:
+    """Each of the unseen with the others of these rows."""
+    return [(np.setdiff1d(rows, part), np.sort(part)) for part in unseen]
 
 
 def _blocks(samples: Samples, blocks: str) -> list[Rows]:

@@ -101,6 +101,21 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
     return np.concatenate([np.zeros(0), *values])
 
 
+def row_constants(result: CalibratedArm, of: Problem) -> Array:
+    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed, as a tracked body's, as they stood.
+
+    Zero for what differs by label: faces and their like move neither flange nor tip.
+    """
+    proposed = result.document.get("proposed") or {}
+    found = [np.zeros(0)]
+    for key in of.model.constants:
+        unknown = of.model.unknowns[key]
+        known = unknown.nominal if unknown.nominal is not None else proposed.get(key)
+        right = known is not None and np.size(known) == unknown.nominal_size
+        found.append(np.asarray(known, dtype=np.float64).ravel() if right else np.zeros(unknown.nominal_size))
+    return np.concatenate(found)
+
+
 def denial(result: CalibratedArm) -> str | None:
     """What the verdict on a result says where it is not to be used; None for any other, and for a truth."""
     verdict = result.document.get("verdict") or {}

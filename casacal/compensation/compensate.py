@@ -23,6 +23,7 @@ from casacal.compensation.arm import (
     denial,
     infinite_variances,
     local_coordinates,
+    row_constants,
 )
 from casacal.compensation.given import arm_from
 from casacal.compensation.inverse_kinematics import PosedArm, turning
@@ -87,11 +88,12 @@ def compensate(
     if denial(result) is None:
         _trusted(result, frame)
     rounding = rounding or Rounding()
-    nominal = PosedArm.of(result.source.problem.without_effects, local_coordinates(result, nominal=True), frame)
+    drawn = result.source.problem.without_effects
+    nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     used = as_used(result)
     arm = replace(nominal, local=local_coordinates(result, of=used))
     if used.effects:
-        arm = PosedArm.of(used, arm.local, frame)
+        arm = PosedArm.of(used, arm.local, frame, row_constants(result, used))
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))

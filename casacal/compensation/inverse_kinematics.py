@@ -40,14 +40,19 @@ class PosedArm:
     frame: Literal["flange", "tip"]
 
     @staticmethod
-    def of(problem: Problem, local: Array, frame: Literal["flange", "tip"] = "flange") -> PosedArm:
-        """Compile for the first instrument's unknowns at `local` (nz,); the tip stands at reading zero."""
-        model = problem.model
-        n, constants = len(problem.robot.axes), ca.DM.zeros(model.pose.size_in(1))
+    def of(
+        problem: Problem, local: Array, frame: Literal["flange", "tip"] = "flange", constants: Array | None = None
+    ) -> PosedArm:
+        """Compile for the instrument's unknowns at `local` (nz,); the tip stands at reading zero.
+
+        constants: c (nc,) of its row model; zero by default.
+        """
+        model, n = problem.model, len(problem.robot.axes)
+        c = ca.DM.zeros(model.pose.size_in(1)) if constants is None else ca.DM(constants)
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)
         row = ca.vertcat(q, ca.DM.zeros(model.pose.numel_in(2) - n))
-        pose = ca.reshape(model.pose(z, constants, row), 4, 4)
-        place, turn = (model.tip(z, constants, row) if frame == "tip" else pose[:3, 3]), pose[:3, :3]
+        pose = ca.reshape(model.pose(z, c, row), 4, 4)
+        place, turn = (model.tip(z, c, row) if frame == "tip" else pose[:3, 3]), pose[:3, :3]
         by_joint = ca.jacobian(ca.vec(turn), q)
         rates = [ca.mtimes(ca.reshape(by_joint[:, j], 3, 3), turn.T) for j in range(n)]  # dR/dq R' = [omega]x
         omega = ca.horzcat(*(ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]) for rate in rates))

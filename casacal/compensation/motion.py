@@ -14,6 +14,7 @@ from casacal.compensation.arm import (
     covariance_of,
     local_coordinates,
     named_covariance,
+    row_constants,
 )
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
@@ -25,6 +26,7 @@ class Moved:
     """A model of the arm with all that moves it, z (nz,) at the result, and which of z (k,) are known how well (k, k).
 
     off: by how much these (k,) are elsewhere than the arm is said to be. elsewhere: columns of a row at any posture.
+    constants: c (nc,) of the model.
     """
 
     model: RowModel
@@ -33,6 +35,7 @@ class Moved:
     covariance: Array
     off: Array | None
     elsewhere: Array
+    constants: Array
 
 
 def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
@@ -67,7 +70,8 @@ def moved_arm(result: CalibratedArm) -> Moved:
         index = [j for _, j in columns]
         found = covariance[np.ix_(index, index)]
         model, z = problem.model, local_coordinates(result, of=problem)
-        return Moved(model, z, [i for i, _ in columns], found, None, np.zeros(len(model.names)))
+        elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
+        return Moved(model, z, [i for i, _ in columns], found, None, elsewhere, constants)
     model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
     values = {each["name"] for each in said["unknowns"]}
@@ -86,4 +90,5 @@ def moved_arm(result: CalibratedArm) -> Moved:
     for effect in model.effects:
         known |= effect.away(site)
     off = np.array([float(said["off"][j]) for j in index])
-    return Moved(model, whole, at, np.array(rows)[np.ix_(index, index)], off, np.array(list(known.values())))
+    elsewhere, constants = np.array(list(known.values())), row_constants(result, problem.with_kit)
+    return Moved(model, whole, at, np.array(rows)[np.ix_(index, index)], off, elsewhere, constants)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates
+from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates, row_constants
 from casacal.compensation.given import arm_from
 from casacal.compensation.motion import moved_arm
 from casacal.errors import CasacalError, UnknownNameError
@@ -127,7 +127,7 @@ def predict(
     data[:, : joints.joints.shape[1]] = joints.joints
     for i, name in enumerate(instrument.columns):
         data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
-    constants = np.zeros(model.pose.numel_in(1))  # planes and the like move neither flange nor tip
+    constants = row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
@@ -147,7 +147,7 @@ def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
     """
     arm, joints = moved_arm(result), len(result.source.problem.robot.axes)
     evaluate = arm.model.batch.tip_jacobian if frame == "tip" else arm.model.batch.flange_jacobian
-    constants, workspace = np.zeros(arm.model.pose.numel_in(1)), workspace_joints(result.source.problem.robot)
+    constants, workspace = arm.constants, workspace_joints(result.source.problem.robot)
     fields = []
     for given in (data, workspace):
         rows = np.tile(np.concatenate([np.zeros(joints), arm.elsewhere]), (len(given), 1))

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, arm_values, as_used, local_coordinates
+from casacal.compensation.arm import CalibratedArm, arm_values, as_used, local_coordinates, row_constants
 from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError
 
@@ -43,7 +43,7 @@ def pose_at(arm: CalibratedArm, q: ca.SX) -> ca.SX:
     symbols = problem.symbols
     d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
     z = ca.DM(local_coordinates(arm, of=problem))
-    return ca.reshape(symbols.functions["pose"](z, ca.DM.zeros(symbols.c.numel()), d), 4, 4)
+    return ca.reshape(symbols.functions["pose"](z, ca.DM(row_constants(arm, problem)), d), 4, 4)
 
 
 def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
@@ -60,7 +60,7 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     symbols = problem.symbols
     q, z = ca.SX.sym("q", symbols.q.numel()), local_coordinates(arm, nominal=nominal, of=problem)
     d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
-    tip = symbols.functions["tip"](z, ca.DM.zeros(symbols.c.numel()), d)
+    tip = symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
     return ca.Function("tip", [q], [ca.densify(each) for each in ca.cse([tip])], ["q"], ["tip"])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
 from pathlib import Path
 
 from casacal.discrepancy import Effect, kit, rich_kit
@@ -161,12 +161,17 @@ class Problem(MeasuredArm):
         return changed
 
     def with_settings(self, values: Mapping[str, float]) -> Problem:
-        """Copy with other numbers of its only instrument, such as {"sign": -1} or {"noise_std": 0.02}.
+        """Copy with other numbers of its instrument, such as {"sign": -1} or {"noise_std": 0.02}.
 
-        Raises UnknownNameError for what is none of its numbers, ProblemError for a value that it refuses.
+        Of several instruments after its name: {"dial.sign": -1}. Raises UnknownNameError for what is none of its
+        numbers, ProblemError for a value that it refuses.
         """
-        changed = reduce(lambda one, item: with_setting(one, *item), values.items(), self.instrument)
-        return self.with_parts(self.robot, [changed])
+        changed = list(self.instruments)
+        for name, value in values.items():
+            of, _, setting = name.rpartition(".")
+            i = self.number(of or name) if len(changed) > 1 else 0
+            changed[i] = with_setting(changed[i], setting if len(changed) > 1 else name, value)
+        return self.with_parts(self.robot, changed)
 
     def with_effects(self, *effects: Effect) -> Problem:
         """Copy with these effects beside the geometry, in the place of those it had."""

@@ -22,7 +22,7 @@ def prior_tip_rms(problem: Problem) -> float:
     Apart from where the base stands. The instrument's own unknowns, such as its tool, do not count; flat priors make
     it infinite.
     """
-    model, joints = problem.model, workspace_joints(problem.robot)
+    model, joints = problem.models[0], workspace_joints(problem.robot)
     z = np.zeros(model.tip_jacobian.numel_in(0))
     data = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
     data[:, : joints.shape[1]] = joints
