@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from instruments_on_ur5 import ROBOT, flanges
+from scipy.stats import chi2
+from two_arms import balls, problem
 
 from casacal import (
     Disturbances,
@@ -28,16 +30,14 @@ from casacal import (
     tool_point,
 )
 from casacal.calibration.verdict import verdict_of
+from casacal.cli.main import main
+from casacal.uncertainty.bounds import bayesian_bound
+from casacal.uncertainty.figures import nees
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 BALL = (0.0, 0.0, 354.0)
 HELD = ("other_alpha", "other_a", "other_d", "other_theta")
-balls = SelfContact(
-    noise_std=0.02,
-    tool=tool_point(0, 0, 120, prior_std=0.5),
-    other=tool_point(5, 0, 100, prior_std=0.5),
-    apart=Parameter(40.0, unit="mm", prior_std=0.01),
-)
 
 
 def test_the_chain_is_what_one_flange_sees_of_the_other():
@@ -63,7 +63,6 @@ def test_joints_that_both_share_come_once():
 
 
 def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
-    problem = Problem(facing(ROBOT, ROBOT), balls).fix("other_alpha", "other_a", "other_d", "other_theta", "other_beta")
     simulated = simulate(problem, Disturbances(resolution=0.0), samples=90, seed=2)
     assert all(finding.severity != "error" for finding in check(problem, simulated.samples))
     bound = bind(problem, simulated.samples)
@@ -76,6 +75,38 @@ def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
     back = load(tmp_path)
     joints = simulated.samples.joints[:3]
     np.testing.assert_allclose(back.predict(joints).positions, found.predict(joints).positions, atol=1e-9)
+
+
+def test_the_whole_way_of_touches_of_two_arms(tmp_path, capsys):
+    """Simulate, check, calibrate, verify, report, by the command line."""
+    place, out = tmp_path / "cell", tmp_path / "out"
+    place.mkdir()
+    (place / "problem.py").write_text("from two_arms import problem\n", encoding="utf-8")
+    assert main(["simulate", str(place), "--out", str(tmp_path / "rows.csv"), "--samples", "140", "--seed", "4"]) == 0
+    lines = (tmp_path / "rows.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    for name, some in (("fitted", lines[:112]), ("fresh", lines[:2] + lines[112:])):
+        (tmp_path / f"{name}.csv").write_text("".join(some), encoding="utf-8")
+    assert main(["check", str(place), str(tmp_path / "fitted.csv")]) == 0
+    assert main(["calibrate", str(place), str(tmp_path / "fitted.csv"), "--out", str(out)]) == 0
+    assert "distance between the balls" in (out / "report.html").read_text(encoding="utf-8").lower()
+    assert main(["verify", str(out), str(tmp_path / "fresh.csv")]) == 0, capsys.readouterr().out
+
+
+def test_estimates_of_two_arms_reach_their_bound_and_know_it():
+    joints = workspace_joints(problem.robot)
+    ratios, total, freedom = [], 0.0, 0
+    for seed in range(50):
+        simulated = simulate(problem, Disturbances(resolution=0.0), samples=80, seed=seed)
+        bound = bind(problem, simulated.samples)
+        truth, result = simulated.truth(bound), lm(bound)
+        tips = bound.tips(truth, joints)
+        best = bayesian_bound(bound.information(truth), bound.prior_std, bound.tip_jacobian(truth, joints), tips)
+        ratios.append(tip_rms(without_rigid((bound.tips(result.x, joints) - tips).ravel(), tips)) / best)
+        total += nees(result.x - truth, result.covariance)
+        freedom += truth.size
+    assert 0.9 < np.sqrt(np.mean(np.square(ratios))) < 1.1
+    low, high = chi2.ppf([0.0005, 0.9995], freedom)
+    assert low < total < high
 
 
 def test_what_cannot_face_is_refused():
