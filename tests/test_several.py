@@ -33,6 +33,9 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.compensation.arm import covariance_of
+from casacal.compensation.predict import predict
+from casacal.compensation.seen_by import seen_by
 from casacal.errors import UnknownNameError
 from casacal.problem.as_data import problem_data, problem_from
 from casacal.uncertainty.bounds import bayesian_bound
@@ -391,6 +394,22 @@ def test_verify_asks_whose_rows_it_cannot_tell(found, simulated):
         verify(result, simulated.measured.sets[0])
     with pytest.raises(UnknownNameError, match="middle"):
         verify(result, rows, instrument="middle")
+
+
+@pytest.mark.parametrize("order", [("dial", "tracker", "spike"), ("tracker", "spike", "dial")])
+def test_each_instrument_has_its_own_tip_in_whatever_order(order, simulated):
+    """Tracker and dial both have a "tool", and only the dial's is shared: none is taken for another."""
+    sets = dict(zip(problem.names, simulated.measured.sets, strict=True))
+    other = Problem(problem.robot, {name: INSTRUMENTS[name] for name in order}, shared=problem.shared)
+    found = calibrate(other, {name: sets[name] for name in order}, reference=False, discrepancy="none")
+    joints = sets["tracker"].joints[:5]
+    for i, name in enumerate(order):
+        arm = seen_by(found.arm, name)
+        tips = predict(arm, joints, frame="tip").positions
+        np.testing.assert_allclose(tips, found.fit.tips(found.result.x, joints, i), atol=1e-6)
+        _, columns = covariance_of(arm)
+        known = {"dial": 24 + 3, "tracker": 24 + 3 + 6, "spike": 24 + 3}[name]
+        assert len(columns) == known, "arm, tip and station; faces and places differ by label"
 
 
 def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):

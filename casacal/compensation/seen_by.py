@@ -7,10 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 from casacal.compensation.arm import CalibratedArm
+from casacal.problem.problem import Problem
 from casacal.values import FrozenMapping
 
 NAMED = ("parameters", "unknowns")
 """Parts of a result whose entries have the name of an unknown."""
+
+OTHERS = "others."
+"""Before the names of what other instruments share."""
 
 ALL_ROWS = "plane"
 """What a face is called where there is one for all rows."""
@@ -30,12 +34,25 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     name = problem.names[0] if instrument is None else instrument
     one = problem.measured_by(name)
     source = replace(arm.source, problem=one)
-    return CalibratedArm(arm.file, source, FrozenMapping(_document(arm.document, name)))
+    return CalibratedArm(arm.file, source, FrozenMapping(_document(arm.document, name, _of_others(problem, name))))
 
 
-def _document(document: Mapping[str, Any], name: str) -> dict[str, Any]:
+def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
+    """Whether an unknown is one that other instruments share, and this one has by the same key for itself."""
+    theirs = [key for key, by in problem.shared.items() if name not in by]
+    unknowns = dict(zip(problem.names, problem.instruments, strict=True))
+    exact = {
+        each
+        for key in theirs
+        for unknown in [unknowns[problem.shared[key][0]].unknowns[key]]
+        for each in (key, *unknown.names(key), *unknown.component_names(key))
+    }
+    return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
+
+
+def _document(document: Mapping[str, Any], name: str, of_others: Callable[[str], bool]) -> dict[str, Any]:
     def own(each: str) -> str:
-        return each.removeprefix(f"{name}.")
+        return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
 
     found = dict(document)
     for part in NAMED:
