@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import pickle
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -37,6 +38,7 @@ from casacal.compensation.arm import covariance_of
 from casacal.compensation.predict import predict
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import UnknownNameError
+from casacal.export.remark import remark
 from casacal.problem.as_data import problem_data, problem_from
 from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
@@ -444,3 +446,33 @@ def test_the_arm_of_several_is_that_of_one_where_the_others_say_nothing():
     joints = workspace_joints(problem.robot)
     tips = [one.tips(lm(one).x, joints) for one in (bound, alone)]
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-4)
+
+
+def test_whose_noise_is_too_small_is_said(simulated):
+    """The tracker stated ten times too good: it alone is named, with its own factor."""
+    bold = dict(INSTRUMENTS, tracker=TrackedPoint(noise_std=0.003, tool=INSTRUMENTS["tracker"].tool))
+    found = calibrate(Problem(problem.robot, bold, shared=problem.shared), simulated.measured, reference=False)
+    reasons = " ".join(verdict_of(found).reasons)
+    assert re.search(r"Times the stated noise: tracker (7|8|9|1\d)(\.\d)?, dial and spike as stated", reasons)
+
+
+def test_files_are_named_all_or_none(tmp_path, capsys):
+    """Half named, half taken from the folder would fit rows of two cells together."""
+    (tmp_path / "problem.py").write_text(SOURCE, encoding="utf-8")
+    assert main(["simulate", str(tmp_path), "--out", str(tmp_path / "samples.csv"), "--samples", "12"]) == 0
+    counts = ["--samples", "dial=30", "--samples", "12"]
+    assert main(["simulate", str(tmp_path), "--out", str(tmp_path / "other.csv"), *counts]) == 0
+    assert "30 samples of the dial, 12 samples of the tracker" in capsys.readouterr().out
+    assert main(["check", str(tmp_path), "--samples", f"dial={tmp_path / 'other-dial.csv'}"]) == 2
+    assert "There are no samples of the tracker" in capsys.readouterr().err
+
+
+def test_advice_can_be_typed(simulated, found):
+    """What a finding says to try names the instrument; whose tip is expected stands in the verdict."""
+    dial = simulated.measured.sets[0]
+    pushed = changed(simulated, "dial", columns={"reading": 10 - dial.columns["reading"]})
+    assert "--set dial.sign=-1 tries it" in check(problem, pushed)[0].fix
+    assert "expect a tip error (dial) of" in verdict_of(found).words
+    with pytest.raises(CasacalError, match=r"There is no file 'nowhere\.csv' of fresh rows"):
+        verify(found, "nowhere.csv")
+    assert "not known" in " ".join(remark(seen_by(found.arm, "tracker"))), "the figure is of the dial's tip"

@@ -174,7 +174,7 @@ def test_figures_are_by_block_and_in_its_unit(rows):
     for name, own in (("position", e[:, :3]), ("orientation", e[:, 3:])):
         assert parts[name]["after"]["fit"]["rmse_mm"] == pytest.approx(np.sqrt((own**2).mean()))
     assert found.metrics["after"]["fit"]["rmse_mm"] == parts["position"]["after"]["fit"]["rmse_mm"], "in mm alone"
-    assert "  orientation, after" in found.summary()
+    assert "orientation (rad)" in found.summary()
 
 
 def test_noise_is_found_block_by_block(rows):
@@ -230,3 +230,26 @@ def test_blocks_that_cannot_be_are_refused():
             make()
     held = TrackedPose(position_std=0.1, angle_std=1e-3, body=Frame(np.eye(4).tolist(), free=False))
     assert held.datum == ("station",)
+
+
+def test_a_body_that_was_lost_is_said(rows):
+    values = quaternions(rows)
+    values[[3, 8]] = 0.0
+    with pytest.raises(ProblemError, match=r"2 rows hold a quaternion of zeros.*\. Remove those rows"):
+        bind(problem, rewritten(rows, values))
+    assert "quaternion of zeros" in check(problem, rewritten(rows, values))[0].cause
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_three_poses_fix_a_camera(seed):
+    """Any three that turn about two axes."""
+    held = problem.fix(*(key for key, unknown in ROBOT.parameters.items() if unknown.size))
+    simulated = simulate(held, samples=3, seed=seed)
+    bound = bind(held, simulated.samples)
+    body = next(slot for slot in bound.slots if slot.key == "body")
+    np.testing.assert_allclose(np.array(body.value(lm(bound).x)), simulated.frames["body"], atol=1.0)
+
+
+def test_orientations_are_not_called_millimetres(rows):
+    found = calibrate(problem, rows, reference=False, discrepancy="none")
+    assert "  orientation (rad), after" in found.summary()

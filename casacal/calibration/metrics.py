@@ -31,15 +31,37 @@ def metrics_by_part(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, h
 
     Nothing for an only instrument whose residual has no blocks.
     """
-    if len(fit.samples) == 1 and not fit.problem.instruments[0].blocks:
+    if not parts_of(fit):
         return {}
     return {
         name: {
             when: {"fit": _part(name, fit, x), "heldout": None if heldout is None else _part(name, heldout, there)}
             for when, x, there in zip(WHEN, xs, held, strict=True)
         }
-        for name in fit.noise_labels.names
+        for name in parts_of(fit)
     }
+
+
+def parts_of(fit: BoundProblem) -> dict[str, str]:
+    """The unit of each of several instruments and of each block of a residual, by the name of its noise; else none."""
+    problem = fit.problem
+    if len(problem.instruments) == 1 and not problem.instruments[0].blocks:
+        return {}
+    found: dict[str, str] = {}
+    for name, instrument in zip(problem.names, problem.instruments, strict=True):
+        before = f"{name} " if len(problem.instruments) > 1 else ""
+        blocks = {f"{before}{block.name}": block.unit for block in instrument.blocks}
+        found |= blocks or {name: instrument.words.unit}
+    return found
+
+
+def more_than_stated(fit: BoundProblem, most: float) -> str:
+    """A sentence on which instruments, or blocks of a residual, err more than was stated, and which do not."""
+    factors = {name: fit.scale[name] for name in parts_of(fit) if name in fit.scale}
+    more = [f"{name} {factor:.2g}" for name, factor in factors.items() if factor > most]
+    right = [name for name, factor in factors.items() if factor <= most]
+    others = f", {' and '.join(right)} as stated" if right else ""
+    return f"Times the stated noise: {', '.join(more)}{others}. " if more else ""
 
 
 def _leading(bound: BoundProblem, x: Array) -> Figures:

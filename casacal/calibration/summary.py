@@ -11,6 +11,7 @@ import numpy as np
 from casacal.calibration.brief import together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.corrected_words import corrected_words, tried_words
+from casacal.calibration.metrics import parts_of
 from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
@@ -100,9 +101,10 @@ def _residuals(calibration: Calibration) -> str:
     title = f"{said.residual}, {said.unit}"
     lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
     words = {"before": f"before ({said.before})", "after": "after"}
-    of_each = calibration.metrics_by_instrument
+    of_each, units = calibration.metrics_by_instrument, parts_of(calibration.fit)
     for name, metrics in (of_each or {"": calibration.metrics}).items():
-        of = f"{name}, " if name else ""
+        other = f" ({units[name]})" if name and units[name] != said.unit else ""
+        of = f"{name}{other}, " if name else ""
         for when, parts in metrics.items():
             for part, figures in parts.items():
                 if figures is not None:

@@ -58,15 +58,21 @@ def verdict_of(calibration: Calibration) -> Verdict:
     found = [*doubts(calibration), *_further_doubts(calibration)]
     trusting = calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale
     least = "at least " if trusting else ""
+    alone = f"{before:.3f} mm" if math.isfinite(before) else "unbounded"
     expected = (
-        f"expect a tip error of {least}{now:.3f} mm RMS over the workspace{_at_flange(calibration)}, apart from where "
-        f"the base stands (priors alone: {f'{before:.3f} mm' if math.isfinite(before) else 'unbounded'}), if "
-        f"{calibration.assumed} are right"
+        f"expect a tip error{_whose(calibration)} of {least}{now:.3f} mm RMS over the workspace{_at_flange(calibration)}, "
+        f"apart from where the base stands (priors alone: {alone}), if {calibration.assumed} are right"
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
         return Verdict("use with care", f"{words}{_unchecked(calibration)}", tuple(doubt.sentence for doubt in found))
     return Verdict("calibrated", f"Calibrated: {expected}.{_unchecked(calibration)}")
+
+
+def _whose(calibration: Calibration) -> str:
+    """Whose tip it is, where several instruments have one."""
+    names = calibration.fit.problem.names
+    return f" ({names[0]})" if len(names) > 1 else ""
 
 
 def _unchecked(calibration: Calibration) -> str:

@@ -10,6 +10,7 @@ from casacal.array_types import Array
 from casacal.calibration.beside_doubts import dial_is_off, larger_than_any
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubt import Doubt
+from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import errors_are_shared
@@ -190,7 +191,8 @@ def _noise(calibration: Calibration) -> Doubt | None:
         found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
         gears = "gears that wave with every turn of a motor (state their ratios)"
         others = "a face that is not flat, a tool that is elsewhere"
-        advice = f"{found} repeat, {gears}, {others}; {_what_check_says(calibration)}."
+        advice = f"{more_than_stated(fit, NOISE_BAND[1])}{found} repeat, {gears}, {others}; "
+        advice += f"{_what_check_says(calibration)}."
         if (rad := repeats_to(fit)) > 0:
             advice += f" It grows with what a touch sees of the joints, as where they repeat to {sized(rad, 'rad')}."
     else:

@@ -49,14 +49,16 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
 def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, total: int) -> tuple[str, str] | None:
     """Cause and fix for a label of too few rows; None where it has enough."""
     own = _own_unknowns(problem, name, column)
-    few = own > 0 and total < own + MARGIN
+    group, components = problem.instrument.words.group, problem.models[0].components
+    few = own > 0 and total * components < own + MARGIN
     rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * sum(counts.values())
     if not few and not rare:
         return None
     others = [repr(other) for other in counts if other != name]
     slip = f"Correct it if {' or '.join(others[:FEW])} is meant, or take" if others else "Take"
-    beside = f"; a face has {counted(own, 'unknown')} of its own" if own else ""
-    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {own + MARGIN} rows or more there"
+    beside = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
+    least = -(-(own + MARGIN) // components)
+    return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {least} rows or more there"
 
 
 def _alike(counts: dict[str, int]) -> dict[str, str]:

@@ -16,6 +16,8 @@ from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 
+UNBOUND = "cannot be bound"
+
 APART = 1.5
 """Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
 
@@ -34,7 +36,9 @@ def check_several(
     try:
         bound = bind(problem, *measured.sets)
     except CasacalError as error:
-        return (Finding("error", "cannot be bound", error.what, error.fix), *found)
+        if any(finding.about == UNBOUND for finding in found):  # said already of the instrument that it is about
+            return tuple(found)
+        return (Finding("error", UNBOUND, error.what, error.fix), *found)
     found += enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
         found += _contradict(problem, measured)
@@ -47,7 +51,8 @@ def _of_each(
     for alone in each_alone(problem, measured.sets):
         for finding in check_one(alone):
             if finding.about not in OF_ALL:
-                yield replace(finding, instrument=alone.name)
+                fix = finding.fix.replace("--set ", f"--set {alone.name}.")
+                yield replace(finding, instrument=alone.name, fix=fix)
 
 
 def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:

@@ -121,7 +121,7 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
         given[name.strip()] = file
     for i, name in enumerate(names):
         beside = source.samples_of(i)
-        if name not in given and beside is not None and beside.is_file():
+        if name not in given and not options.sets and beside is not None and beside.is_file():
             given[name] = beside.as_posix()
         elif name not in given:
             raise CasacalError(f"There are no samples of the {name}", f"Name them: --samples {name}=FILE")

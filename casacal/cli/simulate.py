@@ -138,7 +138,7 @@ def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
     """How many samples each instrument takes: N for all, or NAME=N for each."""
     names = source.problem.names
     found = dict.fromkeys(names, 120)
-    for text in given:
+    for text in sorted(given, key=lambda each: "=" in each):  # what is said of one goes before what is said of all
         name, equals, number = text.rpartition("=")
         try:
             count = int(number)

@@ -34,7 +34,9 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
     name = problem.names[0] if instrument is None else instrument
     one = problem.measured_by(name)
     source = replace(arm.source, problem=one)
-    return CalibratedArm(arm.file, source, FrozenMapping(_document(arm.document, name, _of_others(problem, name))))
+    return CalibratedArm(
+        arm.file, source, FrozenMapping(_document(arm.document, name, problem.names[0], _of_others(problem, name)))
+    )
 
 
 def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
@@ -50,11 +52,13 @@ def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
     return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
 
 
-def _document(document: Mapping[str, Any], name: str, of_others: Callable[[str], bool]) -> dict[str, Any]:
+def _document(document: Mapping[str, Any], name: str, first: str, of_others: Callable[[str], bool]) -> dict[str, Any]:
     def own(each: str) -> str:
         return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
 
     found = dict(document)
+    if first != name and found.get("tip") is not None:  # it is of the first instrument's tip
+        found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
     for part in NAMED:
         if part in found:
             found[part] = _renamed(found[part], own)

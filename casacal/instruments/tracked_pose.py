@@ -22,6 +22,9 @@ from casacal.values import is_real
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 POSITION = ("x", "y", "z")
 
+NO_TURN = 1e-6
+"""Size of a quaternion's numbers below which it says nothing."""
+
 HALF_TURN = 1e-16
 """Keeps the residual of the orientation smooth where it is half a turn off; nothing near zero."""
 
@@ -130,12 +133,17 @@ class TrackedPose(Instrument):
         """Body and station of T X = Z B (Shah 2013), whichever is asked for."""
         turns = sight.poses[:, :3, :3]
         read = np.column_stack([sight.columns[name] for name in QUATERNION])
+        if (lost := int((np.abs(read).max(axis=1) < NO_TURN).sum())) > 0:
+            rows = "1 row holds" if lost == 1 else f"{lost} rows hold"
+            raise ProblemError(
+                f"{rows} a quaternion of zeros, as devices write that have lost the body", "Remove those rows"
+            )
         places = np.column_stack([sight.columns[name] for name in POSITION])
         found = hand_eye(turns, sight.poses[:, :3, 3], read, places)
         if found is None:
             raise ProblemError(
-                "The postures of TrackedPose turn the flange about one axis only",
-                "Take poses that turn it about two axes or more, three of them at least",
+                "The postures of TrackedPose turn the flange about one axis only, or hardly",
+                "Take three poses or more that turn it about two axes, by some degrees at least",
             )
         return Frame.encode(found[0 if key == "body" else 1])
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from casacal.array_types import Array
 
-APART = 0.05
-"""Part of the largest singular value by which rotations about one axis stand apart from those that fix both frames."""
+APART = 1e-3
+"""Part of the largest singular value by which it stands apart where both frames are fixed: turns by two degrees."""
 
 
 def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tuple[Array, Array] | None:

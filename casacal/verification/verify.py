@@ -102,6 +102,8 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
     problem, fits = arm.source.problem, dict[str, int]()
     if instrument is not None or len(problem.instruments) == 1:
         return instrument
+    if isinstance(samples, (str, Path)) and not Path(samples).is_file():
+        raise CasacalError(f"There is no file '{samples}' of fresh rows", "Name one that is there")
     reasons = []
     for i, name in enumerate(problem.names):
         try:

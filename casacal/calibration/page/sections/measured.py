@@ -35,7 +35,8 @@ def _of_instrument(touches: Touches, document: Mapping[str, Any]) -> list[Markup
     faces, instrument = touches.faces, touches.instrument
     columns = [(instrument.words.group.capitalize(), WORDS), ("Rows", NUMBER), ("Held out", NUMBER)]
     more = f" {count(len(faces) - MOST_FACES, 'further one')} are in result.json." if len(faces) > MOST_FACES else ""
-    if instrument.probe is None and not document["planes"]:
+    planes = {name for label in faces for name in plane_names(touches.name, label)} & set(document["planes"])
+    if instrument.probe is None and not planes:
         plain = [_face(touches, label, {})[: len(columns)] for label in faces[:MOST_FACES]]
         shown = table(touches.named("faces"), f"Rows of each {instrument.words.group}", columns, plain)
         return [shown, paragraph(more), *_no_faces(touches)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from casacal.calibration.metrics import parts_of
 from casacal.calibration.page.markup import Markup, paragraph, section
 from casacal.calibration.page.numbers import fixed, shortened
 from casacal.calibration.page.sections.face_maps import face_maps
@@ -33,17 +34,19 @@ def residuals_section(each: Sequence[Touches], document: Mapping[str, Any]) -> M
             f"{what}. Before: {alone}. Small residuals are necessary but not sufficient: an arm can look perfect where "
             "it touched and be wrong elsewhere."
         ),
-        _table(document),
+        _table(document, parts_of(each[0].calibration.fit)),
         *_left_out(document, said.group),
         _noise(each[0], document["noise"]),
         *pictures,
     )
 
 
-def _table(document: Mapping[str, Any]) -> Markup:
+def _table(document: Mapping[str, Any], units: Mapping[str, str]) -> Markup:
     rows = []
     of_each = document.get("metrics_by_instrument", {"": document["metrics"]})
-    for name, metrics in of_each.items():
+    for part_name, metrics in of_each.items():
+        unit = units.get(part_name, "mm")
+        name = part_name if unit == "mm" else f"{part_name} ({unit}, not mm)"
         for when in TITLES:
             for part, words in (("fit", "fitted rows"), ("heldout", "held-out rows")):
                 found, title = metrics[when][part], f"{name}: {TITLES[when].lower()}" if name else TITLES[when]
