@@ -476,3 +476,30 @@ def test_advice_can_be_typed(simulated, found):
     with pytest.raises(CasacalError, match=r"There is no file 'nowhere\.csv' of fresh rows"):
         verify(found, "nowhere.csv")
     assert "not known" in " ".join(remark(seen_by(found.arm, "tracker"))), "the figure is of the dial's tip"
+
+
+def test_what_is_shared_is_true_of_all_that_share_it():
+    """One station for two reflectors, of which one is held, so that fewer numbers are drawn before the station's."""
+    held = TrackedPoint(noise_std=0.03, tool=tool_point(5, 5, 60, free=False))
+    pair = Problem(problem.robot, {"near": INSTRUMENTS["tracker"], "far": held}, shared={"station": ("near", "far")})
+    one = simulate(pair, samples=30, seed=2)
+    np.testing.assert_array_equal(one.parts[0].local["station"], one.parts[1].local["station"])
+    result = lm(bind(pair, one.measured))
+    assert result.converged
+    assert 2 * result.cost < 180 + 4 * np.sqrt(2 * 180), "both see the arm from one place"
+
+
+def test_residuals_know_their_samples(simulated):
+    """Counted one by one, from blocks of one and of three residuals a sample."""
+    bound = bind(problem, simulated.measured)
+    wanted, first = [], 0
+    for block in bound.blocks:
+        for _ in range(len(block.noise)):
+            wanted.append(list(range(first, first + block.noise.shape[1])))
+            first += block.noise.shape[1]
+    assert [bound.residuals_of([k]).tolist() for k in range(len(wanted))] == wanted
+    assert bound.residuals_of([2, 91]).tolist() == [*wanted[2], *wanted[91]]
+    assert [bound.sample_of[rows[0]] for rows in wanted] == list(range(len(wanted)))
+    e = np.random.default_rng(0).normal(size=bound.rows)
+    np.testing.assert_array_equal(bound.largest(e), [e[rows].max() for rows in wanted])
+    assert bound.measured.place(95) == f"tracker {simulated.measured.sets[1].lines[5]}"

@@ -253,3 +253,13 @@ def test_three_poses_fix_a_camera(seed):
 def test_orientations_are_not_called_millimetres(rows):
     found = calibrate(problem, rows, reference=False, discrepancy="none")
     assert "  orientation (rad), after" in found.summary()
+
+
+def test_effects_along_the_residual_are_of_its_unit(rows):
+    """A field of a millimetre moves positions by millimetres, and no orientation by a radian."""
+    bound = bind(problem.with_kit, rows)
+    x = bound.x0.copy()
+    x[[j for j, key in enumerate(bound.beside) if key in ("field", "drift")]] = 1.0
+    moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)
+    assert np.abs(moved[:, :3]).max() > 0.5
+    assert np.abs(moved[:, 3:]).max() == 0.0

@@ -60,8 +60,9 @@ def verdict_of(calibration: Calibration) -> Verdict:
     least = "at least " if trusting else ""
     alone = f"{before:.3f} mm" if math.isfinite(before) else "unbounded"
     expected = (
-        f"expect a tip error{_whose(calibration)} of {least}{now:.3f} mm RMS over the workspace{_at_flange(calibration)}, "
-        f"apart from where the base stands (priors alone: {alone}), if {calibration.assumed} are right"
+        f"expect a tip error{_whose(calibration)} of {least}{now:.3f} mm RMS over the workspace"
+        f"{_at_flange(calibration)}, apart from where the base stands (priors alone: {alone}), if "
+        f"{calibration.assumed} are right"
     )
     if found:
         words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
