@@ -1,8 +1,10 @@
 """`casacal bench`: a set that the test makes, methods of its own, and what is wrong with a set said in a sentence."""
 
+import gzip
 import hashlib
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +16,12 @@ from casacal.bench.benchmark import benchmark, mean_squares
 from casacal.bench.benchmark_set import read_set, read_sets
 from casacal.bench.methods import WAYS, Judged, geometry_and_process
 from casacal.bench.splits import folds
+from casacal.bench.table import bench_lines
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.write import write_samples
+from casacal.study.records import read_records
+from casacal.study.runs import Run
 
 PROBLEM = """
 from instruments_on_ur5 import PROBLEMS
@@ -157,9 +162,9 @@ def test_splits_leave_out_every_row_once():
 
 
 def test_intervals_are_of_folds():
-    squares, rows = np.array([4.0, 9.0, 1.0, 16.0]), np.array([4.0, 4.0, 4.0, 4.0])
+    squares, rows = np.array([4.0, 9.0, 1.0, 16.0]), np.array([4.0, 2.0, 4.0, 6.0])
     value, low, high = mean_squares(squares, rows)
-    assert value == pytest.approx(np.sqrt(30 / 16))
+    assert value == pytest.approx(np.sqrt(30 / 16)), "every row counts once, however many a fold has"
     assert 0.5 < low < value < high < 2.0
     assert np.isnan(mean_squares(squares[:1], rows[:1])[1])
 
@@ -213,3 +218,17 @@ def test_sets_of_the_project_are_described_whole():
         assert not list((ROOT / "studies" / "bench" / each.name).glob("*.csv"))
     with pytest.raises(CasacalError, match="are not at"):
         benchmark(sets, ROOT)
+
+
+def test_the_committed_report_is_what_its_records_make(tmp_path):
+    folder = ROOT / "studies" / "bench"
+    (tmp_path / "records.jsonl").write_bytes(gzip.decompress((folder / "records.jsonl.gz").read_bytes()))
+    records = read_records(tmp_path / "records.jsonl")
+    names = {key: dict.fromkeys(record[key] for record in records) for key in ("setting", "method")}
+    study = SimpleNamespace(settings=names["setting"], methods=names["method"])
+    lines = bench_lines(Run(study, tuple(records), tmp_path), read_sets(folder))
+    assert "\n".join(lines) + "\n" == (folder / "report.md").read_text(encoding="utf-8")
+    table = (ROOT / "README.md").read_text(encoding="utf-8").split("| set | as drawn |")[1].split("\n\n")[0]
+    figures = re.findall(r"\d+\.\d{3}", table)
+    assert len(figures) > 40
+    assert set(figures) <= set(re.findall(r"\d+\.\d{3}", "\n".join(lines))), "the README's figures are the report's"
