@@ -503,3 +503,16 @@ def test_residuals_know_their_samples(simulated):
     e = np.random.default_rng(0).normal(size=bound.rows)
     np.testing.assert_array_equal(bound.largest(e), [e[rows].max() for rows in wanted])
     assert bound.measured.place(95) == f"tracker {simulated.measured.sets[1].lines[5]}"
+
+
+def test_covariances_are_those_of_an_instruments_own_unknowns(found):
+    """With effects beside the geometry, whose covariance names its rows: arm, tip and, of the tracker, station."""
+    whole = found.unjudged.covariance
+    for name, own in (("dial", ""), ("tracker", "tracker."), ("spike", "")):
+        covariance, columns = covariance_of(seen_by(found.arm, name))
+        names = list(found.seen.names)
+        assert len(columns) == (33 if name == "tracker" else 27)
+        tool = [names.index(f"{own}tool_{axis}") for axis in "xyz"]
+        local = [each for key, u in problem.measured_by(name).model.unknowns.items() for each in u.names(key)]
+        at = [j for i, j in columns if local[i].startswith("tool_")]
+        np.testing.assert_allclose(covariance[np.ix_(at, at)], whole[np.ix_(tool, tool)], rtol=1e-9)
