@@ -27,6 +27,7 @@ from casacal import (
     load,
     simulate,
 )
+from casacal.calibration.page.touches import Touches
 from casacal.instruments.tracked_pose import QUATERNION, chord
 from casacal.kinematics import position
 from casacal.unknowns.hand_eye import hand_eye
@@ -250,9 +251,18 @@ def test_three_poses_fix_a_camera(seed):
     np.testing.assert_allclose(np.array(body.value(lm(bound).x)), simulated.frames["body"], atol=1.0)
 
 
-def test_orientations_are_not_called_millimetres(rows):
+def test_orientations_are_not_called_millimetres(rows, tmp_path):
     found = calibrate(problem, rows, reference=False, discrepancy="none")
     assert "  orientation (rad), after" in found.summary()
+    page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "orientation (rad, not mm): after" in page
+    assert "stated 0.0500 mm" in page or "noise as stated" in page
+    by_face = found.to_dict()["noise"]["by_face"]
+    assert by_face["orientation"]["unit"] == "rad"
+    assert "unit" not in by_face["position"]
+    touches = Touches.of(found.unjudged)
+    e = found.fit.plain_residual(found.used_x).reshape(-1, 6)
+    np.testing.assert_array_equal(touches.parts[0].after, e[:, :3])
 
 
 def test_effects_along_the_residual_are_of_its_unit(rows):

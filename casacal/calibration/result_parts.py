@@ -17,6 +17,7 @@ from casacal.binding.noise_scale import REPEATABILITY, without_joints
 from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.corrected_words import tip_without_corrections
+from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import besides
 from casacal.calibration.reference import Reference
 from casacal.calibration.withheld import without_motion, without_tips
@@ -75,6 +76,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
     scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
     noise = {key: fit.with_noise(scale).noise for key, scale in scales.items()}
     faces = {name: fit.residuals_of(rows) for name, rows in fit.faces.rows().items()}
+    units = parts_of(fit)
     if any(instrument.blocks for instrument in fit.problem.instruments):  # each in a unit of its own
         faces = fit.noise_labels.rows()
     return {
@@ -84,9 +86,16 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
         "repeats": None if found.repeats is None else asdict(found.repeats),
         "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
         "by_face": {
-            name: {key: float(np.median(each[rows])) for key, each in noise.items()} for name, rows in faces.items()
+            name: {key: float(np.median(each[rows])) for key, each in noise.items()}
+            | _other_unit(units.get(name, "mm"))
+            for name, rows in faces.items()
         },
     }
+
+
+def _other_unit(unit: str) -> dict[str, str]:
+    """The unit of what is no length, whatever the names of its figures say."""
+    return {} if unit == "mm" else {"unit": unit}
 
 
 def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:

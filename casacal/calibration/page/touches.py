@@ -31,7 +31,10 @@ TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
 
 @dataclass(frozen=True)
 class Part:
-    """Fitted or held-out rows: all unknowns x after, residuals before and after (N, m; mm), noise, weight."""
+    """Fitted or held-out rows: all unknowns x after, residuals before and after (N, m; mm), noise, weight.
+
+    Of a residual with blocks, those that are in the unit in which the instrument speaks.
+    """
 
     bound: BoundProblem
     instrument: int
@@ -189,9 +192,10 @@ def thinned(rows: Rows, most: int) -> Rows:
 def _part(calibration: Calibration, bound: BoundProblem, number: int, *, held: bool) -> Part:
     count, own = len(bound.samples[number]), bound.sample_rows(number)
     pair = calibration.heldout_x if held else (calibration.before.x, calibration.used_x)
-    before, after = (bound.plain_residual(x)[own].reshape(count, -1) for x in pair)
+    drawn = bound.leading[own].reshape(count, -1)[0] if count else slice(None)  # pictures have one unit
+    before, after = (bound.plain_residual(x)[own].reshape(count, -1)[:, drawn] for x in pair)
     weight = np.ones(count) if held else calibration.result.weights[own].reshape(count, -1).min(axis=1)
-    return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise, weight)
+    return Part(bound, number, held, pair[1], before, after, bound.blocks[number].noise[:, drawn], weight)
 
 
 def _seen(part: Part, rows: Rows) -> tuple[Array, Array]:

@@ -87,9 +87,9 @@ def _left_out(document: Mapping[str, Any], group: str) -> list[Markup]:
 def _noise(touches: Touches, noise: Mapping[str, Any]) -> Markup:
     ratio, low, high = (fixed(noise[key], 2) for key in ("ratio", "low", "high"))
     said = f"Found over stated noise: {ratio} (95 % {low} to {high}); 1 where the noise was stated well."
-    if not touches.calibration.noise.scale:
+    faces = [face for face in noise["by_face"].values() if "unit" not in face]
+    if not touches.calibration.noise.scale or not faces:
         return paragraph(f"{said} Every figure uses the noise as stated.")
-    faces = noise["by_face"].values()
     stated, used = ([face[key] for face in faces] for key in ("stated_mm", "used_mm"))
     joints = noise["joints_rad"]
     more = f" It grows with what a touch sees of the joints: they repeat to {sized(joints, 'rad')}." if joints else ""
