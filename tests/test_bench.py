@@ -159,6 +159,17 @@ def test_splits_leave_out_every_row_once():
     assert folds(samples, "stated", "order", {}) == []
     with pytest.raises(UnknownNameError, match="night"):
         folds(samples, "blocked", "night", {})
+    with pytest.raises(UnknownNameError, match=r"no value of 'day' in x named 'd'.*Known: a, b, c"):
+        folds(samples, "stated", "order", {"column": "day", "value": "d"})
+    with pytest.raises(CasacalError, match=r"The column 'day' of x has one value\. Name one with several"):
+        folds(samples.take(np.arange(0, 53, 3)), "blocked", "day", {})
+
+
+def test_a_description_that_is_no_text_is_refused(place):
+    path = place / "sets" / "mine" / "set.toml"
+    path.write_bytes(b'title = "\xff"')
+    with pytest.raises(CasacalError, match=r"is no TOML"):
+        read_set(path.parent)
 
 
 def test_intervals_are_of_folds():
@@ -178,6 +189,16 @@ def test_intervals_are_of_folds():
         ("figure = 1.7", "", "lacks a part"),
         ("[stated]", "[stated", "is no TOML"),
         ("there/rows.csv", "elsewhere.csv", "are not at"),
+        ("part = 0.25", "part = 25", "has part = 25"),
+        ("part = 0.25", "parts = 0.25", "has parts = 0.25"),
+        ("part = 0.25", "part = 0.25\nfolds = 4", "has folds = 4"),
+        ("seed = 3", 'seed = "three"', "has seed = 'three'"),
+        ("part = 0.25", "folds = 1", "has folds = 1"),
+        ("part = 0.25", "folds = 61", "has 60 rows, and its split needs 61"),
+        ("seed = 3", "rows = 500", "has 60 rows, and its split needs 500"),
+        ("part = 0.25\nseed = 3", 'column = "day"', "lacks value"),
+        ("part = 0.25\nseed = 3", 'column = "night"\nvalue = "x"', "no column named 'night'"),
+        ("[stated]\npart = 0.25\nseed = 3", "stated = 0.25", "is 0.25"),
         ('sha256 = "', 'sha256 = "0', "is not the file"),
     ],
 )

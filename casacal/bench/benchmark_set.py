@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from casacal.bench.stated_split import checked_split
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import load_problem
@@ -35,7 +36,7 @@ class BenchmarkSet(Value):
     metric: "distance" is the root mean square of the length of a row's residual, "position" that of its first three
     components, "rms" that of all components.
     blocks: what is left out together in the blocked split: "order" (of the rows), "regions" (of postures), or a column.
-    stated: how the set's own page splits it: {"part": 0.3, "seed": 0}, {"folds": 5, "seed": 0}, or nothing.
+    stated: how the set's own page splits it, as `folds` takes it.
     """
 
     name: str
@@ -76,7 +77,7 @@ def read_set(folder: str | Path) -> BenchmarkSet:
         told = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError:
         raise CasacalError(f"There is no {DESCRIPTION} in '{folder}'", "Describe the set there") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # no TOML, or no UTF-8
         raise CasacalError(f"{path} is no TOML: {error}", "Mend it") from None
     words = ("title", "source", "licence", "file", "sha256", "metric", "blocks")
     for word in words:
@@ -89,7 +90,7 @@ def read_set(folder: str | Path) -> BenchmarkSet:
     except (KeyError, TypeError, ValueError):
         raise CasacalError(f"A published figure of {path} lacks a part", "Say method, figure and by") from None
     title, source, licence, file, sha256, metric, blocks = (told[word] for word in words)
-    stated, place = FrozenMapping(told.get("stated", {})), Path(folder)
+    stated, place = FrozenMapping(checked_split(told.get("stated", {}), str(path))), Path(folder)
     name = place.resolve().name
     return BenchmarkSet(name, title, source, licence, file, sha256, metric, blocks, stated, found, place.as_posix())
 

@@ -38,16 +38,26 @@ def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -
         return _against(everything, _folds(np.random.default_rng(0).permutation(len(samples)), FOLDS))
     if kind == BLOCKED:
         return _against(everything, _blocks(samples, blocks))
-    order = np.random.default_rng(int(stated.get("seed", 0))).permutation(len(samples))
+    return _stated(samples, stated)
+
+
+def _stated(samples: Samples, stated: Mapping[str, Any]) -> list[tuple[Rows, Rows]]:
+    everything = np.arange(len(samples))
+    order = np.random.default_rng(stated.get("seed", 0)).permutation(len(samples))
     if "column" in stated:
-        labels = _labels(samples, str(stated["column"]))
-        return _against(everything, [np.flatnonzero(labels.codes == labels.names.index(str(stated["value"])))])
+        labels, value = _labels(samples, stated["column"]), stated["value"]
+        if value not in labels.names:
+            raise UnknownNameError(f"value of '{stated['column']}' in {samples.file}", value, labels.names)
+        return _against(everything, [np.flatnonzero(labels.codes == labels.names.index(value))])
+    asked = max(stated.get("folds", 2), stated.get("rows", 2))
+    if asked > len(samples):
+        raise CasacalError(f"{samples.file} has {len(samples)} rows, and its split needs {asked}", "State another")
     if "folds" in stated:
-        return _against(everything, _folds(order, int(stated["folds"])))
+        return _against(everything, _folds(order, stated["folds"]))
     if "part" not in stated:
         return []
-    order = order[: int(stated.get("rows", len(order)))]
-    return _against(order, [order[round((1 - float(stated["part"])) * len(order)) :]])
+    order = order[: stated.get("rows", len(order))]
+    return _against(order, [order[round((1 - stated["part"]) * len(order)) :]])
 
 
 def _against(rows: Rows, unseen: list[Rows]) -> list[tuple[Rows, Rows]]:

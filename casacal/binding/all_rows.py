@@ -89,6 +89,11 @@ class AllRows:
         return repeats_in(self.measured, self.groups_by)
 
     @cached_property
+    def starts(self) -> Places:
+        """The first residual of each instrument, and after the last how many there are."""
+        return np.cumsum([0, *(block.noise.size for block in self.blocks)])
+
+    @cached_property
     def components(self) -> Places:
         """How many residuals each sample has (N,)."""
         return np.concatenate([np.full(len(block.noise), block.noise.shape[1]) for block in self.blocks])
@@ -99,10 +104,14 @@ class AllRows:
         return np.repeat(np.arange(len(self.components)), self.components)
 
     @cached_property
+    def first_of(self) -> Places:
+        """The first residual of each sample (N,)."""
+        return np.cumsum(self.components) - self.components
+
+    @cached_property
     def component_of(self) -> Places:
         """Which component of its sample's residual each one is (rows,)."""
-        starts = np.cumsum(self.components) - self.components
-        return np.arange(self.sample_of.size) - starts[self.sample_of]
+        return np.arange(self.sample_of.size) - self.first_of[self.sample_of]
 
     def residuals_of(self, samples: Places | NDArray[np.bool_]) -> Places:
         """Numbers of the residuals of some samples, in the order of all."""
@@ -112,13 +121,11 @@ class AllRows:
 
     def sample_rows(self, i: int) -> slice:
         """The residuals of instrument `i`, among all."""
-        ends = np.cumsum([0, *(block.noise.size for block in self.blocks)])
-        return slice(int(ends[i]), int(ends[i + 1]))
+        return slice(int(self.starts[i]), int(self.starts[i + 1]))
 
     def largest(self, values: Array) -> Array:
         """The largest (N,) of values (rows,) in each sample."""
-        starts = np.cumsum(self.components) - self.components
-        return np.asarray(np.maximum.reduceat(values, starts))
+        return np.asarray(np.maximum.reduceat(values, self.first_of))
 
     @cached_property
     def noise(self) -> Array:

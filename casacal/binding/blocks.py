@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -119,17 +119,16 @@ def _patterns(
     """Different combinations of slots that rows see, and which of them each row (N,) sees."""
     by_name = {slot.name: slot for slot in slots}
     label_columns = problem.layout(i).labels
-    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
-    own = problem.full_names[i]
+    full_names = _full_names(problem, i)
     distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
     if not len(samples):  # an instrument left out: its tip is asked for all the same
-        return (_any_slots(problem, i, slots, of_all),), pattern
+        return (_any_slots(full_names.values(), slots),), pattern
     patterns = []
     for labels in distinct:
         here = dict(zip(label_columns, labels, strict=True))
         names = []
         for key, unknown in problem.models[i].unknowns.items():
-            full = own.get(key) or (key if key in of_all else problem.prefix(i) + key)
+            full = full_names[key]
             if unknown.per is not None:
                 full = f"{full}.{problem.instruments[i].instance(key, here[unknown.per])}"
             names.append(full)
@@ -142,10 +141,16 @@ def _patterns(
     return tuple(patterns), pattern
 
 
-def _any_slots(problem: Problem, i: int, slots: Sequence[Slot], of_all: Collection[str]) -> tuple[Slot, ...]:
-    """A slot of each unknown that instrument `i` sees, whatever its label."""
-    own, first = problem.full_names[i], dict[str, Slot]()
+def _full_names(problem: Problem, i: int) -> dict[str, str]:
+    """What the problem calls each unknown that instrument `i` sees: its own, the arm's, and those of effects."""
+    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
+    own = problem.full_names[i]
+    return {key: own.get(key, key if key in of_all else problem.prefix(i) + key) for key in problem.models[i].unknowns}
+
+
+def _any_slots(keys: Iterable[str], slots: Sequence[Slot]) -> tuple[Slot, ...]:
+    """A slot of each unknown, whatever its label."""
+    first = dict[str, Slot]()
     for slot in slots:
         first.setdefault(slot.key, slot)
-    keys = (own.get(key) or (key if key in of_all else problem.prefix(i) + key) for key in problem.models[i].unknowns)
     return tuple(first[key] for key in keys)

@@ -89,7 +89,6 @@ class BoundProblem(Postures, AllRows, LeastSquares):
         self.blocks = scaled_noise(self, self.scale)
         self._stated = rows  # with the noise as it was stated
         self._groups = tuple(each.with_noise(block) for each, block in zip(rows, self.blocks, strict=True))
-        self._starts = np.cumsum([0] + [block.noise.size for block in self.blocks])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
@@ -111,7 +110,7 @@ class BoundProblem(Postures, AllRows, LeastSquares):
     @property
     def rows(self) -> int:
         """Scalar residuals of all instruments."""
-        return int(self._starts[-1])
+        return int(self.starts[-1])
 
     def on(self, *samples: Samples | Measurements) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
@@ -246,5 +245,5 @@ class BoundProblem(Postures, AllRows, LeastSquares):
         return SymbolicProblem(self, self.slots, self.blocks)
 
     def _locate(self, k: int) -> tuple[RowGroups, int]:
-        i = int(np.searchsorted(self._starts, k, side="right")) - 1
-        return self._groups[i], k - int(self._starts[i])
+        i = int(np.searchsorted(self.starts, k, side="right")) - 1
+        return self._groups[i], k - int(self.starts[i])

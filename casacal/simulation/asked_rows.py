@@ -32,8 +32,8 @@ def check_asked(problem: Problem, cell: Disturbances) -> None:
     own = [name for name in OF_TOUCHES if getattr(cell, name, None) != getattr(plain, name, None)]
     if own:
         raise SimulationError(
-            f"{type(problem.instrument).__name__} touches no faces that the simulator knows, and the cell has {own[0]}",
-            "Leave them out, or give the instrument a `probe`",
+            f"The cell has {own[0]}, and {type(problem.instrument).__name__} touches no faces that the simulator knows",
+            "Leave it out, or ask it of an instrument that touches faces",
         )
 
 

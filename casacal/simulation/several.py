@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 
 from casacal.array_types import Array
-from casacal.errors import SimulationError
-from casacal.problem.cell import OF_TOUCHES, Cell
+from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
+from casacal.simulation.asked_rows import check_asked
 from casacal.simulation.simulation import Simulation
 from casacal.simulation.single import simulate_one
 from casacal.simulation.true_arm import Draw
@@ -47,10 +47,5 @@ def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None
     """What disturbs an instrument that touches no faces, in the cell of those that do."""
     if not isinstance(cell, Cell):
         return cell
-    plain = Cell(faces=cell.faces)
-    if asked := [name for name in OF_TOUCHES if getattr(cell, name) != getattr(plain, name)]:
-        raise SimulationError(
-            f"The cell has {asked[0]}, and {type(alone.instrument).__name__} touches no faces that the simulator knows",
-            "Leave it out, or simulate the instruments that touch by themselves",
-        )
+    check_asked(alone, cell)
     return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
