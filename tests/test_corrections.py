@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import CasacalError, Problem, bind, calibrate, load, load_problem, simulate, verify
+from casacal import (
+    CasacalError,
+    Disturbances,
+    Problem,
+    TrackedPoint,
+    bind,
+    calibrate,
+    load,
+    load_problem,
+    simulate,
+    tool_point,
+    verify,
+)
+from casacal.bench.methods import left
 from casacal.calibration import corrections
 from casacal.calibration.corrected_words import became
 from casacal.calibration.verdict import verdict_of
@@ -320,6 +333,38 @@ def test_an_effect_at_the_most_that_it_may_be_is_doubted_and_a_gear_not_correcte
     assert verdict.level != "calibrated"
     if verdict.level == "use with care":
         assert any("the most that is believed" in reason for reason in verdict.reasons)
+
+
+@pytest.fixture(scope="module")
+def waving():
+    """The same waves, seen by a tracker in a part of the workspace, and elsewhere: rows fitted, rows not seen."""
+    problem = Problem(load_problem(UR5).problem.robot, TrackedPoint(noise_std=0.05, tool=tool_point(10, -20, 120)))
+    still = Disturbances(resolution=0.0, repeatability=0.0, gear_waves=((2, 1e-3),))
+    rows = simulate(problem, still, samples=360, seed=1).samples
+    order = np.argsort(rows.joints[:, 1] + rows.joints[:, 2])
+    return problem, rows.take(np.sort(order[:120])), rows.take(np.sort(order[120:]))
+
+
+def test_where_the_tip_itself_is_seen_what_tells_of_unseen_rows_is_corrected_whatever_it_is(waving):
+    problem, fitted, unseen = waving
+    found = calibrate(problem, fitted, reference=False)
+    assert [effect.key for effect in at_most(found.fit)] == ["wave2"]
+    assert found.corrected == ("wave2",)
+    assert any("the most that is believed" in reason for reason in verdict_of(found).reasons)
+    alone = calibrate(problem, fitted, reference=False, discrepancy="none")
+    rest = [float(np.sqrt(np.mean(left(each.fit, each.used_x, unseen) ** 2))) for each in (found, alone)]
+    assert rest[0] < 0.1 * rest[1]
+
+
+def test_geometry_mimics_what_is_not_corrected_where_the_tip_was_seen_too(waving):
+    """Over the workspace alone it left 1.06 times what least squares of the geometry leave in these rows."""
+    problem, fitted, _ = waving
+    found = calibrate(problem, fitted, reference=False)
+    alone = calibrate(problem, fitted, reference=False, discrepancy="none")
+    rest = [each.fit.plain_residual(each.uncorrected_x) for each in (found, alone)]
+    assert np.square(rest[0]).mean() < 1.02**2 * np.square(rest[1]).mean()
+    far = [left(each.fit, each.uncorrected_x, waving[2]) for each in (found, alone)]
+    assert np.square(far[0]).mean() < np.square(far[1]).mean(), "the workspace counts as well"
 
 
 def test_a_soft_arm_is_doubted_but_corrected():

@@ -9,6 +9,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from casacal import Problem, Robot, Samples, Sockets, bind, calibrate, tool_point
+from casacal.bench import methods
+from casacal.bench.benchmark_set import read_set
+from casacal.bench.splits import STATED, folds
+from casacal.calibration.verdict import verdict_of
 
 DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 
@@ -114,3 +118,39 @@ def test_a_factory_calibrated_arm_is_fitted_with_the_default_prior():
     bare, whole = (spread_and_gap(each.fit.tips(each.result.x, joints_of(others)), others)[0] for each in found)
     assert bare < 0.268
     assert whole < 0.24
+
+
+def bench_set(name):
+    """A set of the benchmark: its problem, and its rows."""
+    described = read_set(Path(__file__).parent.parent / "studies" / "bench" / name)
+    problem = described.problem
+    if not (DATA / described.file).is_file():
+        pytest.skip(f"the rows of {name} are not in {DATA}; set CASACAL_DATA to the folder that holds them")
+    return described, problem, described.read(DATA, problem)
+
+
+def unseen_error(name, way):
+    """Root mean square of what a method leaves of unseen positions, over the folds of the set's own page."""
+    described, problem, rows = bench_set(name)
+    squares = []
+    for fitted, unseen in folds(rows, STATED, described.blocks, described.stated):
+        told = way(problem, rows.take(fitted), rows.take(unseen))
+        squares.append((getattr(told, "residuals", told)[:, :3] ** 2).sum(axis=1))
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+@pytest.mark.parametrize(("name", "geometry", "layers"), [("panda_left", 0.473, 0.40), ("panda_right", 0.466, 0.36)])
+def test_a_panda_s_sag_and_waves_are_corrected(name, geometry, layers):
+    """Asked with layers; and as it comes, no worse than geometry, which is what others have."""
+    assert unseen_error(name, methods.casacal_layers) < layers
+    assert unseen_error(name, methods.casacal_whole) < geometry
+
+
+def test_a_result_that_misses_its_own_rows_by_more_than_the_drawing_is_refused():
+    """A draw wire whose rows err together by more than any arm: what is left of the geometry is worth nothing."""
+    _, problem, rows = bench_set("draw_wire")
+    found = calibrate(problem, rows, reference=False)
+    assert found.metrics["after"]["fit"]["rmse_mm"] > 1.1 * found.metrics["before"]["fit"]["rmse_mm"]
+    verdict = verdict_of(found)
+    assert verdict.level == "do not use"
+    assert "misses the rows that were fitted by more than as drawn, and errors alike in like postures" in verdict.words

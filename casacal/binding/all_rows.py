@@ -44,6 +44,11 @@ class AllRows:
         """The same unknowns on some of the samples, by their numbers."""
         return self.on(*self.measured.take(rows).sets)
 
+    def thinned(self, most: int) -> Self:
+        """Itself, or so many of its samples, evenly spread."""
+        count = len(self.measured)
+        return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
+
     @property
     def groups_by(self) -> tuple[str | None, ...]:
         """The column by which each instrument's rows are grouped."""

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from casacal.binding.bound_problem import BoundProblem
-from casacal.calibration.motion import Motion, used_arm
+from casacal.calibration.motion import Motion, sees_the_tip, used_arm
 from casacal.discrepancy.effect import Site
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import at_most
@@ -48,7 +48,8 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
 
     One is corrected where all splits of the rows, by faces, regions of postures and further columns, say with very
     strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
-    that stand already count. A gear that would have to be broken to be so bad is none: something else errs.
+    that stand already count. A gear that would have to be broken to be so bad is none: something else errs. Where rows
+    see the tip itself, what tells of unseen ones corrects it, whatever it is.
 
     Args:
         fit: with the effects in it.
@@ -66,7 +67,8 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     told = in_sample_gains(fit, result.x, known)
     likely = [key for key in known if told[key] > VERY_STRONG]
     unseen = gains(fit, result.x, likely) if likely else {}
-    doubtful = {effect.key for effect in at_most(fit) if not effect.elastic} if likely else set()
+    doubted = () if not likely or sees_the_tip(fit) else at_most(fit)
+    doubtful = {effect.key for effect in doubted if not effect.elastic}
     stands: list[str] = []
     found = []
     for key in sorted(known, key=lambda key: -told[key]):

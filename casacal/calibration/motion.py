@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from casacal.binding.marginal import Marginal, Seen, moving
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
+from casacal.uncertainty.transfer import MOST_ROWS
 from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 
 SMALLEST = 1e-3
@@ -45,16 +47,15 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     """Unknowns (n,) of the arm as it is used: effects that are not corrected at zero, geometry in their place.
 
     What an effect does to the tip over the workspace is expected of the arm as much as anything else. Where nobody
-    corrects it, parameters take over what they can mimic of it, in the least squares of the tip; faces follow.
+    corrects it, parameters take over what they can mimic of it, in the least squares of the tip; faces follow. Rows
+    that saw the tip itself count as much as the workspace: they are where the arm works.
     """
     left = np.array([bool(key) and key not in corrected for key in fit.beside], dtype=bool)
     if not left.any():
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, Marginal)
-    joints = workspace_joints(fit.problem.robot)
-    tips = arm.tips(x, joints)
-    field = without_rigid(arm.tip_jacobian(x, joints), tips)
+    field = np.vstack([_over_workspace(arm, x), _where_seen(fit, result.x)[:, arm.shared]])
     geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.shared]] @ x[left[arm.shared]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
@@ -62,6 +63,29 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     used[arm.shared[geometry]] += moves * arm.start_std[geometry]
     faces = Restricted(fit, fit.datum, used)
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
+
+
+def sees_the_tip(fit: BoundProblem) -> bool:
+    """Whether every row says where the tip itself is, all three axes."""
+    return all(instrument.words.accuracy for instrument in fit.problem.instruments)
+
+
+def _over_workspace(arm: Marginal, x: Array) -> Array:
+    """Moves of the tip (3 M, s) by each unknown, apart from where the base stands; squares add up to the mean's."""
+    joints = workspace_joints(arm.problem.robot)
+    field = without_rigid(arm.tip_jacobian(x, joints), arm.tips(x, joints))
+    return np.asarray(field / math.sqrt(len(joints)))
+
+
+def _where_seen(fit: BoundProblem, x: Array) -> Array:
+    """The same (k, n) at the rows, apart from where stations and the like stand; none where they see no tip."""
+    if not sees_the_tip(fit):
+        return np.zeros((0, fit.unknowns))
+    some = fit.thinned(MOST_ROWS)
+    slopes = some.jacobian(x) * float(np.median(some.noise[some.leading]))
+    stands = slopes[:, fit.datum]
+    slopes -= stands @ np.linalg.lstsq(stands, slopes, rcond=None)[0]
+    return np.asarray(slopes / math.sqrt(len(some.measured)))
 
 
 def besides(arm: Seen) -> tuple[str, ...]:

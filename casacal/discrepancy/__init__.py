@@ -5,6 +5,7 @@ from casacal.discrepancy.effect import Effect, weighted
 from casacal.discrepancy.gears import Backlash, GearRipple, GearWaves
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.kit import kit, rich_kit
+from casacal.discrepancy.link_give import LinkGive
 from casacal.discrepancy.measured_give import MeasuredGive
 from casacal.discrepancy.smooth import Drift, FaceForm
 
@@ -17,6 +18,7 @@ __all__ = [
     "GearWaves",
     "GravityGive",
     "JointField",
+    "LinkGive",
     "MeasuredGive",
     "ThermalGrowth",
     "kit",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -41,11 +41,7 @@ class GravityGive(Effect):
     words = "giving under gravity"
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.down)
-        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
-            raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
-        x, y, z = (float(value) for value in given / np.linalg.norm(given))
-        object.__setattr__(self, "down", (x, y, z))
+        object.__setattr__(self, "down", direction(self.down))
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever."""
@@ -73,6 +69,15 @@ class GravityGive(Effect):
         levers = np.array(site.robot.traced.levers.map(POSTURES)(postures.T)).reshape(3, POSTURES, -1)
         along = np.einsum("a,akj->kj", np.array(self.down), levers)[:, site.robot.revolute]
         return float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)
+
+
+def direction(down: Sequence[float]) -> tuple[float, float, float]:
+    """A direction of gravity as a unit vector; raises ProblemError for what is none."""
+    given = np.asarray(down)
+    if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+        raise ProblemError(f"Gravity points along {down!r}", "Give three numbers, such as down=(0, 0, -1)")
+    x, y, z = (float(value) for value in given / np.linalg.norm(given))
+    return x, y, z
 
 
 APART = 0.5

@@ -44,15 +44,20 @@ class TracedPose:
         factors = self.graph.call([*values, q])
         return factors[0] if len(factors) == 1 else Product(factors)
 
-    @cached_property
-    def levers(self) -> ca.Function:
-        """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
-        values = {
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values of the parameters by key, as `pose` takes them, of the arm as drawn."""
+        return {
             key: unknown.at(ca.DM(np.asarray(unknown.nominal)), ca.DM.zeros(unknown.size))
             for key, unknown in self.unknowns.items()
         }
+
+    @cached_property
+    def levers(self) -> ca.Function:
+        """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
         q = ca.SX.sym("q", self.graph.size1_in(self.graph.n_in() - 1))
-        return ca.Function("levers", [q], [ca.densify(ca.jacobian(position(self(SimpleNamespace(**values), q)), q))])
+        place = position(self(SimpleNamespace(**self.drawn), q))
+        return ca.Function("levers", [q], [ca.densify(ca.jacobian(place, q))])
 
     @cached_property
     def text(self) -> str:

@@ -1,0 +1,132 @@
+"""Joints that give under the weight of the links beyond them, link by link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Rows
+from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
+from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.errors import ProblemError, came
+from casacal.kinematics import Expression
+from casacal.robots.files.urdf_weights import weights_of
+from casacal.robots.joint_space import random_joints
+from casacal.robots.links import Links
+from casacal.unknowns import Parameter
+from casacal.values import is_real
+
+NOTHING = 1e-9
+"""Part of the largest moment that is rounding."""
+
+Triples = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkGive(Effect):
+    """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
+
+    Where masses are known, each joint has a give of its own: one number. Where they are not, each joint gives by as
+    much as it likes to each link beyond it: n (n + 1) / 2 numbers for n joints, which ask for many postures.
+
+    Args:
+        size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
+        doubt: times by which that may be off.
+        down: direction of gravity in the base frame.
+        masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
+        centres: their centres of mass in the base frame where the joints of the model stand at zero (n, 3), mm; by
+            default each on the axis of the next joint, the last at the flange.
+
+    """
+
+    size: float = 0.15
+    doubt: float = 2.5
+    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    masses: tuple[float, ...] = ()
+    centres: Triples = ()
+
+    moves = True
+    elastic = True
+    unit = "mm"
+    key = "links"
+    words = "giving under the weight of links"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "down", direction(self.down))
+        masses, centres = tuple(self.masses), tuple(tuple(row) for row in self.centres)
+        if not all(is_real(mass) and 0 <= mass < np.inf for mass in masses) or (masses and not sum(masses)):
+            raise ProblemError(f"{came(self.masses)} came as the masses of links", "Give kilograms, zero or more")
+        if not all(len(row) == 3 and all(is_real(x) and abs(x) < np.inf for x in row) for row in centres):
+            raise ProblemError(f"{came(self.centres)} came as centres of mass", "Give three numbers of mm for each")
+        object.__setattr__(self, "masses", masses)
+        object.__setattr__(self, "centres", centres)
+
+    @staticmethod
+    def from_urdf(
+        path: str | Path,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+        size: float = 0.15,
+        doubt: float = 2.5,
+        down: tuple[float, float, float] = (0.0, 0.0, -1.0),
+        payload: float = 0.0,
+    ) -> LinkGive:
+        """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.
+
+        Args:
+            path, base, tip: as for `Robot.from_urdf`.
+            size, doubt, down: as for the effect itself.
+            payload: what hangs at the tip link's origin, kg.
+
+        Raises ProblemError where the file names no mass, or cannot be read.
+
+        """
+        masses, centres = weights_of(path, base, tip, payload)
+        return LinkGive(size=size, doubt=doubt, down=down, masses=masses, centres=centres)
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """What each joint gives, or each joint to each link beyond it, rad per metre of lever (and kg)."""
+        feels, sag = self._pull(site)
+        if not sag > LEAST_SAG:
+            return {}
+        return {self.key: weighted(np.full(int(feels.sum()), 1 / sag), self.size, "rad")}
+
+    def joints(self, here: Here) -> Expression:
+        """u dh/dq of every joint and link, h how deep the link is, in metres."""
+        u, feels = getattr(here.p, self.key), self._pull(here)[0]
+        moments = self._moments(here, here.q)
+        off, place = [ca.SX(0)] * len(here.robot.axes), iter(range(u.numel()))
+        for i, j in zip(*np.nonzero(feels), strict=True):
+            off[i] += u[next(place)] * moments[int(i), int(j)]
+        return self._links(here).to_controller(ca.vertcat(*off))
+
+    def _links(self, site: Site) -> Links:
+        """Raises ProblemError where masses or centres are not one for each joint."""
+        links, count = Links.of(site.robot), len(site.robot.axes)
+        for what, given in (("masses", self.masses), ("centres of mass", self.centres)):
+            if given and len(given) != count:
+                raise ProblemError(f"{len(given)} {what} came for {count} joints", "Give one for what each one carries")
+        return links.with_places(np.array(self.centres)) if self.centres else links
+
+    def _moments(self, site: Site, q: Expression) -> Expression:
+        """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m."""
+        slopes = self._links(site).levers(np.array(self.down))(q).T
+        return ca.mtimes(slopes, ca.DM(self.masses)) if self.masses else slopes
+
+    def _pull(self, site: Site) -> tuple[Rows, float]:
+        """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
+        links, count = self._links(site), len(site.robot.axes)
+        q, down = ca.SX.sym("q", count), np.array(self.down)
+        flange = links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(down)(q)[count - 1, :]
+        moments = ca.Function("moments", [q], [ca.densify(self._moments(site, q)), flange])
+        postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
+        about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
+        about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T
+        found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
+        feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
+        return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))
