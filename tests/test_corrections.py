@@ -8,11 +8,13 @@ import subprocess
 import numpy as np
 import pytest
 from conftest import ROOT
+from scipy.spatial.transform import Rotation
 
 from casacal import (
     CasacalError,
     Disturbances,
     Problem,
+    ProblemError,
     TrackedPoint,
     bind,
     calibrate,
@@ -28,9 +30,9 @@ from casacal.calibration.corrected_words import became
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.seal import sealed
-from casacal.discrepancy import Backlash, GearWaves, GravityGive, kit
+from casacal.discrepancy import Backlash, Drift, GearWaves, GravityGive, kit
 from casacal.export.forms import export
-from casacal.uncertainty.discrepancy import at_most, with_effects
+from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
 from casacal.uncertainty.marginal_likelihood import Told, evidence
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
@@ -417,3 +419,39 @@ def test_simulated_files_say_when_more_than_geometry_moves_the_tip(tmp_path, cap
         command = ["simulate", str(UR5), "--samples", "20", "--out", str(tmp_path / "x.csv"), *options]
         assert main(command) == 0
         assert ("geometry alone" in capsys.readouterr().out) is told
+
+
+def test_in_which_frame_a_tracker_reads_changes_nothing(waving):
+    """Errors alike in like postures and drift are of every direction; along (1, 1, 1) alone they knew the frame."""
+    problem, fitted, _ = waving
+    rows = fitted
+    smooth = 0.4 * np.cos(rows.joints[:, 1:4] * 0.6 + rows.joints[:, [0]] * 0.8)
+    points = np.column_stack([rows.columns[name] for name in "xyz"]) + smooth
+    turn = Rotation.from_rotvec([0.5, -0.9, 0.4]).as_matrix()
+    found = []
+    for seen in (points, points @ turn.T):
+        same = dataclasses.replace(rows, columns=dict(zip("xyz", seen.T, strict=True)))
+        found.append(calibrate(problem, same, reference=False))
+    sizes = [
+        {key: times for key, times in times_found(each.fit).items() if key in ("field", "drift")} for each in found
+    ]
+    assert sizes[0]["field"] > 2, "the rows err together"
+    for key, times in sizes[0].items():
+        assert sizes[1][key] == pytest.approx(times, rel=0.02)
+    assert found[1].tip_std[1] == pytest.approx(found[0].tip_std[1], rel=0.01)
+    robot = [j for j, name in enumerate(found[0].fit.names) if not found[0].fit.datum[j] and not found[0].fit.beside[j]]
+    apart = (found[1].result.x - found[0].result.x)[robot] / found[0].result.std[robot]
+    assert np.abs(apart).max() < 0.02
+
+
+def test_an_effect_of_as_many_components_as_none_is_refused():
+    """One for all components, or one for each."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Two(Drift):
+        def residual(self, here):
+            return super().residual(here)[:2]
+
+    problem = Problem(load_problem(UR5).problem.robot, TrackedPoint(noise_std=0.05), effects=(Two(),))
+    with pytest.raises(ProblemError, match="'drift' has 2 components"):
+        _ = problem.model

@@ -5,11 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from casacal.array_types import Array
 from casacal.discrepancy.survey import Rows
 from casacal.instruments import Instrument
+from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
 from casacal.unknowns import Parameter
@@ -22,6 +24,17 @@ class Site:
 
     robot: Robot
     instrument: Instrument
+
+    @cached_property
+    def components(self) -> int:
+        """Components of the residual in the unit in which the instrument speaks; one where it cannot be built."""
+        instrument = self.instrument
+        if blocks := instrument.blocks:
+            return sum(block.size for block in blocks if block.unit == instrument.words.unit)
+        try:
+            return int(TracedInstrument.of(instrument, self.robot.parameters).graph.numel_out(0))
+        except Exception:  # whatever a user's function raises is said where the arm is traced
+            return 1
 
 
 @dataclass(frozen=True)
@@ -105,7 +118,7 @@ class Effect(Portable, ABC):
         return {}
 
     def residual(self, here: Here) -> Expression | None:
-        """What has to be added to the residual, in its unit."""
+        """What has to be added to the residual, in its unit: to each component alike, or one for each of them."""
         del here
         return None
 

@@ -20,6 +20,9 @@ JITTER = 1e-9
 """Added to a covariance of one, so that rows at one place can both be pivots."""
 
 
+MOST_UNKNOWNS = 150
+"""Of all components of a residual together; the time that a fit takes grows with their cube."""
+
 ENOUGH = 1e-3
 """Variance of a row, of one, below which it tells nothing that others have not told."""
 
@@ -51,27 +54,31 @@ class JointField(Effect):
     words = "errors alike in like postures"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """What each of these rows has of it beyond those before, mm."""
-        del site
-        return {self.key: weighted(np.ones(self.rank), self.size, "mm")}
+        """What each of these rows has of it beyond those before, component by component of the residual, mm."""
+        return {self.key: weighted(np.ones(self._pivots(site) * site.components), self.size, "mm")}
 
     def columns(self, site: Site) -> tuple[str, ...]:
         """How alike a row is to each of them."""
-        del site
-        return tuple(f"{self.key}_like{k + 1}" for k in range(self.rank))
+        return tuple(f"{self.key}_like{k + 1}" for k in range(self._pivots(site)))
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """By their joint values and those of the fitted rows."""
-        pivots = _pivots(self._places(site, rows.survey.samples), self.rank)
-        like = np.zeros((len(rows.samples), self.rank))
+        rank = self._pivots(site)
+        pivots = _pivots(self._places(site, rows.survey.samples), rank)
+        like = np.zeros((len(rows.samples), rank))
         root = np.linalg.cholesky(_alike(pivots, pivots) + JITTER * np.eye(len(pivots)))
         here = self._places(site, rows.samples)
         like[:, : len(pivots)] = solve_triangular(root, _alike(pivots, here), lower=True).T
         return {name: like[:, k] for k, name in enumerate(self.columns(site))}
 
     def residual(self, here: Here) -> Expression:
-        """The sum over these rows."""
-        return ca.dot(getattr(here.p, self.key), ca.vertcat(*(getattr(here.row, name) for name in self.columns(here))))
+        """The sum over these rows, for each component."""
+        like = ca.vertcat(*(getattr(here.row, name) for name in self.columns(here)))
+        return ca.mtimes(ca.reshape(getattr(here.p, self.key), -1, here.components).T, like)
+
+    def _pivots(self, site: Site) -> int:
+        """How many rows stand for all, where each component of the residual has its own."""
+        return min(self.rank, max(MOST_UNKNOWNS // site.components, 1))
 
     def _places(self, site: Site, samples: Samples) -> Array:
         """Joint values (N, n) in units of the reach."""

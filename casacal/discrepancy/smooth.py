@@ -24,6 +24,9 @@ SMALLEST_WEIGHT = 0.05
 
 ORDERS = 6
 
+WALK = (1.0, 0.45, 0.22, 0.15)
+"""Standard deviations of a slope and of the first waves of a random walk that goes as far."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FaceForm(Effect):
@@ -105,11 +108,10 @@ class Drift(OverTime):
     words = "drift"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Slope and three waves, each about a third of the one before, as of a random walk; mm."""
-        del site
-        return {self.key: weighted(np.array([1.0, 0.45, 0.22, 0.15]), self.size, "mm")}
+        """Slope and three waves of each component, each about a third of the one before, as of a random walk; mm."""
+        return {self.key: weighted(np.tile(WALK, site.components), self.size, "mm")}
 
     def residual(self, here: Here) -> Expression:
-        """Slope and waves."""
-        u = getattr(here.p, self.key)
-        return u[0] * (here.row.when - 0.5) + sum(u[k] * ca.cos(math.pi * k * here.row.when) for k in (1, 2, 3))
+        """Slope and waves, for each component."""
+        shapes = [here.row.when - 0.5, *(ca.cos(math.pi * k * here.row.when) for k in range(1, len(WALK)))]
+        return ca.mtimes(ca.reshape(getattr(here.p, self.key), len(WALK), -1).T, ca.vertcat(*shapes))

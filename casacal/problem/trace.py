@@ -139,7 +139,7 @@ def seen(
     here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
     for effect in effects:
         found = _traced(_or_nothing(effect.residual), "residual", effect.words, None, here)
-        residual += _in_its_unit(instrument, residual) * ca.sum1(found)  # nothing at all sums to zero
+        residual += _in_its_unit(instrument, residual, found, effect.words)
     if (
         columns
         and instrument.columns
@@ -174,10 +174,19 @@ def _with_effects(
     return here.pose, SimpleNamespace(**read)
 
 
-def _in_its_unit(instrument: Instrument, residual: Expression) -> Any:
-    """One for each component in the unit in which the instrument speaks, zero for others: effects are of that unit."""
+def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
+    """What an effect adds to the components in the unit in which the instrument speaks; nothing to others."""
     units = [block.unit for block in instrument.blocks for _ in range(block.size)]
-    return ca.DM([float(unit == instrument.words.unit) for unit in units]) if len(units) == residual.numel() else 1
+    alike = [unit == instrument.words.unit for unit in units]
+    if len(alike) != residual.numel():
+        alike = [True] * residual.numel()
+    if found.numel() in (0, 1):  # nothing at all, or all components alike
+        return ca.DM([float(each) for each in alike]) * ca.sum1(found)
+    if found.numel() != sum(alike):
+        said = f"residual of '{words}' has {found.numel()} components"
+        raise ProblemError(said, f"It must have one, or the {sum(alike)} of the instrument's residual")
+    each = iter(range(found.numel()))
+    return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
 
 
 def _or_nothing(call: Any) -> Any:
