@@ -89,6 +89,9 @@ if TYPE_CHECKING:
     from casacal.problem.problem_file import ProblemFile as ProblemFile
     from casacal.problem.problem_file import load_problem as load_problem
     from casacal.problem.symbols import Symbols as Symbols
+    from casacal.robots.carriers import carried as carried
+    from casacal.robots.carriers import rail as rail
+    from casacal.robots.carriers import turntable as turntable
     from casacal.robots.conventions import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
@@ -172,6 +175,7 @@ _HOMES = {
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),
+    "casacal.robots.carriers": ("carried", "rail", "turntable"),
     "casacal.robots.two_arms": ("facing",),
     "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),

@@ -1,0 +1,127 @@
+"""What carries an arm or its work: a rail, a gantry, a turntable, another arm; and the arm on it as one chain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+from casacal.errors import ProblemError, came
+from casacal.kinematics import Expression, chain, screw, slide
+from casacal.robots.joints import Joint
+from casacal.robots.robot import PoseFunction, Robot
+from casacal.unknowns import Direction, Parameter
+from casacal.unknowns.unknown import PRIOR_STD
+
+CARRIER = "carrier_"
+"""What the names of the carrier's parameters begin with."""
+
+SCALE = 0.1
+"""Millimetres by which a metre of a rack or a spindle may well be long or short."""
+
+
+def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
+    """An arm whose base stands on what another robot carries: a `rail`, a `turntable`, a gantry, a second arm.
+
+    Args:
+        arm: whose parameters keep their names.
+        by: the carrier, whose flange is the base of the arm; its parameters are called "carrier_direction" and so on.
+        name: of both; by default both names.
+
+    Joint values are those of the carrier, then those of the arm. Work on a positioner is the other way round: `facing(
+    arm, turntable(...))` is the arm as the table sees it. Raises ProblemError for what are no robots.
+
+    """
+    for robot in (arm, by):
+        if not isinstance(robot, Robot):
+            raise ProblemError(f"{came(robot)} came as an arm or what carries it", "Give two Robots")
+    parameters = {**{CARRIER + key: unknown for key, unknown in by.parameters.items()}, **arm.parameters}
+    if len(parameters) < len(arm.parameters) + len(by.parameters):
+        raise ProblemError(f"Parameters of '{arm.name}' begin with '{CARRIER}'", "Rename them")
+    pose = Carried(arm.pose, by.pose, tuple(by.parameters), len(by.axes))
+    return Robot(name or f"{arm.name} on {by.name}", (*by.axes, *arm.axes), pose, parameters)
+
+
+def rail(
+    lower: float,
+    upper: float,
+    *,
+    direction: Sequence[float] = (1.0, 0.0, 0.0),
+    angle_std: float | None = None,
+    scale_std: float = SCALE,
+    name: str = "rail",
+) -> Robot:
+    """A straight rail as a robot of one joint, to carry an arm.
+
+    Args:
+        lower, upper: its travel, mm.
+        direction: of growing joint values in the base frame, which is that of the carriage at zero.
+        angle_std: prior standard deviation of its two tilts, rad; default 1e-3.
+        scale_std: of its scale: by how much a metre of the controller is longer or shorter, mm/m.
+        name: what the report calls it.
+
+    Raises ProblemError as `Robot` does.
+
+    """
+    tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
+    parameters = {
+        "direction": Direction(direction, prior_std=tilt),
+        "scale": Parameter(0.0, unit="mm/m", prior_std=scale_std),
+    }
+    return Robot(name, (Joint("prismatic", lower, upper),), _along, parameters)
+
+
+def turntable(
+    lower: float,
+    upper: float,
+    *,
+    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    point: Sequence[float] = (0.0, 0.0, 0.0),
+    length_std: float | None = None,
+    angle_std: float | None = None,
+    name: str = "turntable",
+) -> Robot:
+    """A table that turns, as a robot of one joint, to carry an arm or its work.
+
+    Args:
+        lower, upper: its travel, rad.
+        axis: direction of the axis in the base frame; the table's own frame is the base frame at zero.
+        point: a point on the axis, mm.
+        length_std, angle_std: prior standard deviations of the point, mm (default 0.7), and of the axis' two tilts, rad
+            (default 1e-3).
+        name: what the report calls it.
+
+    Raises ProblemError as `Robot` does.
+
+    """
+    tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
+    place = PRIOR_STD["mm"] if length_std is None else length_std
+    parameters = {
+        "axis": Direction(axis, prior_std=tilt),
+        "point": Parameter(tuple(point), unit="mm", prior_std=place, labels=("_x", "_y", "_z")),
+    }
+    return Robot(name, (Joint("revolute", lower, upper),), _about, parameters)
+
+
+def _along(p: Any, q: Expression) -> Expression:
+    return slide(p.direction, q[0] * (1 + p.scale / 1000))
+
+
+def _about(p: Any, q: Expression) -> Expression:
+    return screw(p.axis, p.point, q[0])
+
+
+@dataclass(frozen=True)
+class Carried:
+    """`pose(p, q)` of an arm on its carrier."""
+
+    arm: PoseFunction
+    by: PoseFunction
+    keys: tuple[str, ...]
+    count: int
+
+    def __call__(self, p: Any, q: Expression) -> Expression:
+        """The arm's flange (4x4, mm) in the base frame of the carrier."""
+        theirs = SimpleNamespace(**{key: getattr(p, CARRIER + key) for key in self.keys})
+        return chain(self.by(theirs, q[: self.count]), self.arm(p, q[self.count :]))
