@@ -104,6 +104,8 @@ if TYPE_CHECKING:
     from casacal.study import Run as Run
     from casacal.study import Simulated as Simulated
     from casacal.study import Study as Study
+    from casacal.uncertainty.learned_priors import LearnedPriors as LearnedPriors
+    from casacal.uncertainty.learned_priors import learned_priors as learned_priors
     from casacal.uncertainty.priors import scaled_to_accuracy as scaled_to_accuracy
     from casacal.unknowns import Direction as Direction
     from casacal.unknowns import Frame as Frame
@@ -177,6 +179,7 @@ _HOMES = {
     "casacal.robots.robot": ("Robot",),
     "casacal.robots.carriers": ("carried", "rail", "turntable"),
     "casacal.robots.two_arms": ("facing",),
+    "casacal.uncertainty.learned_priors": ("LearnedPriors", "learned_priors"),
     "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),
     "casacal.simulation.simulate": ("simulate",),
