@@ -75,7 +75,7 @@ def test_a_dial_says_so_too():
     cell = source.cell
     made = [simulate(source.problem, cell, samples=100, seed=k).samples for k in range(6)]
     found = learned_priors(calibrate(source.problem, rows, reference=False) for rows in made)
-    assert found.times == pytest.approx({"mm": 1.0, "rad": 1.0}, rel=0.25)
+    assert dict(found.times) == pytest.approx({"mm": 1.0, "rad": 1.0}, rel=0.25)
     assert "6 arms show them: mm times" in repr(found)
 
 
