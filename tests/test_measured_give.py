@@ -1,4 +1,4 @@
-"""Joints that give under measured torques: found, weighed, and missed in a sentence where the torques are absent."""
+"""What columns of the samples say of joints, torques and ways of approach: found, weighed, missed in a sentence."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 from instruments_on_ur5 import ROBOT, TOOL, flanges
 
 from casacal import Disturbances, Problem, ProblemError, TrackedPoint, bind, calibrate, lm, simulate, tool_point
-from casacal.discrepancy import MeasuredGive
+from casacal.discrepancy import Backlash, MeasuredGive
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 NAMES = tuple(f"torque{j}_Nm" for j in range(1, 7))
@@ -56,5 +56,46 @@ def test_torques_that_are_absent_are_asked_for(loaded):
     ):
         with pytest.raises(ProblemError, match=said):
             bind(problem, dataclasses.replace(loaded, extra=extra))
-    with pytest.raises(ProblemError, match="2 columns of torque came for 6 joints"):
+    with pytest.raises(ProblemError, match="2 columns of torques came for 6 joints"):
         bind(problem.with_effects(MeasuredGive(columns_of=NAMES[:2])), loaded)
+
+
+CAME = tuple(f"came{j}" for j in range(1, 7))
+
+
+@pytest.fixture(scope="module")
+def approached(loaded):
+    """A drawn arm with play whose joints came from either side by chance, as columns say; points by NumPy."""
+    rng = np.random.default_rng(7)
+    ways, play = rng.choice([-1, 1], size=(80, 6)), np.array([50.0, 80.0, 60.0, 100.0, 150.0, 90.0]) * 1e-6
+    stands = flanges(loaded.joints - play * ways)[:, :3] @ np.array([*TOOL, 1.0]) + rng.normal(size=(80, 3)) * 0.005
+    text = {name: tuple(str(way) for way in column) for name, column in zip(CAME, ways.T, strict=True)}
+    return dataclasses.replace(loaded, columns=dict(zip("xyz", stands.T, strict=True)), extra=text), play
+
+
+def test_play_is_found_where_columns_say_how_joints_came(approached):
+    samples, play = approached
+    fine = dataclasses.replace(problem.instrument, noise_std=0.005)
+    told = bind(Problem(ROBOT, fine, effects=(Backlash(columns_of=CAME),)), samples)
+    result = lm(told)
+    own = [j for j, key in enumerate(told.beside) if key == "play"]
+    found, std = result.x[own][:6], result.std[own][:6]
+    assert np.abs((found - play) / std)[:5].max() < 4
+    assert (std[:4] < 0.2 * play[:4]).all()
+    guessed = lm(bind(Problem(ROBOT, fine, effects=(Backlash(),)), samples))
+    assert guessed.cost > 3 * result.cost, "the row before says nothing of how these joints came"
+
+
+def test_ways_of_approach_that_are_none_are_named(approached):
+    samples, _ = approached
+    told = Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME),))
+    for column, said in (
+        (("up",) * 80, "'came2' holds no ways of approach. Give -1, 0 or 1"),
+        (("1",) * 79 + ("2",), f"line {samples.lines[79]}: a way of approach is none of -1, 0 and 1"),
+    ):
+        with pytest.raises(ProblemError, match=said):
+            bind(told, dataclasses.replace(samples, extra={**samples.extra, "came2": column}))
+    with pytest.raises(ProblemError, match="no column 'came1' of ways of approach"):
+        bind(told, dataclasses.replace(samples, extra={}))
+    with pytest.raises(ProblemError, match="1 columns of ways of approach came for 6 joints"):
+        bind(Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME[:1]),)), samples)

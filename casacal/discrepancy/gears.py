@@ -9,8 +9,10 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.discrepancy.columns_of import read_columns_of
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.survey import Rows
+from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
 from casacal.unknowns import Parameter
@@ -111,20 +113,27 @@ def _geared(robot: Robot) -> list[int]:
 class Backlash(Effect):
     """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
 
-    Nobody knows how the joints came to the first row, so that each stands there where it likes within its play.
+    Nobody knows how the joints came to the first row, so that each stands there where it likes within its play. Who
+    lets every joint come from one side at each row, and writes down which, knows it of all rows.
 
     Args:
         size: of half the play, rad.
         doubt: times by which that may be off.
+        columns_of: the column of the samples that says how each joint came, 1 where it grew, -1 where it fell, 0 where
+            that is not known; one for each joint. None takes the row before for where it came from.
 
     """
 
     size: float = 20e-6
     doubt: float = 2.5
+    columns_of: tuple[str, ...] = ()
 
     moves = True
     key = "play"
     words = "backlash"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
@@ -139,7 +148,16 @@ class Backlash(Effect):
         return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """Signs of the steps from row to row; none is known of the first."""
+        """Signs of the steps from row to row, none known of the first; or what the samples say."""
+        if self.columns_of:
+            told = read_columns_of(
+                rows.samples, self.columns_of, len(site.robot.axes), "ways of approach", "-1, 0 or 1"
+            )
+            if not np.isin(told, (-1, 0, 1)).all():
+                line = rows.samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
+                said = f"{rows.samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
+                raise ProblemError(said, "Write 1 where the joint's value grew, -1 where it fell, 0 where nobody knows")
+            return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
         order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
         ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
         ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.discrepancy.columns_of import check_columns_of, read_columns_of
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.survey import Rows
-from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter
 
@@ -44,10 +44,7 @@ class MeasuredGive(Effect):
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """The give of each joint, rad/Nm."""
-        if len(self.columns_of) != len(site.robot.axes):
-            raise ProblemError(
-                f"{len(self.columns_of)} columns of torque came for {len(site.robot.axes)} joints", "Name one for each"
-            )
+        check_columns_of(self.columns_of, len(site.robot.axes), "torques")
         return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
 
     def columns(self, site: Site) -> tuple[str, ...]:
@@ -57,22 +54,8 @@ class MeasuredGive(Effect):
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """As the samples say; raises ProblemError where they do not."""
-        found = {}
-        for name, column in zip(self.columns(site), self.columns_of, strict=True):
-            if column not in rows.samples.extra:
-                known = ", ".join(rows.samples.extra) or "none"
-                fix = f"Give it; further columns there are: {known}"
-                raise ProblemError(f"{rows.samples.file} has no column '{column}' of torques", fix)
-            try:
-                values = np.array([float(text) for text in rows.samples.extra[column]])
-            except ValueError:
-                values = np.array([np.nan])
-            if not np.isfinite(values).all():
-                raise ProblemError(
-                    f"{rows.samples.file}: the column '{column}' holds no torques", "Give numbers, in Nm"
-                )
-            found[name] = values
-        return found
+        told = read_columns_of(rows.samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+        return dict(zip(self.columns(site), told.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
         """The give times the torque."""

@@ -1,0 +1,40 @@
+"""Further columns of the samples, one for each joint, that effects ask for: torques, ways of approach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.samples.samples import Samples
+
+
+def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
+    """Raise ProblemError unless there is a column for each joint."""
+    if len(columns) != joints:
+        raise ProblemError(f"{len(columns)} columns of {what} came for {joints} joints", "Name one for each")
+
+
+def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
+    """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
+
+    Raises ProblemError where one is missing, or holds no numbers; `fix` says which to give.
+    """
+    check_columns_of(columns, joints, what)
+    found = []
+    for column in columns:
+        if column not in samples.extra:
+            known = ", ".join(samples.extra) or "none"
+            raise ProblemError(
+                f"{samples.file} has no column '{column}' of {what}", f"Give it; further columns there are: {known}"
+            )
+        try:
+            values = np.array([float(text) for text in samples.extra[column]])
+        except ValueError:
+            values = np.array([np.nan])
+        if not np.isfinite(values).all():
+            raise ProblemError(f"{samples.file}: the column '{column}' holds no {what}", f"Give {fix}")
+        found.append(values)
+    return np.column_stack(found)
