@@ -28,11 +28,14 @@ from casacal import (
     simulate,
 )
 from casacal.calibration.page.touches import Touches
-from casacal.instruments.tracked_pose import QUATERNION, chord
+from casacal.calibration.verdict import verdict_of
+from casacal.instruments.orientations import QUATERNION, Orientation
+from casacal.instruments.tracked_pose import chord
 from casacal.kinematics import position
 from casacal.unknowns.hand_eye import hand_eye
 
 problem = PROBLEMS["TrackedPose"]
+SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
 
 
@@ -273,3 +276,75 @@ def test_effects_along_the_residual_are_of_its_unit(rows):
     moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)
     assert np.abs(moved[:, :3]).max() > 0.5
     assert np.abs(moved[:, 3:]).max() == 0.0
+
+
+WAYS = ("rotation vector", "ZYX", "xyz", "ZYZ")
+
+
+def other_way(rows, orientation):
+    """The same rows with orientations written as SciPy writes them."""
+    turns = Rotation.from_quat(np.roll(quaternions(rows), -1, axis=1))
+    told = turns.as_rotvec() if orientation == "rotation vector" else turns.as_euler(orientation)
+    columns = {name: column for name, column in rows.columns.items() if name not in QUATERNION}
+    names = Orientation(orientation).columns
+    return dataclasses.replace(rows, columns={**columns, **dict(zip(names, told.T, strict=True))})
+
+
+def instrument(orientation):
+    return dataclasses.replace(problem.instrument, orientation=orientation)
+
+
+@pytest.mark.parametrize("orientation", WAYS)
+def test_however_an_orientation_is_written_the_fit_is_the_same(rows, orientation):
+    other = other_way(rows, orientation)
+    mine = bind(Problem(ROBOT, instrument(orientation)), other)
+    plain = bind(problem, rows)
+    one, two = lm(mine), lm(plain)
+    assert one.cost == pytest.approx(two.cost, rel=1e-9)
+    np.testing.assert_allclose(one.x, two.x, atol=1e-7)
+
+
+@pytest.mark.parametrize("orientation", ["rotation vector", "ZYX"])
+def test_rows_are_simulated_so_written(orientation):
+    made = Problem(ROBOT, instrument(orientation))
+    found = calibrate(made, simulate(made, samples=60, seed=3).samples)
+    assert found.reference.relative_gap < 1e-8
+    assert verdict_of(found).level == "calibrated"
+
+
+def test_a_turn_of_nothing_is_one(rows):
+    for orientation in WAYS[:3]:
+        names = Orientation(orientation).columns
+        still = other_way(rows, orientation)
+        still = dataclasses.replace(still, columns={**still.columns, **dict.fromkeys(names, np.zeros(60))})
+        bound = bind(Problem(ROBOT, dataclasses.replace(instrument(orientation), body=SIX, station=SIX)), still)
+        assert np.isfinite(bound.residual(bound.x0)).all()
+        assert np.isfinite(bound.jacobian(bound.x0)).all()
+
+
+@pytest.mark.parametrize(
+    ("orientation", "spoiled", "about"),
+    [
+        ("rotation vector", lambda told: -told, "sense of the rotation vectors"),
+        ("ZYX", lambda told: told[:, ::-1], "order of the turns"),
+        ("xyz", lambda told: told[:, ::-1], "order of the turns"),
+    ],
+)
+def test_turns_written_otherwise_are_named(rows, orientation, spoiled, about):
+    made, names = Problem(ROBOT, instrument(orientation)), Orientation(orientation).columns
+    told = other_way(rows, orientation)
+    wrong = spoiled(np.column_stack([told.columns[name] for name in names]))
+    found = check(made, dataclasses.replace(told, columns={**told.columns, **dict(zip(names, wrong.T, strict=True))}))
+    assert about in [finding.about for finding in found if finding.severity == "error"]
+    if about == "order of the turns":
+        said = next(finding for finding in found if finding.about == about)
+        declared = Problem(ROBOT, instrument(orientation[::-1].swapcase()))
+        assert f'orientation="{orientation[::-1].swapcase()}"' in said.fix
+        swapped = dataclasses.replace(told, columns={**told.columns, **dict(zip(names, wrong.T, strict=True))})
+        assert lm(bind(declared, swapped)).cost == pytest.approx(lm(bind(problem, rows)).cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("wrong", ["euler", "ZYx", "ZZX", "ABC", "", 5, None])
+def test_an_orientation_of_no_such_name_is_refused(wrong):
+    with pytest.raises(ProblemError, match="Give 'quaternion', 'rotation vector'"):
+        TrackedPose(position_std=0.1, angle_std=1e-3, orientation=wrong)

@@ -13,17 +13,14 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.instrument import Dimension, Instrument, Sight, Suspect, Words
+from casacal.instruments.orientations import Orientation
 from casacal.instruments.residual_block import ResidualBlock
-from casacal.kinematics import Expression, chain, position, rotation, rotation_of_quaternion
+from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame, Unknown
 from casacal.unknowns.hand_eye import hand_eye
 from casacal.values import is_real
 
-QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 POSITION = ("x", "y", "z")
-
-NO_TURN = 1e-6
-"""Size of a quaternion's numbers below which it says nothing."""
 
 HALF_TURN = 1e-16
 """Keeps the residual of the orientation smooth where it is half a turn off; nothing near zero."""
@@ -31,9 +28,9 @@ HALF_TURN = 1e-16
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedPose(Instrument):
-    """A body on the flange whose position (x, y, z) and orientation (quat_w, quat_x, quat_y, quat_z) are read.
+    """A body on the flange whose position (x, y, z) and orientation are read; `Orientation` says how it is written.
 
-    The quaternion turns the body's axes into the device's. Six residuals per row: three of the position, mm, and three
+    It turns the body's axes into the device's. Six residuals per row: three of the position, mm, and three
     of the orientation, rad: twice the vector of the quaternion between reading and model, whose length is the chord of
     the angle between them, 2 sin(angle / 2). That is zero where they agree and nowhere else, unlike the antisymmetric
     part of their rotation, which vanishes at half a turn, too.
@@ -44,15 +41,18 @@ class TrackedPose(Instrument):
     Args:
         position_std: standard deviation of each coordinate, mm; or the name of the column that says it.
         angle_std: standard deviation of the orientation about each axis, rad; or the name of such a column.
+        orientation: "quaternion" (columns quat_w, quat_x, quat_y, quat_z), "rotation vector" (turn_x, turn_y, turn_z),
+            or the axes of turn_1, turn_2, turn_3, such as "ZYX" for KUKA's A, B, C.
         body: transform from the flange to the body; proposed from the data when not given.
         station: transform from the robot's base to the device; proposed from the data when not given.
 
-    Raises ProblemError for a noise that is not positive.
+    Raises ProblemError for a noise that is not positive, and an orientation of no such name.
 
     """
 
     position_std: float | str
     angle_std: float | str
+    orientation: str = "quaternion"
     body: Frame = Frame()
     station: Frame = Frame()
 
@@ -61,12 +61,18 @@ class TrackedPose(Instrument):
             std = getattr(self, name)
             if not isinstance(std, str) and (not is_real(std) or not 0 < std < math.inf):
                 raise ProblemError(f"{name} of TrackedPose is {std!r}", "Give a positive number, or name a column")
+        _ = self.written
+
+    @property
+    def written(self) -> Orientation:
+        """How the orientation is written."""
+        return Orientation(self.orientation)
 
     @property
     def columns(self) -> Mapping[str, Dimension]:
-        """Position and quaternion, and the columns that say how good they are."""
+        """Position and orientation, and the columns that say how good they are."""
         found: dict[str, Dimension] = dict.fromkeys(POSITION, "length")
-        found |= dict.fromkeys(QUATERNION, "number")
+        found |= dict.fromkeys(self.written.columns, self.written.dimension)
         for std, dimension in ((self.position_std, "length"), (self.angle_std, "angle")):
             if isinstance(std, str):
                 found[std] = dimension  # type: ignore[assignment]
@@ -96,25 +102,16 @@ class TrackedPose(Instrument):
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
-        """Units, a mirrored frame, and quaternions whose numbers stand in another order, or turn the other way."""
+        """Units, a mirrored frame, and orientations in another order, or that turn the other way."""
         lengths = tuple(Suspect(each.about, each.cause, each.fix, POSITION, each.factor) for each in super().suspects)
-        last = ("quat_x", "quat_y", "quat_z", "quat_w")
-        order = "the quaternions seem to come as x, y, z, w, and the columns call them w, x, y, z"
-        turn = "the quaternions seem to turn from the device to the body, not from the body to the device"
         mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
         right = "Export them in a right-handed frame, or correct the column that is wrong"
-        return (
-            *lengths,
-            Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, _shifted(last)),
-            Suspect("sense of the quaternions", turn, "Invert them: negate quat_x, quat_y and quat_z",
-                    ("quat_x", "quat_y", "quat_z"), -1.0),
-            Suspect("left-handed frame", mirror, right, ("z",), -1.0),
-        )  # fmt: skip
+        return (*lengths, *self.written.suspects, Suspect("left-handed frame", mirror, right, ("z",), -1.0))
 
     @property
     def begins_at(self) -> Mapping[str, float]:
-        """No turn, which zeros are not."""
-        return {"quat_w": 1.0}
+        """No turn, which zeros may not be."""
+        return self.written.begins_at
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Where the body is (3, mm)."""
@@ -125,19 +122,12 @@ class TrackedPose(Instrument):
         """Position predicted minus read (3, mm), and orientation (3, rad)."""
         seen = chain(p.station, pose, p.body)
         place = position(seen) - ca.vertcat(row.x, row.y, row.z)
-        quaternion = ca.vertcat(*(getattr(row, name) for name in QUATERNION))
-        read = rotation_of_quaternion(quaternion / ca.norm_2(quaternion))
-        return ca.vertcat(place, chord(ca.mtimes(read.T, rotation(seen))))
+        return ca.vertcat(place, chord(ca.mtimes(self.written.turn(row).T, rotation(seen))))
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Body and station of T X = Z B (Shah 2013), whichever is asked for."""
         turns = sight.poses[:, :3, :3]
-        read = np.column_stack([sight.columns[name] for name in QUATERNION])
-        if (lost := int((np.abs(read).max(axis=1) < NO_TURN).sum())) > 0:
-            rows = "1 row holds" if lost == 1 else f"{lost} rows hold"
-            raise ProblemError(
-                f"{rows} a quaternion of zeros, as devices write that have lost the body", "Remove those rows"
-            )
+        read = self.written.quaternions(sight.columns)
         places = np.column_stack([sight.columns[name] for name in POSITION])
         found = hand_eye(turns, sight.poses[:, :3, 3], read, places)
         if found is None:
@@ -164,8 +154,3 @@ def chord(turn: Expression) -> Expression:
     vee = ca.vertcat(turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]) / 2  # axis sin(angle)
     cosine = ca.sqrt(ca.fmax(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], 0) / 4 + HALF_TURN)  # of half the angle
     return vee / cosine
-
-
-def _shifted(order: tuple[str, ...]) -> tuple[str, ...]:
-    """For each of w, x, y, z the column in which it stands where they were written as x, y, z, w."""
-    return tuple(QUATERNION[order.index(name)] for name in QUATERNION)
