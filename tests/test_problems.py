@@ -1,6 +1,7 @@
 """The arms of problems/ stand where their makers' numbers put them: hand-multiplied poses, published ones, geometry."""
 
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 from conftest import ROOT
 from oracles import dh_chain, rot_x, rot_z, shift
 
-from casacal import bind, lm, load_problem, simulate
+from casacal import bind, calibrate, lm, load_problem, simulate
+from casacal.calibration.verdict import verdict_of
+from casacal.cli.main import main
 
 POSES = 20
 TURN = math.pi / 2
@@ -95,3 +98,30 @@ def test_other_priors_share_what_was_compiled_and_nothing_else(hsr):
     np.testing.assert_array_equal(lm(one).x, lm(two).x)
     cell = hsr.cell
     np.testing.assert_array_equal(simulate(wide, cell, seed=1).local["a"], simulate(fresh, cell, seed=1).local["a"])
+
+
+EXAMPLES = sorted(path.parent for path in (ROOT / "problems" / "instruments").glob("*/problem.py"))
+
+
+@pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
+def test_every_instrument_has_an_example_that_is_as_its_page_says(folder, tmp_path):
+    page = (folder.parent / "README.md").read_text(encoding="utf-8")
+    row = next(line for line in page.splitlines() if line.startswith(f"| `{folder.name}` |"))
+    count, promised = (float(cell) for cell in row.split("|")[3:5])
+    source = load_problem(folder)
+    samples = source.problem.read(source.samples)
+    assert len(samples) == count
+    found = calibrate(source, reference=False)
+    assert verdict_of(found).level == "calibrated"
+    assert found.tip_std[1] == pytest.approx(promised, rel=0.03)
+    again = tmp_path / "samples.csv"
+    assert main(["simulate", str(folder), "--samples", f"{count:.0f}", "--seed", "0", "--out", str(again)]) == 0
+    made = source.problem.read(again)
+    assert all(np.allclose(made.columns[name], samples.columns[name], atol=2e-3) for name in samples.columns)
+
+
+def test_no_instrument_lacks_an_example():
+    text = "".join((folder / "problem.py").read_text() for folder in [*EXAMPLES, ROOT / "problems" / "ur5"])
+    for name in ("DialOnPlane", "Distance", "FixedPoint", "KnownPoint", "SelfContact", "Sockets", "SphereTouch"):
+        assert name in text
+    assert {"TrackedPoint", "TrackedPose"} <= set(re.findall(r"Tracked\w+", text))

@@ -24,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--to",
         required=True,
-        choices=("dh", "urdf", "zeros", "ur", "c"),
+        choices=("dh", "urdf", "zeros", "ur", "c", "frame"),
         help="DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
-        "ur_description (YAML), or C99",
+        "ur_description (YAML), C99, or the frame of a work object (--faces or --points)",
     )
     parser.add_argument("--out", required=True, metavar="FILE", help="file to write")
     parser.add_argument(
@@ -35,6 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prefix", metavar="WORD", help="for c: what names of functions begin with; default: the problem's name"
     )
+    parser.add_argument("--faces", metavar="A,B,C", help="for frame: z of the first face, x of the second, all three")
+    parser.add_argument("--points", metavar="A,B,C", help="for frame: origin, a point along x, a point beside it")
     add_force(parser)
     add_json(parser)
 
@@ -46,14 +48,24 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export
+    from casacal.export.work_frame import frame_text
+    from casacal.files import write_text
 
+    if options.to != "frame" and (options.faces or options.points):
+        raise CasacalError(f"--to {options.to} has no work object", "Leave out --faces and --points")
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
     spare([options.out], options.result, options.source)
     result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], *made_from(result))
     prefix = options.prefix if options.to == "c" else None
-    export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
+    if options.to == "frame":
+        faces, points = (
+            text and tuple(part.strip() for part in text.split(",")) for text in (options.faces, options.points)
+        )
+        write_text(options.out, frame_text(result, faces=faces, points=points, force=options.force))
+    else:
+        export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
     if options.json:
         said = {"form": options.to, "verdict": verdict_part(result), "remarks": remark(result, form=options.to)}
         say_json({**said, "written": [options.out]})

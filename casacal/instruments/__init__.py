@@ -12,11 +12,11 @@ from casacal.instruments.fixed_point import Sockets as Sockets
 from casacal.instruments.instrument import Instrument as Instrument
 from casacal.instruments.instrument import Probe as Probe
 from casacal.instruments.instrument import Sight as Sight
-from casacal.instruments.instrument import Suspect as Suspect
 from casacal.instruments.instrument import Words as Words
 from casacal.instruments.known_point import KnownPoint as KnownPoint
 from casacal.instruments.residual_block import ResidualBlock as ResidualBlock
 from casacal.instruments.self_contact import SelfContact as SelfContact
 from casacal.instruments.sphere_touch import SphereTouch as SphereTouch
+from casacal.instruments.suspect import Suspect as Suspect
 from casacal.instruments.tracked_point import TrackedPoint as TrackedPoint
 from casacal.instruments.tracked_pose import TrackedPose as TrackedPose

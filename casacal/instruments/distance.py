@@ -10,7 +10,8 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Sight, Suspect, Words
+from casacal.instruments.instrument import Dimension, Sight, Words
+from casacal.instruments.suspect import Suspect
 from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown

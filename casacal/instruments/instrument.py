@@ -12,6 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.residual_block import ResidualBlock
+from casacal.instruments.suspect import UNIT_MISTAKES, Suspect
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
 from casacal.user_code import Portable
@@ -75,30 +76,6 @@ class Probe:
     knows_angles: bool = False
     steps: tuple[str, ...] = ()
     turn: float = 0.0
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A mistake that people make with columns: what it is called, seems to be, and needs.
-
-    Undone by the factor; where they stand in the wrong order, each takes what stands in the column of `order`.
-    """
-
-    about: str
-    cause: str
-    fix: str
-    columns: tuple[str, ...]
-    factor: float
-    order: tuple[str, ...] = ()
-
-
-UNIT_MISTAKES = {
-    25.4: "inches, written as mm",
-    1 / 25.4: "mm, written as inches",
-    1000.0: "metres, written as mm, or mm, written as micrometres",
-    0.001: "micrometres, written as mm",
-}
-"""What readings may be by mistake, by the factor that mends it."""
 
 
 class Instrument(Portable, ABC):
@@ -165,6 +142,10 @@ class Instrument(Portable, ABC):
     def begins_at(self) -> Mapping[str, float]:
         """Readings from which simulated ones are looked for, where zero is none."""
         return {}
+
+    def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Simulated readings (N,) by name as a device would say them: of those that mean the same, one."""
+        return columns
 
     def stands(self, key: str, near: Array, normal: Array) -> Array:
         """Nominal of an unknown that was declared without one where it is simulated, near a place (3, mm)."""

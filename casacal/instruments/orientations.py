@@ -12,7 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came
-from casacal.instruments.instrument import Dimension, Suspect
+from casacal.instruments.instrument import Dimension
+from casacal.instruments.suspect import Suspect
 from casacal.kinematics import Expression, chain, rotate_x, rotate_y, rotate_z, rotation, rotation_of_quaternion
 
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
@@ -96,6 +97,17 @@ class Orientation:
         vector = self.name == "rotation vector"
         found = Rotation.from_rotvec(told) if vector else Rotation.from_euler(self.name, told)
         return np.asarray(np.roll(found.as_quat(), 1, axis=1))
+
+    def told(self, quaternions: Array) -> Mapping[str, Array]:
+        """The columns (N,) of quaternions (N, 4): w, x, y, z, of any length; turns are less than one."""
+        from scipy.spatial.transform import Rotation
+
+        turns = Rotation.from_quat(np.roll(quaternions, -1, axis=1))
+        if self.name == "quaternion":
+            found = np.roll(turns.as_quat(canonical=True), 1, axis=1)
+        else:
+            found = turns.as_rotvec() if self.name == "rotation vector" else turns.as_euler(self.name)
+        return dict(zip(self.columns, found.T, strict=True))
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:

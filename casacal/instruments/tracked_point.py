@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from casacal.instruments.instrument import Dimension, Suspect, Words
+from casacal.instruments.instrument import Dimension, Words
 from casacal.instruments.point_in_frame import PointInFrame
+from casacal.instruments.suspect import Suspect
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,4 +36,5 @@ class TrackedPoint(PointInFrame):
     @property
     def words(self) -> Words:
         """Coordinates of points."""
-        return Words("residual of each coordinate", "mm", "points", "station fitted alone", accuracy=True)
+        by = self.station.per or Words.group
+        return Words("residual of each coordinate", "mm", "points", "station fitted alone", group=by, accuracy=True)

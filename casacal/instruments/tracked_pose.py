@@ -12,9 +12,10 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Instrument, Sight, Suspect, Words
+from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
 from casacal.instruments.orientations import Orientation
 from casacal.instruments.residual_block import ResidualBlock
+from casacal.instruments.suspect import Suspect
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame, Unknown
 from casacal.unknowns.hand_eye import hand_eye
@@ -112,6 +113,10 @@ class TrackedPose(Instrument):
     def begins_at(self) -> Mapping[str, float]:
         """No turn, which zeros may not be."""
         return self.written.begins_at
+
+    def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Quaternions of length one, turns of less than one."""
+        return {**columns, **self.written.told(self.written.quaternions(columns))}
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Where the body is (3, mm)."""

@@ -92,9 +92,9 @@ def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw)
     scatter, lag = noise_rng.normal(size=joints.shape) * cell.joint_std, last_moves(joints) * cell.backlash / 2
     arm = ArmErrors(drawn_waves(robot, cell.waves, gear_rng))
     recorded = rounded(unwaved(arm.waves, joints - scatter + lag), cell.encoder_step)
-    columns = {}
-    for k, (name, dimension) in enumerate(instrument.columns.items()):
-        shown = readings[:, k] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
+    columns, read = {}, instrument.as_read(dict(zip(instrument.columns, readings.T, strict=True)))
+    for name, dimension in instrument.columns.items():
+        shown = read[name] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
     return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), truth, arm
 
