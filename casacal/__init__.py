@@ -79,6 +79,8 @@ if TYPE_CHECKING:
     from casacal.least_squares.objective import LeastSquares as LeastSquares
     from casacal.least_squares.result import Result as Result
     from casacal.least_squares.result import Status as Status
+    from casacal.planning.plan import Plan as Plan
+    from casacal.planning.plan import plan as plan
     from casacal.problem.cell import Cell as Cell
     from casacal.problem.cell import Face as Face
     from casacal.problem.cell import corner as corner
@@ -119,6 +121,7 @@ _HOMES = {
     "casacal.binding.symbolic": ("SymbolicProblem",),
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
+    "casacal.planning.plan": ("Plan", "plan"),
     "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
     "casacal.problem.disturbances": ("Disturbances",),
     "casacal.compensation.compensate": ("compensate",),

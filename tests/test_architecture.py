@@ -33,6 +33,7 @@ ORDER = [
     "binding",
     "simulation",
     "uncertainty",
+    "planning",
     "checks",
     "compensation",
     "export",

@@ -18,6 +18,7 @@ from casacal import (
     TrackedPoint,
     bind,
     calibrate,
+    lm,
     load,
     load_problem,
     simulate,
@@ -27,6 +28,7 @@ from casacal import (
 from casacal.bench.methods import left
 from casacal.calibration import corrections
 from casacal.calibration.corrected_words import became
+from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.seal import sealed
@@ -367,6 +369,35 @@ def test_geometry_mimics_what_is_not_corrected_where_the_tip_was_seen_too(waving
     assert np.square(rest[0]).mean() < 1.02**2 * np.square(rest[1]).mean()
     far = [left(each.fit, each.uncorrected_x, waving[2]) for each in (found, alone)]
     assert np.square(far[0]).mean() < np.square(far[1]).mean(), "the workspace counts as well"
+
+
+def test_what_geometry_mimics_is_the_least_squares_of_workspace_and_rows_together(waving):
+    """Both stacked by hand, stations free at the rows, rigid motions taken out over the workspace."""
+    problem, fitted, _ = waving
+    fit = calibrate(problem, fitted, reference=False).fit
+    result = lm(fit)
+    beside = np.array([bool(key) for key in fit.beside])
+    moves = np.array([key in ("wave1", "wave2", "give") for key in fit.beside])
+    joints = workspace_joints(problem.robot)
+    tips = fit.tips(result.x, joints)
+    field = without_rigid(fit.tip_jacobian(result.x, joints), tips) / np.sqrt(len(joints))
+    rows = fit.jacobian(result.x) * np.median(fit.noise) / np.sqrt(len(fitted))
+    geometry, station = ~beside & ~fit.datum, fit.datum
+    columns = np.vstack(
+        [
+            np.hstack([field[:, geometry], np.zeros((len(field), station.sum()))]),
+            np.hstack([rows[:, geometry], rows[:, station]]),
+        ]
+    )
+    lost = np.concatenate([field[:, moves], rows[:, moves]]) @ result.x[moves]
+
+    def left_over(change):
+        free = np.linalg.lstsq(rows[:, station], lost[len(field) :] - rows[:, geometry] @ change, rcond=None)[0]
+        return np.linalg.norm(columns @ np.concatenate([change, free]) - lost)
+
+    best = np.linalg.norm(columns @ np.linalg.lstsq(columns, lost, rcond=1e-9)[0] - lost)
+    found = left_over((used_arm(fit, result, ()) - result.x)[geometry])
+    assert best <= found < 1.01 * best
 
 
 def test_a_soft_arm_is_doubted_but_corrected():

@@ -117,7 +117,7 @@ def test_size_is_the_sag_of_the_flange(sagging):
 
 
 def test_a_controller_s_conventions_change_nothing(sagging):
-    conventions = Conventions((1, -1, 1, 1, -1, 1), (0.1, 0.0, 0.2, 0.0, 0.0, 0.0), coupling=((3, 2, -1.0),))
+    conventions = Conventions((1, 1, 1, 1, -1, 1), (0.1, 0.0, 0.2, 0.0, 0.0, 0.0), coupling=((3, 2, -1.0),))
     alpha, a, d = TABLE
     arm = Robot.from_dh("UR5", alpha=alpha, a=a, d=d, theta=(0.0,) * 6, parallel=(2, 3), conventions=conventions)
     same = dataclasses.replace(sagging, joints=conventions.to_controller(sagging.joints))

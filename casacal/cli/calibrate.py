@@ -17,6 +17,7 @@ from casacal.cli.common import (
     add_json,
     add_problem,
     add_samples,
+    box_of,
     read_samples,
     sample_files,
     spare,
@@ -103,7 +104,7 @@ def run(options: argparse.Namespace) -> int:
         places = [Path(options.out) / name for name in FILES]
         spare(places, *given.values(), options.readings, *(file.path for file in source.files))
     samples = read_samples(source, options)
-    box = None if options.box is None else _box(options.box)
+    box = None if options.box is None else box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
     with _Progress(method) as progress:
         calibration = calibrate(
@@ -165,15 +166,6 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     if not options.json and (folder is not None or not options.verbose):
         say("\n".join(wrapped(last)))
     return FAILED if denied else DONE
-
-
-def _box(text: str) -> Box:
-    try:
-        ranges = [tuple(float(value) for value in part.split(":")) for part in text.split(",")]
-        (x0, x1), (y0, y1), (z0, z1) = ranges
-    except ValueError:
-        raise CasacalError(f"--box {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
-    return (x0, x1), (y0, y1), (z0, z1)
 
 
 class _Progress:

@@ -18,6 +18,7 @@ from casacal.cli import (
     doctor,
     export,
     new,
+    plan,
     predict,
     simulate,
     study,
@@ -30,6 +31,7 @@ from casacal.threads import one_thread_each
 from casacal.version import __version__
 
 COMMANDS = {
+    "plan": plan,
     "calibrate": calibrate,
     "simulate": simulate,
     "check": check,

@@ -58,11 +58,21 @@ def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -
     Both apart from where the base stands; `off` as for `tip_stds`.
     Raises CasacalError when the arm hardly reaches the box.
     """
-    robot = bound.problem.robot
+    joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)
+    field = up_to_base(
+        bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
+    )
+    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_std)
+    stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
+    return math.sqrt(float((stds**2).mean())), float(stds.max())
+
+
+def joints_in_box(bound: Seen, x: Array, box: Box) -> Array:
+    """Random joint values (M, n; rad, mm) at which the tip is inside a box; CasacalError where it hardly gets there."""
     low, high = np.array(box).T
     if not (low < high).all():
         raise CasacalError(f"The box {box} is empty", "Give each range as LOW:HIGH in mm")
-    tried = random_joints(robot, TRIES, np.random.default_rng(0))
+    tried = random_joints(bound.problem.robot, TRIES, np.random.default_rng(0))
     tips = bound.tips(x, tried)
     joints = tried[((tips >= low) & (tips <= high)).all(axis=1)][:WORKSPACE_POSES]
     if len(joints) < FEWEST:
@@ -70,10 +80,4 @@ def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -
             f"Only {len(joints)} of {TRIES} random postures put the tip inside the box",
             "Choose a box in the arm's reach",
         )
-    frame = workspace_joints(robot)
-    field = up_to_base(
-        bound.tip_jacobian(x, joints), bound.tips(x, joints), bound.tip_jacobian(x, frame), bound.tips(x, frame)
-    )
-    covariance = posterior_covariance(bound.information(x if off is None else x + off), bound.prior_std)
-    stds = np.linalg.norm(tip_stds(covariance, field, off), axis=1)
-    return math.sqrt(float((stds**2).mean())), float(stds.max())
+    return np.asarray(joints)

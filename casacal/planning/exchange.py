@@ -1,0 +1,90 @@
+"""Which rows to take of many so that what they leave of an error is least: exchange (Fedorov 1972), I-optimal.
+
+With C the posterior covariance of the unknowns and M the weight of their errors, trace(C M) is the mean squared error
+of what is asked for (Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, chapter 10). A row a (m, n), the m
+whitened residuals of one measurement, lowers it by trace((1 + a C a')^-1 a C M C a'); without it, it rises likewise.
+Rows are exchanged one by one for the best of all others until none is better. From nothing, one by one, such plans stay
+on one face for ever: the first rows on another one tell of that face alone, and earn nothing. So they start at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+
+SWEEPS = 10
+"""Times that every row of a plan is tried against all others."""
+
+BETTER = 1e-7
+"""Part of the error by which an exchange must lower it."""
+
+Chosen = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Rows of a plan (k,), and the error that they leave: the root of trace(C M)."""
+
+    rows: Chosen
+    error: float
+
+
+def exchange(
+    rows: Array, known: Array, weight: Array, start: Chosen, *, progress: Callable[[float], None] | None = None
+) -> Exchanged:
+    """Improve a plan until no single exchange does.
+
+    Args:
+        rows: whitened slopes of every measurement that could be made (N, m, n).
+        known: information (n, n) that there is without them, positive definite.
+        weight: M (n, n).
+        start: the plan to begin with (k,), no row twice.
+        progress: called with the error after each sweep.
+
+    """
+    plan, free = start.copy(), np.ones(len(rows), dtype=bool)
+    free[plan] = False
+    for _ in range(SWEEPS):
+        changed = False
+        for place in range(len(plan)):
+            rest = np.delete(plan, place)
+            covariance: Array = np.asarray(np.linalg.inv(_information(rows[rest], known)), dtype=np.float64)
+            gains = _gains(rows, covariance, weight)
+            gains[~free] = -np.inf
+            present = float(_gains(rows[plan[place]][None], covariance, weight)[0])
+            best = int(np.argmax(gains))
+            left = float(np.trace(covariance @ weight)) - present
+            if gains[best] > present + BETTER * left:
+                free[plan[place]], free[best] = True, False
+                plan[place], changed = best, True
+        if progress is not None:
+            progress(error_of(rows[plan], known, weight))
+        if not changed:
+            break
+    return Exchanged(plan, error_of(rows[plan], known, weight))
+
+
+def error_of(rows: Array, known: Array, weight: Array) -> float:
+    """Root of trace(C M) that some rows (k, m, n) leave."""
+    return float(np.sqrt(np.trace(np.linalg.solve(_information(rows, known), weight))))
+
+
+def _information(rows: Array, known: Array) -> Array:
+    flat = rows.reshape(-1, known.shape[0])
+    return np.asarray(known + flat.T @ flat)
+
+
+def _gains(rows: Array, covariance: Array, weight: Array) -> Array:
+    """By how much each measurement (N,) lowers trace(C M)."""
+    count, size, unknowns = rows.shape
+    seen = (rows.reshape(-1, unknowns) @ covariance).reshape(count, size, unknowns)
+    spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
+    told = np.einsum("kin,kjn->kij", seen @ weight, seen)
+    if size == 1:
+        return np.asarray(told[:, 0, 0] / spread[:, 0, 0])
+    return np.asarray(np.trace(np.linalg.solve(spread, told), axis1=1, axis2=2))

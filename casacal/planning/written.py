@@ -1,0 +1,57 @@
+"""A plan as a file: postures in the order in which they are made, what to expect there, what each is for."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from casacal.files import write_text
+from casacal.planning.plan import Plan
+from casacal.samples.layout import Layout
+from casacal.samples.write import JOINT_DECIMALS, WRITTEN
+
+EXPECTED = "expected_"
+"""What the names of readings begin with that nobody has made yet."""
+
+
+def plan_text(plan: Plan, layout: Layout, name: str) -> str:
+    """The plan as CSV: number, purpose, joints (degrees, mm), readings to expect, labels.
+
+    layout: of the problem's samples. name: of the problem. Readings have other names than in samples, so that a plan
+    cannot be taken for a measurement.
+    """
+    samples = plan.samples
+    joints = enumerate(zip(layout.joints, samples.joints.T, strict=True), 1)
+    quantities = [(f"q{i}", kind, values) for i, (kind, values) in joints]
+    quantities += [(EXPECTED + column, kind, samples.columns[column]) for column, kind in layout.columns.items()]
+    header, columns = ["touch", "purpose"], [[str(k) for k in range(1, len(plan) + 1)], list(plan.purposes)]
+    for what, kind, values in quantities:
+        ending, factor, decimals = WRITTEN[kind]
+        decimals = decimals if what.startswith(EXPECTED) else JOINT_DECIMALS
+        header.append(what + ending)
+        columns.append([f"{value * factor:.{decimals}f}" for value in values])
+    header += list(samples.labels)
+    columns += [list(labels) for labels in samples.labels.values()]
+    text = io.StringIO()
+    text.writelines(f"# {line}\n" for line in _notes(plan, name))
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*columns, strict=True))
+    return text.getvalue()
+
+
+def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
+    """Write `plan_text` to a file, whole or not at all."""
+    write_text(path, plan_text(plan, layout, name))
+
+
+def _notes(plan: Plan, name: str) -> list[str]:
+    return [
+        f"planned by casacal for {name}: not a measurement",
+        f"expected tip error {plan.error:.4g} mm RMS, apart from where the base stands, if stated noise and priors are "
+        f"right; of as many at random {plan.at_random:.4g} mm",
+        "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
+        "that the controller shows and the reading that there is, not the expected one",
+        "purpose fit: to calibrate with; again: the same once more, at the end; check: kept apart, for casacal verify",
+    ]
