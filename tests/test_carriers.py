@@ -12,7 +12,6 @@ from casacal import (
     Disturbances,
     Problem,
     ProblemError,
-    Robot,
     TrackedPoint,
     calibrate,
     carried,
@@ -85,11 +84,23 @@ def test_a_rail_that_points_elsewhere_and_is_long_is_found():
 def test_any_arm_rides_and_its_links_weigh():
     arm = load_problem(ROOT / "problems" / "kuka_iiwa14").problem.robot
     problem = Problem(carried(arm, by=rail(0, 2000)), TRACKER, effects=(LinkGive(),))
-    assert "links" in problem.model.unknowns
+    assert "give" in problem.model.unknowns
     scara = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
     assert carried(scara, by=rail(0, 2000)).revolute.tolist() == [False, *scara.revolute]
     two = carried(ROBOT, by=carried(turntable(-1, 1), by=rail(0, 500)))
     assert [axis.kind for axis in two.axes[:2]] == ["prismatic", "revolute"]
+
+
+def test_a_carrier_may_be_carried_either_way():
+    """A gantry: along y on a bridge along x, put together from the arm up or from the ground up."""
+    bridge, trolley = rail(0, 2000), rail(0, 1000, direction=(0, 1, 0))
+    up, down = carried(carried(ROBOT, by=trolley), by=bridge), carried(ROBOT, by=carried(trolley, by=bridge))
+    joints = np.random.default_rng(4).uniform(0, 1, (4, 8)) * [2000, 1000, 2, 2, 2, 2, 2, 2]
+    wanted = flanges(joints[:, 2:])
+    wanted[:, :2, 3] += joints[:, :2]
+    np.testing.assert_allclose(poses_of(up, joints), wanted, atol=1e-9)
+    np.testing.assert_allclose(poses_of(down, joints), wanted, atol=1e-9)
+    assert "carrier_carrier_direction" in up.parameters
 
 
 def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
@@ -111,10 +122,11 @@ def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
 def test_what_is_no_carrier_is_refused():
     with pytest.raises(ProblemError, match="An int came as an arm or what carries it"):
         carried(ROBOT, by=5)
-    with pytest.raises(ProblemError, match="limits"):
-        rail(10, 0)
+    for wrong in ((10, 0), (0, 3), ("0", "3000"), (None, 1), (0, 1e308)):
+        with pytest.raises(ProblemError, match="Give its travel in mm"):
+            rail(*wrong)
+    for limits in ((-180, 180), (3, -3), ("a", 3)):
+        with pytest.raises(ProblemError, match="Give its limits in rad"):
+            turntable(*limits)
     with pytest.raises(ProblemError):
         turntable(-1, 1, axis=(0, 0, 0))
-    odd = Robot("odd", 6, ROBOT.pose, {**ROBOT.parameters, "carrier_scale": rail(0, 1).parameters["scale"]})
-    with pytest.raises(ProblemError, match="begin with 'carrier_'"):
-        carried(odd, by=rail(0, 1))

@@ -85,6 +85,11 @@ def test_what_cannot_be_learned_from_is_said():
         learned_priors([])
     with pytest.raises(CasacalError, match="A str came as a calibration"):
         learned_priors(["result.json"])
+    with pytest.raises(CasacalError, match="of the same rows"):
+        learned_priors([one, one])
+    with pytest.raises(CasacalError, match="came as a calibration"):
+        learned_priors(None)
+    assert learned_priors(one).arms == 1
     other = calibrate(TRACKER.with_prior({"a": 0.1}), one.samples, reference=False, discrepancy="none")
     with pytest.raises(CasacalError, match="different priors"):
         learned_priors([one, other])

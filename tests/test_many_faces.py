@@ -20,12 +20,14 @@ from casacal import (
     huber,
     lm,
     load,
+    load_problem,
     plane_only,
     sckf,
     simulate,
 )
 from casacal.binding import sums
 from casacal.binding.marginal import seen
+from casacal.calibration.verdict import verdict_of
 from casacal.checks.check import _few_of_each_face
 from casacal.estimators.ipopt_objective import Objective
 from casacal.least_squares import arrow
@@ -275,3 +277,17 @@ def test_hundreds_of_faces_take_no_large_matrix():
     done = subprocess.run([sys.executable, "-c", BIG], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) < 300_000
+
+
+def test_dozens_of_faces_and_the_effects_of_any_arm():
+    """60 faces have 204 unknowns, their forms 360 more: these decide nothing of how many there are."""
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    faces = [dataclasses.replace(source.cell.faces[k % 3], label=f"face {k}", size=(200.0, 200.0)) for k in range(60)]
+    samples = simulate(
+        source.problem, dataclasses.replace(source.cell, faces=tuple(faces)), samples=420, seed=1
+    ).samples
+    found = calibrate(source.problem, samples, reference=False)
+    assert any(found.fit.beside)
+    assert found.fit.unknowns > 500
+    assert verdict_of(found).level == "calibrated"
+    assert found.tip_std[1] < 0.5 * found.tip_std[0]

@@ -326,6 +326,8 @@ def test_a_turn_of_nothing_is_one(rows):
     ("orientation", "spoiled", "about"),
     [
         ("rotation vector", lambda told: -told, "sense of the rotation vectors"),
+        ("rotation vector", lambda told: told * np.pi / 180, "unit of the turns"),
+        ("ZYX", lambda told: told * np.pi / 180, "unit of the turns"),
         ("ZYX", lambda told: told[:, ::-1], "order of the turns"),
         ("xyz", lambda told: told[:, ::-1], "order of the turns"),
     ],

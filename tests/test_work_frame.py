@@ -10,7 +10,7 @@ from conftest import ROOT
 from instruments_on_ur5 import PROBLEMS
 from scipy.spatial.transform import Rotation
 
-from casacal import CasacalError, calibrate, load_problem, simulate
+from casacal import CasacalError, FixedPoint, Problem, calibrate, facing, load_problem, simulate, tool_point, turntable
 from casacal.cli.main import main
 from casacal.compensation.result_file import read_result
 from casacal.export.work_frame import frame_text, work_frame
@@ -103,12 +103,25 @@ def test_three_points_make_a_frame():
     assert 0.05 < frame.origin_std < 2, "a spike alone says little of how large the arm is"
 
 
+def test_work_on_a_table_is_in_the_table_s_frame():
+    robot = load_problem(ROOT / "problems" / "ur5").problem.robot
+    turning = facing(robot, turntable(-3, 3, point=(600, 0, 0)))
+    problem = Problem(turning, FixedPoint(noise_std=0.05, tool=tool_point(0, 0, 100, prior_std=1.0)))
+    found = calibrate(problem, simulate(problem, samples=60, seed=1).samples, reference=False)
+    text = frame_text(found, points=("1", "2", "3"))
+    assert "in the frame of what faces the arm and moves with it" in text
+    assert "base frame" not in text
+
+
 def test_what_fixes_no_frame_is_said(cornered):
     for given, said in (
         ({}, "from three faces or from three points"),
         ({"faces": FACES[:2]}, "from three faces or from three points"),
         ({"faces": FACES, "points": ("1", "2", "3")}, "from three faces or from three points"),
         ({"faces": ("floor", "floor", "wall")}, "from three faces or from three points"),
+        ({"faces": set(FACES)}, "from three faces or from three points"),
+        ({"points": "123"}, "from three faces or from three points"),
+        ({"points": (1, 2, 3)}, "from three faces or from three points"),
         ({"faces": ("floor", "wall", "roof")}, "roof"),
         ({"points": ("1", "2", "3")}, "'1'"),
     ):

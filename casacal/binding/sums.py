@@ -29,7 +29,7 @@ class Sums:
     ) -> None:
         self._rows, self._about, self._threads = rows, about, threads
         self.count = sum(each.block.noise.size for each in rows)
-        self.groups = _groups([columns for each in rows for columns in each.block.columns], slots, about[0].size)
+        self.groups = _groups([columns for each in rows for columns in each.block.columns], slots)
 
     @cached_property
     def packed(self) -> PackedPieces | None:
@@ -112,9 +112,12 @@ def _of_group(
     return GroupRows(numbers, members, groups.shared, own, shared)
 
 
-def _groups(columns: Sequence[NDArray[np.intp]], slots: Sequence[Slot], unknowns: int) -> Groups | None:
-    """Unknowns of one label alone, by the label column that has most of them; None where all are few."""
-    if unknowns <= MANY:
+def _groups(columns: Sequence[NDArray[np.intp]], slots: Sequence[Slot]) -> Groups | None:
+    """Unknowns of one label alone, by the label column that has most of them; None where all are few.
+
+    Those of effects beside the geometry do not count: they are left out where the geometry alone has many.
+    """
+    if sum(slot.unknown.size for slot in slots if not slot.beside) <= MANY:
         return None
     by_column: dict[str, list[int]] = {}
     for slot in slots:
@@ -122,6 +125,6 @@ def _groups(columns: Sequence[NDArray[np.intp]], slots: Sequence[Slot], unknowns
             by_column.setdefault(slot.unknown.per, []).extend(slot.columns)
     if not by_column:
         return None
-    own = np.zeros(unknowns, dtype=bool)
+    own = np.zeros(sum(slot.unknown.size for slot in slots), dtype=bool)
     own[max(by_column.values(), key=len)] = True
     return grouped(columns, own)

@@ -10,6 +10,8 @@ from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.samples.samples import Samples
 
+NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
+
 
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
     """Raise ProblemError unless there is a column for each joint."""
@@ -26,10 +28,9 @@ def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what:
     found = []
     for column in columns:
         if column not in samples.extra:
-            known = ", ".join(samples.extra) or "none"
-            raise ProblemError(
-                f"{samples.file} has no column '{column}' of {what}", f"Give it; further columns there are: {known}"
-            )
+            known = ", ".join(samples.extra)
+            fix = f"Give it; further columns there are: {known}" if known else NOT_KEPT
+            raise ProblemError(f"{samples.file} has no column '{column}' of {what}", fix)
         try:
             values = np.array([float(text) for text in samples.extra[column]])
         except ValueError:

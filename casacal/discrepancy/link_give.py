@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,13 +13,16 @@ import numpy as np
 from casacal.array_types import Rows
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.errors import ProblemError, came
+from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_weights import weights_of
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
 from casacal.unknowns import Parameter
 from casacal.values import is_real
+
+HEAVIEST = 1e5
+"""Kilograms of a link; more is another unit."""
 
 NOTHING = 1e-9
 """Part of the largest moment that is rounding."""
@@ -30,8 +34,9 @@ Triples = tuple[tuple[float, float, float], ...]
 class LinkGive(Effect):
     """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
 
-    Where masses are known, each joint has a give of its own: one number. Where they are not, each joint gives by as
-    much as it likes to each link beyond it: n (n + 1) / 2 numbers for n joints, which ask for many postures.
+    It takes the place of `GravityGive`, whose key it has. Where masses are known, each joint has a give of its own: one
+    number. Where they are not, each joint gives by as much as it likes to each link beyond it: n (n + 1) / 2 numbers
+    for n joints, which ask for many postures.
 
     Args:
         size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
@@ -52,16 +57,23 @@ class LinkGive(Effect):
     moves = True
     elastic = True
     unit = "mm"
-    key = "links"
+    key = "give"
     words = "giving under the weight of links"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "down", direction(self.down))
-        masses, centres = tuple(self.masses), tuple(tuple(row) for row in self.centres)
-        if not all(is_real(mass) and 0 <= mass < np.inf for mass in masses) or (masses and not sum(masses)):
-            raise ProblemError(f"{came(self.masses)} came as the masses of links", "Give kilograms, zero or more")
-        if not all(len(row) == 3 and all(is_real(x) and abs(x) < np.inf for x in row) for row in centres):
-            raise ProblemError(f"{came(self.centres)} came as centres of mass", "Give three numbers of mm for each")
+        masses: tuple[Any, ...] = tuple(self.masses) if np.iterable(self.masses) else (self.masses,)
+        rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
+        wrong = [mass for mass in masses if not (is_real(mass) and 0 <= mass <= HEAVIEST)]
+        if wrong or (masses and not sum(masses)):
+            said = f"{wrong[0]!r} came as the mass of a link" if wrong else "The links weigh nothing"
+            raise ProblemError(said, f"Give kilograms, from zero to {HEAVIEST:g}, and not zero for all")
+        centres = tuple(tuple(row) if np.iterable(row) else (row,) for row in rows)
+        odd = [row for row in centres if len(row) != 3 or not all(is_real(x) and abs(x) < np.inf for x in row)]
+        if odd:
+            raise ProblemError(f"{odd[0]!r} came as a centre of mass", "Give three numbers of mm for each link")
+        if centres and not masses:
+            raise ProblemError("Centres of mass came without masses", "Give both, or none")
         object.__setattr__(self, "masses", masses)
         object.__setattr__(self, "centres", centres)
 

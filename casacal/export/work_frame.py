@@ -22,6 +22,7 @@ from casacal.compensation.arm import (
 from casacal.compensation.given import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.remark import remark
+from casacal.robots.two_arms import Facing
 from casacal.uncertainty.workspace import rigid_fields, workspace_joints
 from casacal.unknowns import Plane
 from casacal.values import Value
@@ -59,14 +60,15 @@ def work_frame(
     Args:
         result: a calibration.
         faces: labels of three faces.
-        points: labels of three points, as of `FixedPoint` or a touched corner.
+        points: labels of three points of `FixedPoint`.
 
     Raises CasacalError where these fix no frame, or not three are named; UnknownNameError for a label that is none.
 
     """
     result = arm_from(result)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
-    if (faces is None) == (points is None) or labels is None or len(set(labels)) != 3 or len(labels) != 3:
+    named = isinstance(labels, (tuple, list)) and all(isinstance(label, str) for label in labels)
+    if (faces is None) == (points is None) or labels is None or not named or len(set(labels)) != 3 or len(labels) != 3:
         raise CasacalError("A work object's frame comes from three faces or from three points", "Name three of either")
     places, names = _faces(result, labels) if faces is not None else _points(result, labels)
     matrix = build(places(np.zeros(len(names))))
@@ -109,7 +111,7 @@ def frame_text(
     spread = f"{frame.origin_std:.3f} mm, {1e3 * frame.turn_std:.3f} mrad (three axes together)"
     lines = [
         *(f"# {line}" for line in remark(result)),
-        f"# work object of {what}, in the base frame of the calibrated arm",
+        f"# work object of {what}, in {_base_words(result)}",
         "# standard deviation, apart from where the base stands: "
         + (spread if math.isfinite(frame.origin_std) else "not known"),
         f'ABB, RAPID: PERS wobjdata work := [FALSE, TRUE, "", [[{x:.4f}, {y:.4f}, {z:.4f}], '
@@ -120,6 +122,13 @@ def frame_text(
         f"{rx:.8f}, {ry:.8f}, {rz:.8f}]",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _base_words(result: CalibratedArm) -> str:
+    """Whose frame it is in: that of what faces the arm, where two chains face each other."""
+    if isinstance(result.source.problem.robot.pose, Facing):
+        return "the frame of what faces the arm and moves with it (a table, another flange), not of the arm's base"
+    return "the base frame of the calibrated arm"
 
 
 Places = Callable[[Array], Array]

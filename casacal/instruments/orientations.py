@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -121,12 +122,14 @@ class Orientation:
                 Suspect("sense of the quaternions", f"the quaternions {turn}",
                         "Invert them: negate quat_x, quat_y and quat_z", QUATERNION[1:], -1.0),
             )  # fmt: skip
+        unit = Suspect("unit of the turns", "the turns seem to be radians, written as degrees",
+                       "End the columns' names in _rad", self.columns, 180 / math.pi)  # fmt: skip
         if self.name == "rotation vector":
             fix = "Invert them: negate all three"
-            return (Suspect("sense of the rotation vectors", f"the rotation vectors {turn}", fix, VECTOR, -1.0),)
+            return (unit, Suspect("sense of the rotation vectors", f"the rotation vectors {turn}", fix, VECTOR, -1.0))
         other = f"the turns seem to come in the other order, the one about {self.name[2]} first"
         fix = f'Rename the columns, or declare orientation="{self.name[::-1].swapcase()}"'
-        return (Suspect("order of the turns", other, fix, TURNS, 1.0, TURNS[::-1]),)
+        return (unit, Suspect("order of the turns", other, fix, TURNS, 1.0, TURNS[::-1]))
 
 
 def _shifted(order: tuple[str, ...]) -> tuple[str, ...]:

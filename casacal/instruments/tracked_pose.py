@@ -62,7 +62,14 @@ class TrackedPose(Instrument):
             std = getattr(self, name)
             if not isinstance(std, str) and (not is_real(std) or not 0 < std < math.inf):
                 raise ProblemError(f"{name} of TrackedPose is {std!r}", "Give a positive number, or name a column")
-        _ = self.written
+        named = [std for std in (self.position_std, self.angle_std) if isinstance(std, str)]
+        taken = {*POSITION, *self.written.columns}
+        for name in named:
+            if not name.isidentifier() or name in taken or named.count(name) > 1:
+                raise ProblemError(
+                    f"The noise of TrackedPose is to stand in the column '{name}'",
+                    "Name a column of its own for each, such as 'position_std' and 'angle_std'",
+                )
 
     @property
     def written(self) -> Orientation:

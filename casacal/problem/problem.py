@@ -174,8 +174,9 @@ class Problem(MeasuredArm):
         return self.with_parts(self.robot, changed)
 
     def with_effects(self, *effects: Effect) -> Problem:
-        """Copy with these effects beside the geometry, in the place of those it had."""
-        return self._copy(self.robot, self.instruments, effects)
+        """Copy with these effects beside the geometry, in the place of those it had; of one key the last."""
+        known = {getattr(effect, "key", effect): effect for effect in effects}
+        return self._copy(self.robot, self.instruments, tuple(known.values()))
 
     @cached_property
     def without_effects(self) -> Problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -13,9 +14,16 @@ from casacal.robots.joints import Joint
 from casacal.robots.robot import PoseFunction, Robot
 from casacal.unknowns import Direction, Parameter
 from casacal.unknowns.unknown import PRIOR_STD
+from casacal.values import is_real
 
 CARRIER = "carrier_"
 """What the names of the carrier's parameters begin with."""
+
+LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6
+"""Travel of a rail, mm: what is shorter was meant in metres."""
+
+MOST_TURNS = 10
+"""Turns of a table from one limit to the other: more were meant in degrees."""
 
 SCALE = 0.1
 """Millimetres by which a metre of a rack or a spindle may well be long or short."""
@@ -36,10 +44,11 @@ def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
     for robot in (arm, by):
         if not isinstance(robot, Robot):
             raise ProblemError(f"{came(robot)} came as an arm or what carries it", "Give two Robots")
-    parameters = {**{CARRIER + key: unknown for key, unknown in by.parameters.items()}, **arm.parameters}
-    if len(parameters) < len(arm.parameters) + len(by.parameters):
-        raise ProblemError(f"Parameters of '{arm.name}' begin with '{CARRIER}'", "Rename them")
-    pose = Carried(arm.pose, by.pose, tuple(by.parameters), len(by.axes))
+    before = CARRIER
+    while any(before + key in arm.parameters for key in by.parameters):  # a carrier of a carrier
+        before += CARRIER
+    parameters = {**{before + key: unknown for key, unknown in by.parameters.items()}, **arm.parameters}
+    pose = Carried(arm.pose, by.pose, tuple(by.parameters), len(by.axes), before)
     return Robot(name or f"{arm.name} on {by.name}", (*by.axes, *arm.axes), pose, parameters)
 
 
@@ -64,6 +73,9 @@ def rail(
     Raises ProblemError as `Robot` does.
 
     """
+    if not (is_real(lower) and is_real(upper) and LEAST_TRAVEL <= upper - lower <= MOST_TRAVEL):
+        fix = f"Give its travel in mm, {LEAST_TRAVEL:g} to {MOST_TRAVEL:g} of them"
+        raise ProblemError(f"A rail goes from {lower!r} to {upper!r}", fix)
     tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
     parameters = {
         "direction": Direction(direction, prior_std=tilt),
@@ -95,6 +107,9 @@ def turntable(
     Raises ProblemError as `Robot` does.
 
     """
+    if not (is_real(lower) and is_real(upper) and 0 < upper - lower <= MOST_TURNS * 2 * math.pi):
+        fix = f"Give its limits in rad, such as *deg(-180, 180), at most {MOST_TURNS} turns apart"
+        raise ProblemError(f"A turntable goes from {lower!r} to {upper!r}", fix)
     tilt = PRIOR_STD["rad"] if angle_std is None else angle_std
     place = PRIOR_STD["mm"] if length_std is None else length_std
     parameters = {
@@ -120,8 +135,9 @@ class Carried:
     by: PoseFunction
     keys: tuple[str, ...]
     count: int
+    before: str
 
     def __call__(self, p: Any, q: Expression) -> Expression:
         """The arm's flange (4x4, mm) in the base frame of the carrier."""
-        theirs = SimpleNamespace(**{key: getattr(p, CARRIER + key) for key in self.keys})
+        theirs = SimpleNamespace(**{key: getattr(p, self.before + key) for key in self.keys})
         return chain(self.by(theirs, q[: self.count]), self.arm(p, q[self.count :]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Protocol
 
 import numpy as np
@@ -90,7 +91,7 @@ def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
     Raises CasacalError for none, for what is no calibration, and where priors differ, are flat or all held.
 
     """
-    given = list(calibrations)
+    given = list(calibrations) if np.iterable(calibrations) else [calibrations]
     if not given:
         raise CasacalError("No calibrations came", "Give those of one arm or more")
     if wrong := [each for each in given if not hasattr(each, "fit")]:
@@ -102,6 +103,8 @@ def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
         raise CasacalError("The arm has no parameter with a finite prior", "Give priors before scaling them")
     if any(not arms[0].alike(arm) for arm in arms[1:]):
         raise CasacalError("The calibrations are of arms with different priors", "Give those of one problem")
+    if any(one.fit.measured == two.fit.measured for one, two in combinations(given, 2)):
+        raise CasacalError("Two calibrations are of the same rows", "Give one for each arm")
 
     def unlikely(logs: Array) -> float:
         times = dict(zip(units, np.exp(logs), strict=True))
