@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a Python file whose `methods`, functions (problem, fitted, unseen) by name, are compared, too",
     )
     parser.add_argument("--method", action="append", default=[], metavar="NAME", help="this method; may be repeated")
-    parser.add_argument("--quick", action="store_true", help="few rows, two folds of each set: less than a minute")
+    parser.add_argument("--quick", action="store_true", help="few rows, one block of each set: less than a minute")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
     parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only what is missing")
     parser.add_argument("--out", metavar="DIR", default="out/bench", help="folder for records and report")

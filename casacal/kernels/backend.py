@@ -23,6 +23,9 @@ from casacal.kernels.reading import read_program
 BACKENDS = ("auto", "c", "blocks")
 VARIABLE = "CASACAL_BACKEND"
 
+MOST_PROGRAMS = 32
+"""Programs that a process keeps, the last used ones."""
+
 
 class Kernels(Protocol):
     """What estimators need of a row model; lanes are rows in the form a back end reads."""
@@ -66,7 +69,7 @@ class RowKernels:
         asked = backend if backend is not None else os.environ.get(VARIABLE, "auto")
         if asked not in BACKENDS:
             raise ProblemError(f"There is no back end '{asked}'", f"Known: {', '.join(BACKENDS)}")
-        self._program, self._roles = read_program(slopes, roles), roles
+        self._program, self._roles = _read(slopes.serialize(), tuple(roles)), roles
         once = [slopes.numel_in(i) for i, role in enumerate(roles) if role == "once"]
         self.kernels: Kernels = _chosen(asked, self._program, sum(once))
 
@@ -86,6 +89,12 @@ def _chosen(asked: str, slopes: Program, parameters: int) -> Kernels:
                 raise ProblemError(f"The back end c cannot be used: {error}", "Use blocks, or auto") from error
             _notice(str(error))
     return BlockKernels(slopes, parameters)
+
+
+@functools.lru_cache(maxsize=MOST_PROGRAMS)
+def _read(slopes: str, roles: tuple[Role, ...]) -> Program:
+    """The program of a graph, which is much longer in the reading than in the comparing."""
+    return read_program(ca.Function.deserialize(slopes), roles)
 
 
 @functools.cache
