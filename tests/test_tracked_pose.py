@@ -202,6 +202,13 @@ def test_noise_may_stand_in_a_column(rows):
     np.testing.assert_allclose(bound.noise.reshape(-1, 6)[:, 3:], 2e-4)
     with pytest.raises(SimulationError, match="stands in a column"):
         simulate(stated, samples=5)
+    for wrong in (0.0, -0.05, np.nan):
+        stds["std_mm"] = np.where(np.arange(len(rows)) == 7, wrong, 0.05)
+        with pytest.raises(ProblemError, match=f"line {rows.lines[7]}: the noise in the column 'std_mm' is"):
+            bind(stated, dataclasses.replace(rows, columns={**rows.columns, **stds}))
+    for clash in ({"position_std": "x"}, {"position_std": ""}, {"position_std": "s", "angle_std": "s"}):
+        with pytest.raises(ProblemError, match="Name a column of its own for each"):
+            TrackedPose(**{"position_std": 0.1, "angle_std": 1e-3, **clash})
 
 
 class Blocks(Instrument):

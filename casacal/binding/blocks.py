@@ -15,6 +15,7 @@ from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site
 from casacal.discrepancy.survey import Survey
 from casacal.errors import ProblemError
+from casacal.instruments import Instrument
 from casacal.kernels.columnwise import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
@@ -83,6 +84,7 @@ def make_block(
     Raises ProblemError for a label without unknowns, and for a row whose noise is zero or not finite.
     """
     model, instrument = problem.models[i], problem.instruments[i]
+    _check_stds(instrument, samples)
     row_slots, pattern = _patterns(problem, i, slots, samples)
     nz = sum(unknown.size for unknown in model.unknowns.values())
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
@@ -103,6 +105,20 @@ def make_block(
             "Declare a noise of the residual itself (contact_std, residual_std), or remove the row",
         )
     return block
+
+
+def _check_stds(instrument: Instrument, samples: Samples) -> None:
+    """Raise ProblemError where a column that says a noise holds none."""
+    for block in instrument.blocks:
+        if isinstance(block.std, str) and block.std in samples.columns:
+            values = samples.columns[block.std]
+            wrong = np.flatnonzero(~((values > 0) & np.isfinite(values)))
+            if wrong.size:
+                line = samples.lines[int(wrong[0])]
+                raise ProblemError(
+                    f"{samples.file}, line {line}: the noise in the column '{block.std}' is {values[wrong[0]]:g}",
+                    "Give a positive standard deviation in every row, or remove the row",
+                )
 
 
 def _elsewhere(problem: Problem, i: int) -> Array:
