@@ -29,6 +29,7 @@ from casacal import (
 )
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.verdict import verdict_of
+from casacal.discrepancy import Drift
 from casacal.instruments.orientations import QUATERNION, Orientation
 from casacal.instruments.tracked_pose import chord
 from casacal.kinematics import position
@@ -281,6 +282,24 @@ def test_effects_along_the_residual_are_of_its_unit(rows):
     x = bound.x0.copy()
     x[[j for j, key in enumerate(bound.beside) if key in ("field", "drift")]] = 1.0
     moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)
+    assert np.abs(moved[:, :3]).max() > 0.5
+    assert np.abs(moved[:, 3:]).max() == 0.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Shift(Drift):
+    """The same for each component."""
+
+    def residual(self, here):
+        return super().residual(here)[0]
+
+
+def test_an_effect_of_one_component_moves_all_of_its_unit_alike(rows):
+    bound = bind(problem.with_effects(Shift()), rows)
+    x = bound.x0.copy()
+    x[[j for j, key in enumerate(bound.beside) if key == "drift"]] = 1.0
+    moved = (bound.plain_residual(x) - bound.plain_residual(bound.x0)).reshape(-1, 6)
+    np.testing.assert_allclose(moved[:, :3], moved[:, :1] * np.ones(3), atol=1e-12)
     assert np.abs(moved[:, :3]).max() > 0.5
     assert np.abs(moved[:, 3:]).max() == 0.0
 
