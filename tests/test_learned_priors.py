@@ -41,6 +41,12 @@ def test_the_spread_of_arms_is_found(scale):
         assert 1.2 < high / low < 2
 
 
+def test_arms_far_from_their_drawing_are_not_judged_by_a_fit_that_is_bent():
+    """At twenty times the prior; where the fits stood under it, angles seemed a hundred times as large."""
+    found = learned_priors(arms(20.0, 6))
+    assert dict(found.times) == pytest.approx({"mm": 20.0, "rad": 20.0}, rel=0.3)
+
+
 def test_one_arm_s_intervals_hold():
     """Of 24 arms of two sizes 95 % of the intervals hold: 43 of 48 or fewer has a chance of 3 in 100."""
     held = 0
