@@ -163,6 +163,8 @@ def test_so_many_touches_as_a_tolerance_takes(hsr):
     assert 15 < count < 60
     found = plan(hsr.problem, hsr.cell, touches=count, pool=1000, check=0.0, again=0.0)
     assert found.error < 0.85
+    box = ((700.0, 1000.0), (-200.0, 200.0), (300.0, 700.0))
+    assert touches_for(hsr.problem, hsr.cell, 0.8, box=box) < count, "a part of the workspace is known sooner"
     with pytest.raises(CasacalError, match=r"leave .* mm, more than 0\.01 mm"):
         touches_for(hsr.problem, hsr.cell, 0.01, most=24)
     for wrong in (0.0, -1.0, float("nan"), "a"):

@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     targets = None if options.targets is None else read_joints(options.targets, source).joints
     touches = 60 if options.touches is None else options.touches
     if options.tolerance is not None:
-        fitted = touches_for(source.problem, source.cell, options.tolerance)
+        fitted = touches_for(source.problem, source.cell, options.tolerance, box=box, targets=targets)
         touches = round(fitted / max(1 - options.check - options.again, 0.1))
     found = plan(
         source.problem,

@@ -119,15 +119,24 @@ def plan(
     )
 
 
-def touches_for(problem: Problem, cell: Disturbances | None, tolerance: float, *, most: int = 240) -> int:
+def touches_for(
+    problem: Problem,
+    cell: Disturbances | None,
+    tolerance: float,
+    *,
+    box: Box | None = None,
+    targets: Array | None = None,
+    most: int = 240,
+) -> int:
     """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
 
-    Raises CasacalError where so many as `most` do not.
+    box, targets: where the tip is wanted, as for `plan`. Raises CasacalError where so many as `most` do not.
     """
+    _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
     bound = bind(problem, _pool(problem, cell, 1000, 0))
-    choice, rng = _Choice.of(bound, workspace_joints(problem.robot)), np.random.default_rng(0)
+    choice, rng = _Choice.of(bound, _wanted(bound, box, targets)), np.random.default_rng(0)
     count = 12
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
