@@ -5,11 +5,12 @@ import re
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import ROOT
 from oracles import dh_chain, rot_x, rot_z, shift
 
-from casacal import bind, calibrate, lm, load_problem, simulate
+from casacal import Samples, bind, calibrate, check, lm, load_problem, simulate
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 
@@ -125,3 +126,18 @@ def test_no_instrument_lacks_an_example():
     for name in ("DialOnPlane", "Distance", "FixedPoint", "KnownPoint", "SelfContact", "Sockets", "SphereTouch"):
         assert name in text
     assert {"TrackedPoint", "TrackedPose"} <= set(re.findall(r"Tracked\w+", text))
+
+
+def test_a_tracker_whose_sessions_nobody_wrote_down_is_warned_of():
+    """A station for each session, and no column that says which: one station for all would be a silent guess."""
+    source = load_problem(ROOT / "problems" / "instruments" / "tracker")
+    samples = source.problem.read(source.samples)
+    samples = samples.take(samples.labels["session"].rows()["1"])  # nothing moved: no misfit tells
+    joints = {f"q{j + 1}_rad": q for j, q in enumerate(samples.joints.T)}
+    columns = {f"{name}_mm": values for name, values in samples.columns.items()}
+    layout = source.problem.layout()
+    for session, named in (({"session": ["1"] * len(samples)}, False), ({}, True)):
+        found = check(source.problem, Samples.from_frame(pd.DataFrame({**joints, **columns, **session}), layout))
+        assert ("labels absent" in [finding.about for finding in found]) is named
+    said = next(finding for finding in found if finding.about == "labels absent")
+    assert "there is no column 'session', by which 'station' is declared to differ" in said.cause

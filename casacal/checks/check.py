@@ -12,7 +12,7 @@ from casacal.checks.beside import beside_geometry
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
 from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
-from casacal.checks.labels import odd_labels
+from casacal.checks.labels import absent_labels, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import outside, repeated, rounded
@@ -67,7 +67,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
             raise CasacalError("The samples are not those of the problem's instruments", fix)
         return _in_order([*check_several(problem, samples, lambda each: check(each.problem, each.samples))])
     samples = Measurements.of(samples).sets[0]
-    findings = [*repeated(samples), *outside(problem, samples), *odd_labels(problem, samples)]
+    findings = [*repeated(samples), *outside(problem, samples)]
+    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:

@@ -22,6 +22,21 @@ MOST_LABELS = 200
 """Labels that are compared with one another; where there are more they are numbers, not names."""
 
 
+def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:
+    """Warnings on columns by which a problem declares its unknowns to differ, and which the samples do not have.
+
+    Columns by which an instrument's unknowns differ anyhow, such as `plane`, may be left out where there is one.
+    """
+    found = []
+    for key, unknown in problem.instrument.unknowns.items():
+        usual = getattr(getattr(type(problem.instrument), key, None), "per", None)
+        column = unknown.per
+        if column is not None and column != usual and samples.labels[column].names == (column,):
+            cause = f"there is no column '{column}', by which '{key}' is declared to differ; all rows count as one"
+            found.append(Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it"))
+    return found
+
+
 def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
     """Warnings on labels that occur in few rows or hardly differ from another one; a label is named once."""
     column = problem.instrument.groups
@@ -39,7 +54,8 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
         if name in alike:
             other = alike[name]
             cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
-            fix = f"Write '{other}' there if it is the same face; as it stands it is a face of its own"
+            what = problem.instrument.words.group
+            fix = f"Write '{other}' there if it is the same {what}; as it stands it is a {what} of its own"
             findings.append(Finding("warning", "labels alike", cause, fix, lines))
         elif said := _rare(problem, name, counts, column, totals.get(name, counts[name])):
             findings.append(Finding("warning", "rare label", *said, lines))
