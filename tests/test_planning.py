@@ -52,6 +52,16 @@ def test_exchange_finds_the_best_of_all_choices(size):
             assert error(swapped) > each.error * (1 - 1e-6), "no single exchange is better"
 
 
+def test_no_measurement_is_planned_twice():
+    """One that tells ten times as much would be taken four times if it could be."""
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(9, 1, 3))
+    rows[4] *= 10
+    found = exchange(rows, np.eye(3), np.eye(3), np.array([0, 1, 2, 3]))
+    assert sorted(set(found.rows.tolist())) == sorted(found.rows.tolist())
+    assert 4 in found.rows
+
+
 def test_forty_planned_touches_do_what_a_hundred_and_twenty_random_ones_do(hsr, forty):
     """Reference: 40 planned 0.520, 120 random 0.545, 40 random 1.00 mm (another pool, another tool)."""
     bound = bind(hsr.problem, forty.samples)
@@ -156,6 +166,19 @@ def test_the_way_is_short_and_comes_everywhere(hsr):
     assert sorted(order.tolist()) == list(range(80))
     assert length_of(robot, many[order]) < 0.6 * length_of(robot, many)
     assert shortest_way(robot, many[:1]).tolist() == [0]
+    nearest = [order[0]]  # the nearest next, by hand; crossings are undone beyond that
+    while len(nearest) < 80:
+        left = [k for k in range(80) if k not in nearest]
+        nearest.append(min(left, key=lambda k: np.abs(many[k] - many[nearest[-1]]).max()))
+    assert length_of(robot, many[order]) < 0.97 * length_of(robot, many[nearest])
+
+
+def test_what_comes_again_counts(hsr):
+    found = plan(hsr.problem, hsr.cell, touches=30, pool=120, starts=1, check=0.2, again=0.3)
+    fitted = [k for k, purpose in enumerate(found.purposes) if purpose in (FIT, AGAIN)]
+    assert len(fitted) == 24
+    rows = found.samples.take(fitted)
+    assert found.error == pytest.approx(planned_accuracy(bind(hsr.problem, rows))[1], rel=1e-4)
 
 
 def test_so_many_touches_as_a_tolerance_takes(hsr):
