@@ -34,6 +34,7 @@ ORDER = [
     "simulation",
     "uncertainty",
     "planning",
+    "measuring",
     "checks",
     "compensation",
     "export",

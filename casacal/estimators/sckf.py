@@ -76,6 +76,43 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
     return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
 
 
+@dataclass(frozen=True)
+class Taken:
+    """Some rows taken in: the belief after them, where they end, and what each did.
+
+    stop: the row after the last. means: (rows, n), in units of `start_std` about x0. innovations, stds: (rows,).
+    """
+
+    stop: int
+    belief: Belief
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+def begun(problem: LeastSquares) -> Belief:
+    """The belief before any row, in units of `start_std` about x0."""
+    return Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
+
+
+def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> Taken:
+    """Take in the next rows from `first` on: as many as kernels do at once, or one.
+
+    belief: in units of `start_std` about x0. process_root: by how much unknowns drift before each row, or None.
+    """
+    fused = problem.filter_pass(first, belief.mean, belief.root) if process_root is None else None
+    if fused is not None and fused.stop > first:
+        return Taken(fused.stop, Belief(fused.mean, fused.root), fused.means, fused.innovations, fused.stds)
+    update = cubature_update(
+        predict(belief, process_root),
+        lambda states: problem.row(first, problem.x0 + problem.start_std * states),
+        0.0,
+        1.0,
+    )
+    told = np.array([update.innovation]), np.array([update.innovation_std])
+    return Taken(first + 1, update.belief, update.belief.mean[None], *told)
+
+
 def sckf(
     problem: LeastSquares,
     *,
@@ -101,23 +138,13 @@ def sckf(
     check_size(problem.unknowns)
     scale = problem.start_std
     process = None if process_std is None else np.diag(process_std / scale)
-    belief = Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
+    belief = begun(problem)
     trace: tuple[list[Array], ...] = ([problem.x0[None]], [np.zeros(0)], [np.zeros(0)])
-
-    def predicted(k: int) -> Callable[[Array], Array]:
-        return lambda states: problem.row(k, problem.x0 + scale * states)
-
     k = 0
     while k < problem.rows:
-        fused = problem.filter_pass(k, belief.mean, belief.root) if process is None else None
-        if fused is not None and fused.stop > k:
-            belief, k = Belief(fused.mean, fused.root), fused.stop
-            done = (problem.x0 + scale * fused.means, fused.innovations, fused.stds)
-        else:
-            update = cubature_update(predict(belief, process), predicted(k), 0.0, 1.0)
-            belief, k = update.belief, k + 1
-            x = problem.x0 + scale * belief.mean
-            done = (x[None], np.array([update.innovation]), np.array([update.innovation_std]))
+        taken = take_in(problem, belief, k, process)
+        belief, k = taken.belief, taken.stop
+        done = (problem.x0 + scale * taken.means, taken.innovations, taken.stds)
         for kept, some in zip(trace, done, strict=True):
             kept.append(some)
         if progress is not None:

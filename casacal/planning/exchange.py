@@ -54,12 +54,12 @@ def exchange(
         for place in range(len(plan)):
             rest = np.delete(plan, place)
             covariance: Array = np.asarray(np.linalg.inv(_information(rows[rest], known)), dtype=np.float64)
-            gains = _gains(rows, covariance, weight)
-            gains[~free] = -np.inf
-            present = float(_gains(rows[plan[place]][None], covariance, weight)[0])
-            best = int(np.argmax(gains))
+            others = gains(rows, covariance, weight)
+            others[~free] = -np.inf
+            present = float(gains(rows[plan[place]][None], covariance, weight)[0])
+            best = int(np.argmax(others))
             left = float(np.trace(covariance @ weight)) - present
-            if gains[best] > present + BETTER * left:
+            if others[best] > present + BETTER * left:
                 free[plan[place]], free[best] = True, False
                 plan[place], changed = best, True
         if progress is not None:
@@ -79,7 +79,7 @@ def _information(rows: Array, known: Array) -> Array:
     return np.asarray(known + flat.T @ flat)
 
 
-def _gains(rows: Array, covariance: Array, weight: Array) -> Array:
+def gains(rows: Array, covariance: Array, weight: Array) -> Array:
     """By how much each measurement (N,) lowers trace(C M)."""
     count, size, unknowns = rows.shape
     seen = (rows.reshape(-1, unknowns) @ covariance).reshape(count, size, unknowns)

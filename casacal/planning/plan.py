@@ -12,6 +12,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, came
 from casacal.planning.exchange import Chosen, error_of, exchange
+from casacal.planning.route import AGAIN, CHECK, FIT, Route
+from casacal.planning.wanted import wanted_joints
 from casacal.planning.way import shortest_way
 from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
@@ -19,12 +21,9 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.places import default_cell
 from casacal.simulation.simulate import simulate
-from casacal.uncertainty.expectation import Box, joints_in_box
+from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
-from casacal.values import FrozenMapping, Value, is_real
-
-FIT, AGAIN, CHECK = "fit", "again", "check"
-"""What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
+from casacal.values import FrozenMapping, is_real
 
 UNKNOWN = 1e-9
 """Information, in units of what filters start from, of what nobody knows beforehand."""
@@ -34,17 +33,14 @@ DRAWS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Value):
+class Plan(Route):
     """Touches in the order in which they should be made, with the readings to expect there.
 
-    samples: postures (N, n; rad, mm), what the instrument would read on the arm as drawn, and labels. purposes: of each
-    (N,), "fit", "again" or "check". error: tip error to expect, mm RMS over what was asked for, apart from where the
-    base stands. before: the same without any touch. at_random: of as many touches that nobody chose, the median of
+    samples, purposes: as of every `Route`. error: tip error to expect, mm RMS over what was asked for, apart from where
+    the base stands. before: the same without any touch. at_random: of as many touches that nobody chose, the median of
     some. best: of all touches among which was chosen. curve: error by number of fitted touches.
     """
 
-    samples: Samples
-    purposes: tuple[str, ...]
     error: float
     before: float
     at_random: float
@@ -53,9 +49,6 @@ class Plan(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curve", FrozenMapping(self.curve))
-
-    def __len__(self) -> int:
-        return len(self.purposes)
 
     def __repr__(self) -> str:
         return f"<Plan of {len(self)} touches: expect {self.error:.3g} mm, at random {self.at_random:.3g} mm>"
@@ -95,9 +88,9 @@ def plan(
 
     """
     _check(problem, touches, pool, starts, again, check, box, targets)
-    reachable = _pool(problem, cell, pool, seed)
+    reachable = pool_of(problem, cell, pool, seed)
     bound = bind(problem, reachable)
-    choice = _Choice.of(bound, _wanted(bound, box, targets))
+    choice = _Choice.of(bound, wanted_joints(bound, box, targets))
     checks, repeats = round(check * touches), round(again * touches)
     fitted = touches - checks - repeats
     rng = np.random.default_rng([seed, 1])
@@ -135,8 +128,8 @@ def touches_for(
     _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
-    bound = bind(problem, _pool(problem, cell, 1000, 0))
-    choice, rng = _Choice.of(bound, _wanted(bound, box, targets)), np.random.default_rng(0)
+    bound = bind(problem, pool_of(problem, cell, 1000, 0))
+    choice, rng = _Choice.of(bound, wanted_joints(bound, box, targets)), np.random.default_rng(0)
     count = 12
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
@@ -206,7 +199,7 @@ def _check(
         raise CasacalError("A box and targets came", "Give one of them")
 
 
-def _pool(problem: Problem, cell: Disturbances | None, count: int, seed: int) -> Samples:
+def pool_of(problem: Problem, cell: Disturbances | None, count: int, seed: int) -> Samples:
     """Touches that the arm as drawn could make, without any error."""
     if cell is None and problem.instrument.probe is not None:
         cell = default_cell(problem)
@@ -215,18 +208,3 @@ def _pool(problem: Problem, cell: Disturbances | None, count: int, seed: int) ->
         still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
     still = replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
     return simulate(problem, still, samples=count, seed=seed).samples
-
-
-def _wanted(bound: BoundProblem, box: Box | None, targets: Array | None) -> Array:
-    """Joint values (M, n) at which the tip is wanted."""
-    if box is not None:
-        return joints_in_box(bound, bound.x0, box)
-    if targets is None:
-        return workspace_joints(bound.problem.robot)
-    joints = np.atleast_2d(np.asarray(targets, dtype=np.float64))
-    if joints.shape[1] != len(bound.problem.robot.axes) or not np.isfinite(joints).all():
-        raise CasacalError(
-            f"Targets came with the shape {np.shape(targets)}",
-            f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm",
-        )
-    return joints

@@ -8,11 +8,9 @@ from pathlib import Path
 
 from casacal.files import write_text
 from casacal.planning.plan import Plan
+from casacal.planning.route import EXPECTED
 from casacal.samples.layout import Layout
 from casacal.samples.write import JOINT_DECIMALS, WRITTEN
-
-EXPECTED = "expected_"
-"""What the names of readings begin with that nobody has made yet."""
 
 
 def plan_text(plan: Plan, layout: Layout, name: str) -> str:

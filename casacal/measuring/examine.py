@@ -1,0 +1,225 @@
+"""Whether touches agree with one another, and which single slip would explain it where they do not.
+
+Every explanation (one slip in one touch, or a touch that is off for no known reason) is weighed by the evidence of all
+rows under it, with the arm and the faces integrated out: a Gaussian, linear about the belief.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.estimators.sckf import Belief
+from casacal.measuring.known import Known
+from casacal.measuring.slips import Slip
+from casacal.measuring.touch import Touch, rows_of
+from casacal.uncertainty.fresh_rows import chance
+from casacal.values import Value
+
+NEW = 3e-3
+"""Chance of a touch that comes below which it is looked into."""
+
+EARLIER = 1e-4
+"""Chance of one that came before, which every later one tries again."""
+
+CLOSER_LOOK = 0.01
+"""Chance below which an earlier touch is a suspect where a new one is off."""
+
+MOST = 4
+"""Earlier touches that are looked into at once."""
+
+STRAY = 60.0
+"""Range (mm) over which a touch lies anywhere that is off for no known reason."""
+
+STRAY_WEIGHT = -2.0
+AS_LIKELY = math.log(20.0)
+"""Logarithm of evidence by which explanations may differ that are both named."""
+
+AS_GOOD = 4
+"""Explanations that are named at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspected(Value):
+    """An explanation: which touch, what was done there (None for no known reason), its part of all explanations'."""
+
+    touch: int
+    slip: Slip | None
+    chance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Alarm(Value):
+    """A touch that does not agree with the others, and what explains it, the likeliest first.
+
+    touch: the likeliest to be wrong, counted from 0. off, std: by how much the touch that raised the alarm is off, and
+    the standard deviation of that, mm.
+    """
+
+    raised_by: int
+    off: float
+    std: float
+    suspects: tuple[Suspected, ...]
+
+    @property
+    def touch(self) -> int:
+        """Which touch is the likeliest to be wrong."""
+        return self.suspects[0].touch if self.suspects else self.raised_by
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), both whitened."""
+
+    residual: Array
+    slope: Array
+
+    @staticmethod
+    def of(known: Known, belief: Belief, touches: Sequence[Touch]) -> _Rows:
+        """Of touches, about a mean."""
+        bound, count = known.bound.on(rows_of(touches)), len(touches)
+        x = bound.x0 + bound.start_std * belief.mean
+        slopes = (bound.jacobian(x) * bound.start_std).reshape(count, -1, bound.unknowns)
+        return _Rows(bound.residual(x).reshape(count, -1), slopes)
+
+    def without(self, k: int) -> _Rows:
+        return _Rows(np.delete(self.residual, k, axis=0), np.delete(self.slope, k, axis=0))
+
+    def evidence(self, mean: Array) -> float:
+        """Logarithm, less a constant for each row, with the unit prior about -mean of the shift integrated out."""
+        r, j = self.residual.ravel(), self.slope.reshape(self.residual.size, -1)
+        information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
+        chi_square = r @ r + mean @ mean - gradient @ np.linalg.solve(information, gradient)
+        return -float(chi_square + np.linalg.slogdet(information)[1]) / 2
+
+
+def examined(known: Known, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], *, new: bool) -> Alarm | None:
+    """Look for a touch that the others contradict; None where all agree.
+
+    Args:
+        known: from all of these touches, in their order.
+        touches: those that were taken in.
+        slips: what may have been typed wrong in one of them.
+        new: whether the last one has just come.
+
+    """
+    m, last = known.per_touch, len(touches) - 1
+    fresh = new and not touches[last].kept and chance(float(known.squares[last]), m) < NEW
+    before = known.before_last() if fresh else known.belief  # a gross one moves the mean far
+    rows = _Rows.of(known, before, touches)
+    chances = _left_out(rows, before.mean, m)
+    looked = [k for k in range(len(touches)) if not touches[k].kept and not (fresh and k == last)]
+    off = [k for k in looked if chances[k] < EARLIER]
+    if not fresh and not off:
+        return None
+    closer = sorted((k for k in looked if chances[k] < CLOSER_LOOK), key=chances.__getitem__)[:MOST]
+    raised = last if fresh else min(off, key=chances.__getitem__)
+    suspects = _explained(known, before, rows, slips, [*([last] if fresh else []), *closer])
+    return Alarm(raised, *_off_by(known, rows, before, raised), suspects)
+
+
+def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], number: int) -> Alarm | None:
+    """Look at a touch that is not taken in, by what is known; None where it agrees."""
+    rows = _Rows.of(known, known.belief, [touch])
+    value, slope = rows.residual[0], rows.slope[0]
+    spread = slope @ known.belief.root
+    square = float(value @ np.linalg.solve(np.eye(len(value)) + spread @ spread.T, value))
+    if touch.kept or chance(square, len(value)) >= NEW:
+        return None
+    others = slips()
+    scores: list[tuple[Slip | None, float]] = [(None, STRAY_WEIGHT - _stray(known))]
+    found = _Rows.of(known, known.belief, [slip.touch for slip in others]) if others else None
+    for k, slip in enumerate(others):
+        assert found is not None
+        scores.append((slip, slip.weight + _alone(found.residual[k], found.slope[k] @ known.belief.root)))
+    return Alarm(number, *_off_alone(known, value, spread, touch), _ranked([(number, *each) for each in scores]))
+
+
+def _explained(
+    known: Known,
+    about: Belief,
+    rows: _Rows,
+    slips: Callable[[int], list[Slip]],
+    looked: Sequence[int],
+) -> tuple[Suspected, ...]:
+    scores: list[tuple[int, Slip | None, float]] = []
+    for k in looked:
+        stray = rows.without(k).evidence(about.mean) + STRAY_WEIGHT - _stray(known)
+        scores.append((k, None, stray))
+        others = slips(k)
+        if not others:
+            continue
+        changed = _Rows.of(known, about, [slip.touch for slip in others])
+        rest = rows.without(k)
+        for slip, residual, slope in zip(others, changed.residual, changed.slope, strict=True):
+            whole = _Rows(np.vstack([rest.residual, residual]), np.vstack([rest.slope, slope[None]]))
+            scores.append((k, slip, whole.evidence(about.mean) + slip.weight))
+    return _ranked(scores)
+
+
+def _ranked(scores: Sequence[tuple[int, Slip | None, float]]) -> tuple[Suspected, ...]:
+    """The likeliest first, of each touch and kind only the best; those that are far less likely left out."""
+    order = sorted(scores, key=lambda each: -each[2])
+    best = {(touch, None if slip is None else slip.kind): None for touch, slip, _ in order}
+    kept = []
+    for touch, slip, score in order:
+        key = touch, None if slip is None else slip.kind
+        if key in best:
+            del best[key]
+            kept.append((touch, slip, score))
+    most = order[0][2]
+    total = sum(math.exp(score - most) for *_, score in order)
+    shown = [each for each in kept if each[2] > most - AS_LIKELY][:AS_GOOD]
+    return tuple(Suspected(touch, slip, math.exp(score - most) / total) for touch, slip, score in shown)
+
+
+def _left_out(rows: _Rows, mean: Array, m: int) -> Array:
+    """Chance of each touch (touches,) by all others."""
+    flat = rows.slope.reshape(rows.residual.size, -1)
+    covariance = np.linalg.inv(np.eye(mean.size) + flat.T @ flat)
+    shift = -covariance @ (flat.T @ rows.residual.ravel() + mean)
+    left = rows.residual + np.einsum("kin,n->ki", rows.slope, shift)
+    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, covariance, rows.slope)
+    told = np.einsum("kii->k", free) > 1e-9 * m  # of a face's only touches nobody can say anything
+    squares = np.zeros(len(left))
+    squares[told] = np.einsum("ki,ki->k", left[told], np.linalg.solve(free[told], left[told][..., None])[..., 0])
+    return np.array([chance(float(square), m) for square in squares])
+
+
+def _alone(residual: Array, spread: Array) -> float:
+    covariance = np.eye(len(residual)) + spread @ spread.T
+    square = residual @ np.linalg.solve(covariance, residual)
+    return -float(square + np.linalg.slogdet(covariance)[1]) / 2
+
+
+def _stray(known: Known) -> float:
+    """Logarithm of the range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2."""
+    noise = known.bound.block.noise[0]
+    return float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
+
+
+def _off_by(known: Known, rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
+    """By how much a touch is off by the others, and the standard deviation of that, mm; of several, their length."""
+    rest = rows.without(k)
+    flat = rest.slope.reshape(rest.residual.size, -1)
+    covariance = np.linalg.inv(np.eye(about.mean.size) + flat.T @ flat)
+    shift = -covariance @ (flat.T @ rest.residual.ravel() + about.mean)
+    value = rows.residual[k] + rows.slope[k] @ shift
+    noise = known.bound.block.noise[k]
+    spread = np.eye(len(value)) + rows.slope[k] @ covariance @ rows.slope[k].T
+    std = math.sqrt(float((np.diagonal(spread) * noise**2).sum()))
+    return _signed(value * noise), std
+
+
+def _off_alone(known: Known, value: Array, spread: Array, touch: Touch) -> tuple[float, float]:
+    noise = known.bound.on(rows_of([touch])).block.noise[0]
+    std = math.sqrt(float(((1 + (spread**2).sum(axis=1)) * noise**2).sum()))
+    return _signed(value * noise), std
+
+
+def _signed(value: Array) -> float:
+    return float(value[0]) if len(value) == 1 else float(np.linalg.norm(value))

@@ -1,0 +1,182 @@
+"""What touches have told so far: the cubature filter's belief after each, and how they scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.enough_rows import instances
+from casacal.binding.noise_scale import OTHERS
+from casacal.binding.slots import make_slots
+from casacal.errors import ProblemError
+from casacal.estimators.sckf import Belief, begun, take_in
+from casacal.measuring.touch import Touch, rows_of
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples, joined
+
+Places = Mapping[str, Array]
+"""Where things stand that were declared without a nominal value, by the full name of the unknown."""
+
+FACTORS = tuple(1.25**k for k in range(18))
+"""Noise over what was stated, among which the likeliest is looked for."""
+
+TELLING = 4.5
+"""Logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one."""
+
+FEWEST = 12
+"""Touches from which on their scatter is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What some touches tell.
+
+    bound: to their rows. belief: after the last, in units of `start_std` about x0. innovations, stds: of each residual
+    when it came (rows,), whitened. factor: noise over what was stated, one or more.
+    """
+
+    bound: BoundProblem
+    belief: Belief
+    innovations: Array
+    stds: Array
+    factor: float
+    proposed: frozenset[str]
+
+    @property
+    def x(self) -> Array:
+        """The mean (n,), in mm and rad."""
+        return np.asarray(self.bound.x0 + self.bound.start_std * self.belief.mean)
+
+    @property
+    def per_touch(self) -> int:
+        """Residuals of each touch."""
+        return self.bound.rows // len(self.bound.block.samples)
+
+    @property
+    def squares(self) -> Array:
+        """Squared innovation of each touch when it came, over its variance (touches,)."""
+        return np.asarray(((self.innovations / self.stds) ** 2).reshape(-1, self.per_touch).sum(axis=1))
+
+    def before_last(self) -> Belief:
+        """The belief before the last touch came."""
+        samples = self.bound.block.samples
+        if len(samples) == 1:
+            return begun(self.bound)
+        return _filtered(self.bound.on(samples.take(range(len(samples) - 1))))[0]
+
+
+def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
+    """Where faces and the like stand by planned rows; raises ProblemError as `bind` does."""
+    return {slot.name: slot.nominal for slot in bind(problem, samples).slots if slot.unknown.nominal is None}
+
+
+def usable(problem: Problem, touches: Sequence[Touch], places: Places) -> list[int]:
+    """Which touches tell something: those of faces that are planned or were touched often enough."""
+    if not touches:
+        return []
+    samples, instrument, told = rows_of(touches), problem.instrument, np.ones(len(touches), dtype=bool)
+    counts = _counts(problem, samples)
+    for key, unknown in instrument.unknowns.items():
+        if unknown.nominal is not None:
+            continue
+        for label, rows in instances(instrument, key, unknown, samples):
+            name = key if label is None else f"{key}.{label}"
+            if name not in places and not counts[name]:
+                told[rows] = False
+    return [int(k) for k in np.flatnonzero(told)]
+
+
+def known_from(
+    problem: Problem, touches: Sequence[Touch], places: Places, planned: Samples | None, before: Known | None = None
+) -> Known:
+    """Let a filter take in touches that are all usable, in their order, from the prior on.
+
+    Faces stand where their own touches say, once there are enough of them, before that where they are planned.
+    What is planned has its unknowns from the beginning on, so that they stay the same. `before` is what was known a
+    touch ago, whose binding serves again. Raises ProblemError where nothing says where a
+    face stands.
+    """
+    samples = rows_of(touches)
+    proposed = frozenset(name for name, enough in _counts(problem, samples).items() if enough)
+    labels = {name: column.names for name, column in samples.labels.items()}
+    if before is not None and before.proposed == proposed and _covers(before.bound, problem, labels):
+        bound = before.bound.with_noise().on(samples)
+    else:
+        bound = _bound(problem, samples, places, planned, proposed)
+    plain = _filtered(bound)
+    if len(touches) < FEWEST:
+        return Known(bound, *plain, 1.0, proposed)
+    others = [(factor, noisier := bound.with_noise({OTHERS: factor}), _filtered(noisier)) for factor in FACTORS[1:]]
+    best = max(others, key=lambda each: _likelihood(each[2], each[1]))
+    if _likelihood(best[2], best[1]) < _likelihood(plain, bound) + TELLING:
+        return Known(bound, *plain, 1.0, proposed)
+    return Known(best[1], *best[2], best[0], proposed)
+
+
+def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
+    """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
+    bound = known.bound.on(rows_of(touches))
+    found = [_next_alone(bound, known.belief, k) for k in range(bound.rows)]
+    noise = bound.block.noise.ravel()
+    off, stds = (np.array(each) * noise for each in zip(*found, strict=True))
+    return off.reshape(len(touches), -1), stds.reshape(len(touches), -1)
+
+
+def _next_alone(bound: BoundProblem, belief: Belief, k: int) -> tuple[float, float]:
+    x = bound.x0 + bound.start_std * belief.mean
+    value, slope = bound.row_jacobian(k, x)
+    return value, math.hypot(1.0, float(np.linalg.norm((slope * bound.start_std) @ belief.root)))
+
+
+def _filtered(bound: BoundProblem) -> tuple[Belief, Array, Array]:
+    belief, k, told = begun(bound), 0, list[tuple[Array, Array]]()
+    while k < bound.rows:
+        taken = take_in(bound, belief, k)
+        belief, k = taken.belief, taken.stop
+        told.append((taken.innovations, taken.stds))
+    innovations, stds = (np.concatenate(each) for each in zip(*told, strict=True))
+    return belief, innovations, stds
+
+
+def _likelihood(filtered: tuple[Belief, Array, Array], bound: BoundProblem) -> float:
+    """Logarithm of the likelihood, less a constant: by innovations (Schweppe, IEEE Trans. Inf. Theory 11, 1965)."""
+    _, innovations, stds = filtered
+    return -float(((innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())).sum())
+
+
+def _bound(
+    problem: Problem, samples: Samples, places: Places, planned: Samples | None, proposed: frozenset[str]
+) -> BoundProblem:
+    try:
+        slots = make_slots(problem, (samples,), {k: v for k, v in places.items() if k not in proposed})
+    except ProblemError:  # touches on a line say of no face where it stands
+        slots = make_slots(problem, (samples,), places)
+    if planned is not None:
+        found = {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
+        slots = make_slots(problem, (joined(samples, planned),), {**places, **found})
+    return BoundProblem(problem, slots, (samples,))
+
+
+def _counts(problem: Problem, samples: Samples) -> dict[str, bool]:
+    """Whether rows are enough to say where each thing stands that was declared without a nominal value, by name."""
+    found = {}
+    for key, unknown in problem.instrument.unknowns.items():
+        if unknown.nominal is None:
+            flat = int((~np.isfinite(unknown.prior_stds)).sum())
+            for label, rows in instances(problem.instrument, key, unknown, samples):
+                enough = len(rows) * problem.models[0].components > flat
+                found[key if label is None else f"{key}.{label}"] = enough
+    return found
+
+
+def _covers(bound: BoundProblem, problem: Problem, labels: Mapping[str, Sequence[str]]) -> bool:
+    """Whether there are unknowns for all labels."""
+    have = {slot.name for slot in bound.slots}
+    keys = [(key, unknown.per) for key, unknown in problem.instrument.unknowns.items() if unknown.per is not None]
+    instance = problem.instrument.instance
+    return all(f"{key}.{instance(key, name)}" in have for key, per in keys for name in labels.get(per, ()))

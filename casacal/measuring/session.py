@@ -1,0 +1,119 @@
+"""A session at the machine as a value: every step, from a touch taken in to one taken back, gives another one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError
+from casacal.measuring.examine import Alarm, Suspected
+from casacal.measuring.given import columns_of, joints_of, labels_of
+from casacal.measuring.standing import Standing
+from casacal.measuring.state import state_of
+from casacal.measuring.touch import Touch
+from casacal.planning.route import FIT
+
+
+class Session(Standing):
+    """Touches of one instrument, taken in one by one by a square-root cubature Kalman filter.
+
+    Args:
+        problem: a robot with one instrument; its priors are trusted, its noise until the touches speak against it.
+        plan: what is to be touched, in which order, and about where faces stand; None where nobody planned.
+        tolerance: RMS tip error (mm) at which enough has been measured, or None.
+        box, targets: where the tip is wanted, as for `plan`; by default over the workspace.
+        cell: where faces are and how far the tool may tilt, for touches beyond the plan; by default as `plan` has it.
+        touches, state, skipped: of a session that goes on; see `resumed`.
+
+    Every step gives another session. An `alarm` stands until `undo`, `keep` or `correct` answers it.
+
+    Raises CasacalError for a problem of several instruments and for a tolerance that is none.
+
+    """
+
+    def take(
+        self,
+        q: Sequence[float] | Array,
+        reading: float | Mapping[str, float] | None = None,
+        plane: str | Mapping[str, str] | None = None,
+        *,
+        number: int | None = None,
+    ) -> Session:
+        """Take in one more touch.
+
+        Args:
+            q: joint values (n,), rad and mm.
+            reading: what the instrument read, mm; by column where it has several.
+            plane: the label of the face; by column where there are several; by default that of the plan's touch.
+            number: which touch of the plan this answers, from 1.
+
+        Raises CasacalError for what is no touch of this problem, and while an alarm waits for an answer.
+
+        """
+        if self.alarm is not None:
+            raise CasacalError(
+                f"Touch {self.alarm.touch + 1} is in doubt", "Answer first, by undo(), keep() or correct(suspect)"
+            )
+        planned, layout = self.planned(number), self.problem.layout()
+        touch = Touch(
+            joints_of(q, layout),
+            columns_of(reading, layout),
+            labels_of(plane, layout, planned),
+            number,
+            FIT if planned is None else planned.purpose,
+        )
+        return self._after((*self.touches, touch), new=True)
+
+    def undo(self, touch: int | None = None) -> Session:
+        """Take a touch back, as if it had never been made: the one in doubt, else the last, or by number from 0."""
+        if not self.touches:
+            raise CasacalError("There is no touch to take back", "Take one first")
+        last = len(self) - 1 if self.alarm is None else self.alarm.touch
+        k = last if touch is None else touch
+        if not 0 <= k < len(self):
+            raise CasacalError(f"There is no touch {k}", f"Give 0 to {len(self) - 1}")
+        return self._after((*self.touches[:k], *self.touches[k + 1 :]))
+
+    def keep(self) -> Session:
+        """Say that the touch in doubt is right as it is."""
+        k = self._asked().touch
+        return self._after(self._with(k, replace(self.touches[k], kept=True)))
+
+    def correct(self, suspect: Suspected | None = None) -> Session:
+        """Put right what was typed wrong: as the likeliest explanation has it, or another one of the alarm's."""
+        alarm = self._asked()
+        chosen = alarm.suspects[0] if suspect is None else suspect
+        if chosen.slip is None:
+            raise CasacalError(
+                f"Nothing that could be corrected explains touch {chosen.touch + 1}", "Take it back with undo()"
+            )
+        return self._after(self._with(chosen.touch, chosen.slip.touch))
+
+    def skip(self, number: int) -> Session:
+        """Leave a touch of the plan out."""
+        self.planned(number)
+        return replace(self, skipped=self.skipped | {number})
+
+    def resumed(self, touches: Sequence[Touch]) -> Session:
+        """The session after touches that were made earlier, such as those of a file."""
+        return self._after(tuple(touches))
+
+    def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
+        """The session with these touches; `new` says that the last one has just come."""
+        state = state_of(self._setting, touches, lambda k: self._slips(touches, k), self.state.known, new=new)
+        after = replace(self, touches=touches, state=state)
+        for name in ("_setting", "_all_planned", "_could"):
+            if name in self.__dict__:
+                after.__dict__[name] = self.__dict__[name]
+        if "field" in self.__dict__ and after.names == self.names:
+            after.__dict__["field"] = self.field
+        return after
+
+    def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
+        return (*self.touches[:k], touch, *self.touches[k + 1 :])
+
+    def _asked(self) -> Alarm:
+        if self.alarm is None:
+            raise CasacalError("No touch is in doubt", "Answer when there is an alarm")
+        return self.alarm

@@ -1,0 +1,183 @@
+"""Where a session at the machine stands: touches so far, what they tell, which is in doubt, which to make next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError, came
+from casacal.estimators.sckf import Belief
+from casacal.measuring.examine import Alarm
+from casacal.measuring.further import Pool, could_be
+from casacal.measuring.known import innovations_at, places_of
+from casacal.measuring.slips import Slip, slips_of
+from casacal.measuring.state import Setting, State
+from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
+from casacal.measuring.touch import Touch, planned_touches
+from casacal.planning.route import CHECK, Route
+from casacal.planning.wanted import wanted_joints
+from casacal.problem.disturbances import Disturbances
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.expectation import Box
+from casacal.values import Value, is_real
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Standing(Value):
+    """What a session knows, and what follows from it; `Session` adds the steps."""
+
+    problem: Problem
+    plan: Route | None = None
+    tolerance: float | None = None
+    box: Box | None = None
+    targets: Array | None = None
+    cell: Disturbances | None = None
+    touches: tuple[Touch, ...] = ()
+    state: State = field(default_factory=State)
+    skipped: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.problem, Problem):
+            raise CasacalError(
+                f"{came(self.problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"
+            )
+        if len(self.problem.instruments) > 1:
+            names = ", ".join(self.problem.names)
+            raise CasacalError(
+                f"A session is of one instrument, and there are {names}", "Give problem.measured_by(name)"
+            )
+        if self.plan is not None and not isinstance(self.plan, Route):
+            raise CasacalError(f"{came(self.plan)} came as the plan", "Give what plan() or read_route() returns")
+        if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
+            raise CasacalError(f"{came(self.tolerance)} came as the tolerance", "Give a positive number of mm")
+        if self.box is not None and self.targets is not None:
+            raise CasacalError("A box and targets came", "Give one of them")
+
+    def __len__(self) -> int:
+        return len(self.touches)
+
+    def __repr__(self) -> str:
+        said = "" if self.alarm is None else f", touch {self.alarm.touch + 1} in doubt"
+        error = self.tip_error
+        return f"<Session of {len(self)} touches{said}: tip error {'unknown' if error is None else f'{error:.3g} mm'}>"
+
+    def next(self) -> Touch | None:
+        """The next touch of the plan, with the readings to expect; after the last one the best that could be made.
+
+        None where enough has been touched, and where all that was planned is and no tolerance asks for more. Raises
+        SimulationError where no further touch is found.
+        """
+        done = {touch.number for touch in self.touches} | self.skipped
+        planned = next((touch for touch in self._all_planned if touch.number not in done), None)
+        known = self.state.known
+        if self.done or planned is not None or self.tolerance is None or known is None or self.field is None:
+            return None if self.done else planned
+        return self._pool.best(known, self.field)
+
+    def needed(self) -> int | None:
+        """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""
+        known = self.state.known
+        if self.tolerance is None or known is None or self.field is None:
+            return None
+        return self._pool.needed(known, self.field, self.tolerance)
+
+    def planned(self, number: int | None) -> Touch | None:
+        """A touch of the plan by its number; raises CasacalError for one that there is not."""
+        if number is None:
+            return None
+        if not 1 <= number <= len(self._all_planned):
+            there = "there is no plan" if self.plan is None else f"the plan has 1 to {len(self.plan)}"
+            raise CasacalError(f"Touch {number} of the plan was named, and {there}", "Leave the number out")
+        return self._all_planned[number - 1]
+
+    @property
+    def alarm(self) -> Alarm | None:
+        """Which touch does not agree with the others, and what would explain it; None where all agree."""
+        return self.state.alarm
+
+    @property
+    def waiting(self) -> tuple[int, ...]:
+        """Touches, counted from 0, of faces of which nobody knows where they stand until there are more of them."""
+        return self.state.waiting
+
+    @property
+    def belief(self) -> Belief | None:
+        """Mean (n,) and lower triangular root (n, n) of the covariance, mm and rad, named by `names`; None at first."""
+        if (known := self.state.known) is None:
+            return None
+        return Belief(known.x, known.bound.start_std[:, None] * known.belief.root)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the belief is about."""
+        return () if self.state.known is None else self.state.known.bound.names
+
+    @property
+    def noise(self) -> float:
+        """Noise that the touches show over what was stated; one where they do not speak against it."""
+        return 1.0 if self.state.known is None else self.state.known.factor
+
+    @property
+    def tip_error(self) -> float | None:
+        """Tip error to expect, mm RMS where it is wanted, apart from where the base stands; None before any touch."""
+        return None if self.weights is None else expected_error(self.weights)
+
+    @property
+    def tip_error_below(self) -> float | None:
+        """Below which the tip error is 19 times of 20, mm RMS, if priors and the form of the model are right."""
+        return None if self.weights is None else error_below(self.weights)
+
+    @property
+    def done(self) -> bool:
+        """Whether the tolerance is met: 19 times of 20 the tip error is below it, and nothing is in doubt."""
+        below = self.tip_error_below
+        return self.tolerance is not None and below is not None and self.alarm is None and below <= self.tolerance
+
+    def checked(self) -> tuple[Array, Array] | None:
+        """By how much touches kept for checking are off, and its standard deviation (touches, m), mm, or None."""
+        kept = [touch for touch in self.touches if touch.purpose == CHECK]
+        return None if self.state.known is None or not kept else innovations_at(self.state.known, kept)
+
+    @cached_property
+    def field(self) -> Array | None:
+        """Moves (3 M, n) of the tip where it is wanted, per unit of the belief."""
+        if self.state.known is None:
+            return None
+        bound = self.state.known.bound
+        return wanted_field(bound, wanted_joints(bound, self.box, self.targets))
+
+    @cached_property
+    def weights(self) -> Array | None:
+        """Of the squared tip error as a sum of squares of unit normals, mm^2."""
+        known = self.state.known
+        return None if known is None or self.field is None else spectrum(known.belief, self.field)
+
+    def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
+        known: dict[str, list[str]] = {}
+        for each in (*touches, *self._all_planned):
+            for column, label in each.labels.items():
+                known.setdefault(column, []).append(label)
+        labels = {column: tuple(dict.fromkeys(names)) for column, names in known.items()}
+        return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
+
+    @cached_property
+    def _pool(self) -> Pool:
+        assert self.state.known is not None
+        return Pool.of(self.state.known, self._could)
+
+    @cached_property
+    def _could(self) -> Samples:
+        return could_be(self.problem, self.cell)
+
+    @cached_property
+    def _setting(self) -> Setting:
+        if self.plan is None:
+            return Setting(self.problem, None, {})
+        return Setting(self.problem, self.plan.samples, places_of(self.problem, self.plan.samples))
+
+    @cached_property
+    def _all_planned(self) -> tuple[Touch, ...]:
+        return () if self.plan is None else planned_touches(self.plan)
