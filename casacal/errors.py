@@ -19,7 +19,7 @@ def came(value: object) -> str:
 
 def counted(count: int, noun: str) -> str:
     """A number with its noun: "1 row", "2 rows"."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+    return f"{count} {noun}{'' if count == 1 else 'es' if noun.endswith('ch') else 's'}"
 
 
 class CasacalError(Exception):

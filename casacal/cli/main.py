@@ -17,6 +17,7 @@ from casacal.cli import (
     completion,
     doctor,
     export,
+    measure,
     new,
     plan,
     predict,
@@ -32,6 +33,7 @@ from casacal.version import __version__
 
 COMMANDS = {
     "plan": plan,
+    "measure": measure,
     "calibrate": calibrate,
     "simulate": simulate,
     "check": check,

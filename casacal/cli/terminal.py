@@ -92,6 +92,11 @@ def complain(text: str) -> None:
     _write(f"{painted('casacal:', sys.stderr)} {text}\n", sys.stderr)
 
 
+def prompt(text: str) -> None:
+    """Write on standard output at once, without ending the line."""
+    _write(text, sys.stdout, flush=True)
+
+
 def write_progress(text: str) -> None:
     """Write on standard error at once, as it is."""
     _write(text, sys.stderr, flush=True)

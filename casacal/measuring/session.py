@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, UnknownNameError
 from casacal.measuring.examine import Alarm, Suspected
 from casacal.measuring.given import columns_of, joints_of, labels_of
 from casacal.measuring.standing import Standing
@@ -63,6 +63,7 @@ class Session(Standing):
             number,
             FIT if planned is None else planned.purpose,
         )
+        self._refuse_unplanned(touch)
         return self._after((*self.touches, touch), new=True)
 
     def undo(self, touch: int | None = None) -> Session:
@@ -109,6 +110,14 @@ class Session(Standing):
         if "field" in self.__dict__ and after.names == self.names:
             after.__dict__["field"] = self.field
         return after
+
+    def _refuse_unplanned(self, touch: Touch) -> None:
+        """Raise UnknownNameError for a label that the plan does not know."""
+        if self.plan is None:
+            return
+        for column, label in touch.labels.items():
+            if label not in (known := self.plan.samples.labels[column].names):
+                raise UnknownNameError(f"{column} of the plan", label, known)
 
     def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
         return (*self.touches[:k], touch, *self.touches[k + 1 :])

@@ -10,7 +10,10 @@ from casacal.files import write_text
 from casacal.planning.plan import Plan
 from casacal.planning.route import EXPECTED
 from casacal.samples.layout import Layout
-from casacal.samples.write import JOINT_DECIMALS, WRITTEN
+from casacal.samples.write import WRITTEN
+
+PLANNED_DECIMALS = 4
+"""Of joint values in degrees and mm: what controllers take, and a few micrometres at the tip."""
 
 
 def plan_text(plan: Plan, layout: Layout, name: str) -> str:
@@ -26,7 +29,7 @@ def plan_text(plan: Plan, layout: Layout, name: str) -> str:
     header, columns = ["touch", "purpose"], [[str(k) for k in range(1, len(plan) + 1)], list(plan.purposes)]
     for what, kind, values in quantities:
         ending, factor, decimals = WRITTEN[kind]
-        decimals = decimals if what.startswith(EXPECTED) else JOINT_DECIMALS
+        decimals = decimals if what.startswith(EXPECTED) else PLANNED_DECIMALS
         header.append(what + ending)
         columns.append([f"{value * factor:.{decimals}f}" for value in values])
     header += list(samples.labels)

@@ -1,0 +1,194 @@
+"""`casacal measure`: a session at the machine, each touch judged when it is made."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import queue
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from casacal.cli.common import DONE, FAILED, add_problem, box_of, spare, whole_number
+from casacal.cli.terminal import prompt, say_paragraph
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.measuring.gauges import Gauge
+    from casacal.measuring.serial_line import SerialLine
+    from casacal.measuring.session import Session
+    from casacal.measuring.touch_file import TouchFile
+    from casacal.problem.problem_file import ProblemFile
+
+HELP = "a session at the machine: each touch judged when it is made"
+
+EVERY = 10
+"""Touches beyond the plan between two words about how many more it takes."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal measure` takes."""
+    parser.description = (
+        "Go through the touches of a plan, take each reading from the keyboard or a gauge, and write it at once. A "
+        "touch that does not agree with the others is named, with what would explain it. Cut off, it goes on where it "
+        "was. Exit 1 when a tolerance was asked for and is not met."
+    )
+    add_problem(parser)
+    parser.add_argument("--plan", required=True, metavar="FILE", help="what casacal plan wrote")
+    parser.add_argument(
+        "--out", required=True, metavar="FILE", help="samples to write; those to check with go to FILE_check"
+    )
+    parser.add_argument(
+        "--tolerance", type=float, metavar="MM", help="end when the tip error is below this 19 times of 20"
+    )
+    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="where the tip is wanted, mm, base frame")
+    parser.add_argument("--targets", metavar="FILE", help="joint values at which it is wanted, in place of a box")
+    parser.add_argument("--serial", metavar="PORT", help="where a gauge is connected, such as COM3 or /dev/ttyUSB0")
+    parser.add_argument("--gauge", default="plain", metavar="NAME", help="digimatic, sylvac or plain; default: plain")
+    parser.add_argument("--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) round the number")
+    parser.add_argument("--unit", metavar="UNIT", help="of readings that say none: mm, in or um; default: mm")
+    parser.add_argument("--ask", metavar="TEXT", help="what makes the gauge send a reading, sent at an empty line")
+    parser.add_argument("--baud", type=whole_number, default=9600, metavar="N", help="of the line; default: 9600")
+    parser.add_argument("--frame", default="8N1", metavar="8N1", help="bits, parity and stop bits; default: 8N1")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Hold a session; returns 0, or 1 where a tolerance is not met."""
+    from casacal.measuring.gauges import gauge
+    from casacal.measuring.serial_line import SerialLine
+    from casacal.problem.problem_file import load_problem
+
+    source = load_problem(options.problem)
+    spare([options.out], *(file.path for file in source.files), options.plan, options.targets)
+    meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
+    session, file = _begun(source, options)
+    line = None
+    if options.serial is not None:
+        line = SerialLine(options.serial, baud=options.baud, **_frame(options.frame))
+    try:
+        session = _held(session, file, meter, line)
+    finally:
+        if line is not None:
+            line.close()
+    return DONE if session.tolerance is None or session.done else FAILED
+
+
+def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
+    """The session as it begins or goes on, and its file."""
+    from casacal.compensation.predict import read_joints
+    from casacal.measuring.session import Session
+    from casacal.measuring.touch_file import TouchFile
+    from casacal.planning.route import read_route
+
+    layout = source.problem.layout()
+    route = read_route(options.plan, layout)
+    session = Session(
+        source.problem,
+        route,
+        options.tolerance,
+        None if options.box is None else box_of(options.box),
+        None if options.targets is None else read_joints(options.targets, source).joints,
+        source.cell,
+    )
+    content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
+    file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
+    if file.begun():
+        touches, cut = file.read()
+        if cut:
+            say_paragraph("The last line of the file was cut off; that touch is to be made again")
+        if touches:
+            session = session.resumed(touches)
+            say_paragraph(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
+    return session, file
+
+
+def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
+    """The session after its operator ended it, or it was at its end."""
+    from casacal.measuring.conversation import answered
+    from casacal.measuring.spoken import doubt, ended, posture
+
+    for sentence in doubt(session):
+        say_paragraph(sentence)
+    typed = _lines(line)
+    while True:
+        proposed = session.next()
+        if session.alarm is None:
+            if proposed is None:
+                break
+            if proposed.number is None and not _further(session):
+                break
+            say_paragraph(posture(proposed, file.layout))
+        prompt("> ")
+        entered = next(typed, None)
+        if entered is None:
+            break
+        if not entered.strip():
+            if line is not None and meter.asks:
+                line.ask(meter.asks)
+            elif file.layout.columns or session.alarm is not None or proposed is None:
+                continue
+        answer = answered(session, proposed, entered, meter)
+        if answer.change == "added":
+            file.append(answer.session.touches[-1], len(answer.session))
+        elif answer.change == "changed":
+            file.rewrite(answer.session.touches)
+        session = answer.session
+        for sentence in answer.said:
+            say_paragraph(sentence)
+        if answer.ended:
+            break
+    for sentence in ended(session):
+        say_paragraph(sentence)
+    return session
+
+
+def _further(session: Session) -> bool:
+    """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
+    from casacal.measuring.further import MOST
+
+    beyond = sum(touch.number is None for touch in session.touches)
+    if beyond % EVERY:
+        return True
+    needed = session.needed()
+    if needed is None:
+        say_paragraph(
+            f"The plan is at its end, and {MOST} more touches would not bring the tip error below "
+            f"{session.tolerance:g} mm: it takes another face, a step of known height or a better instrument"
+        )
+        return False
+    say_paragraph(f"The plan is at its end; about {needed} more touches to {session.tolerance:g} mm")
+    return True
+
+
+def _lines(line: SerialLine | None) -> Iterator[str]:
+    """Lines of the keyboard, and of the gauge as they come."""
+    if line is None:
+        yield from sys.stdin
+        return
+    come: queue.Queue[str | None] = queue.Queue()
+
+    def of_keyboard() -> None:
+        for typed in sys.stdin:
+            come.put(typed)
+        come.put(None)
+
+    def of_gauge() -> None:
+        for sent in line.lines():
+            say_paragraph(sent)
+            come.put(sent)
+
+    for source in (of_keyboard, of_gauge):
+        threading.Thread(target=source, daemon=True).start()
+    while (entered := come.get()) is not None:
+        yield entered
+
+
+def _frame(text: str) -> dict[str, Any]:
+    """Bits, parity and stop bits as people write them."""
+    if len(text) != 3 or text[0] not in "78" or text[1].upper() not in "NEO" or text[2] not in "12":
+        raise CasacalError(
+            f"--frame {text} is not such as 8N1", "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
+        )
+    return {"bits": int(text[0]), "parity": text[1].upper(), "stops": int(text[2])}

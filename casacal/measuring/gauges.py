@@ -1,0 +1,86 @@
+"""What gauges send: lines of text with a reading, as makers write them, and as one's own pattern has it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from casacal.errors import CasacalError, UnknownNameError
+
+INCH = 25.4
+UNITS: Mapping[str, float] = {"mm": 1.0, "in": INCH, '"': INCH, "inch": INCH, "um": 1e-3}
+
+NUMBER = r"(?P<value>[+-]?\s*(?:\d+[.,]?\d*|[.,]\d+))"
+UNIT = r"(?P<unit>mm|inch|in|um|\")?"
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """How a gauge says a reading: a pattern with the groups `value` and, where it says it, `unit`; else it is `unit`.
+
+    errors: a pattern of lines by which it says that there is none. asks: what makes it send one; "" where only its
+    button does.
+    """
+
+    name: str
+    pattern: str
+    errors: str = r"(?!)"
+    unit: str = "mm"
+    asks: str = ""
+
+    def reading(self, line: str) -> float:
+        """The reading of a line, mm; raises CasacalError where there is none."""
+        text = line.strip("\x00\r\n\t ")
+        if re.fullmatch(self.errors, text, re.IGNORECASE):
+            raise CasacalError(f"The gauge says {text!r}, which is an error", "Look at it, and send the reading again")
+        found = re.fullmatch(self.pattern, text, re.IGNORECASE)
+        if found is None:
+            raise CasacalError(
+                f"{text!r} is no reading of a gauge called {self.name}",
+                "Look at --gauge and --pattern, or send it again",
+            )
+        said = found.groupdict().get("unit")
+        value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * UNITS[(said or self.unit).lower()]
+        if not math.isfinite(value):
+            raise CasacalError(f"{text!r} is no finite reading", "Send it again")
+        return value
+
+
+GAUGES: Mapping[str, Gauge] = {
+    "plain": Gauge("plain", rf"{NUMBER}\s*,?\s*{UNIT}"),
+    # channel, "A" for data, sign, digits and point; "911" and the like for errors
+    "digimatic": Gauge("digimatic", rf"\d{{2}}A{NUMBER}\s*{UNIT}", r"9\d[0-9]?|\d{2}[B-Z].*"),
+    # sign or blank, digits, point, digits; "ERR" and a number for errors; "?" and a carriage return ask for one
+    "sylvac": Gauge("sylvac", rf"{NUMBER}\s*{UNIT}\s*[<=>]?", r"ERR\s*\d*", asks="?\r"),
+}
+"""By the name of what makers have in common."""
+
+
+def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, asks: str | None = None) -> Gauge:
+    """A gauge by name, with one's own pattern, unit or question in place of its own.
+
+    Raises CasacalError for a name or unit that there is not, and for a pattern that is none or has no group `value`.
+    """
+    if name not in GAUGES:
+        raise UnknownNameError("gauge", name, GAUGES)
+    known = GAUGES[name]
+    if unit is not None and unit not in UNITS:
+        raise UnknownNameError("unit", unit, UNITS)
+    if pattern is not None:
+        try:
+            groups = re.compile(pattern).groupindex
+        except re.error as error:
+            raise CasacalError(f"The pattern {pattern!r} is none ({error})", "Write a regular expression") from None
+        if "value" not in groups:
+            raise CasacalError(f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) round the number")
+        known = Gauge("of this pattern", pattern)
+    return Gauge(
+        known.name, known.pattern, known.errors, unit or known.unit, known.asks if asks is None else _unescaped(asks)
+    )
+
+
+def _unescaped(text: str) -> str:
+    """Text in which the ends of lines were typed as a backslash and a letter."""
+    return text.replace("\\r", "\r").replace("\\n", "\n")

@@ -1,0 +1,106 @@
+"""What a session says to its operator, in sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from casacal.errors import counted
+from casacal.measuring.examine import Suspected
+from casacal.measuring.session import Session
+from casacal.measuring.touch import Touch
+from casacal.planning.written import PLANNED_DECIMALS
+from casacal.samples.layout import Layout
+from casacal.samples.write import WRITTEN
+
+HELP_WORDS = (
+    "Bring the arm to the posture, then along the plunger until the instrument reads. Type the reading alone if the "
+    "controller shows the joint values as planned; else all joint values (degrees, mm) and the reading. A label behind "
+    "them if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is right. "
+    "c: put it right as the first explanation has it (c 2: the second). s: leave this touch out. q: end; what was "
+    "measured is written already."
+)
+
+
+def posture(touch: Touch, layout: Layout) -> str:
+    """Where to go: face, joint values, what to expect."""
+    joints = " ".join(
+        f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}"
+        for value, kind in zip(touch.joints, layout.joints, strict=True)
+    )
+    where = ", ".join(touch.labels[name] for name in layout.labels)
+    number = "one more" if touch.number is None else f"touch {touch.number}"
+    expected = ", ".join(
+        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
+        for name, kind in layout.columns.items()
+    )
+    purpose = {"again": "once more", "check": "to check with"}.get(touch.purpose, "")
+    return "; ".join(part for part in (f"{number} {where}".strip(), purpose, f"joints {joints}", expected) if part)
+
+
+def told(session: Session) -> str:
+    """What the last touch said, and where the session stands."""
+    state, last = session.state, session.touches[-1]
+    said = [f"{len(session)} made"]
+    if state.off is not None and state.std is not None:
+        off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
+        sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
+        said.append(f"off by {sign}{off:.3g} mm where {std:.3g} was to be expected")
+    elif len(session) - 1 in session.waiting:
+        said.append(f"face {', '.join(last.labels.values())} is not known well enough yet to judge it")
+    if session.tip_error is not None and session.tip_error_below is not None:
+        said.append(
+            f"tip error {session.tip_error:.3g} mm to expect, 19 times of 20 below {session.tip_error_below:.3g}"
+        )
+    if session.noise > 1:
+        said.append(f"touches scatter {session.noise:.2g} times as much as stated, which is counted")
+    return "; ".join(said)
+
+
+def doubt(session: Session) -> list[str]:
+    """What is in doubt, and what would explain it: a sentence each."""
+    alarm = session.alarm
+    if alarm is None:
+        return []
+    size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
+    said = [f"warning: touch {_name(session, alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was"]
+    said[0] += " to be expected. What would explain it, the likeliest first:"
+    said += [f"  {k}. {_explained(session, each)}" for k, each in enumerate(alarm.suspects, 1)]
+    fixable = "c puts it right as 1 says; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
+    said.append(f"u takes touch {_name(session, alarm.touch)} back, to be made again; {fixable}k keeps it as it is")
+    return said
+
+
+def _explained(session: Session, each: Suspected) -> str:
+    cause = "it is off for no reason that is known" if each.slip is None else each.slip.words
+    return f"touch {_name(session, each.touch)}: {cause} ({_percent(each.chance)})"
+
+
+def _percent(chance: float) -> str:
+    return "over 99 %" if chance > 0.99 else f"{100 * chance:.0f} %" if chance >= 0.01 else "below 1 %"
+
+
+def _name(session: Session, k: int) -> str:
+    number = session.touches[k].number
+    return f"{k + 1}" if number is None or number == k + 1 else f"{k + 1} (number {number} of the plan)"
+
+
+def ended(session: Session) -> list[str]:
+    """What to say at the end."""
+    said, below = [], session.tip_error_below
+    if below is not None:
+        met = ""
+        if session.tolerance is not None:
+            met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
+        said.append(
+            f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm to expect, 19 times of 20 below "
+            f"{below:.3g} mm{met}, apart from where the base stands, if the priors and the form of the arm's model are "
+            "right. casacal calibrate judges that"
+        )
+    if (checked := session.checked()) is not None:
+        off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
+        said.append(
+            f"{counted(len(checked[0]), 'touch')} kept for checking: off by {off:.3g} mm RMS, {std:.3g} to be expected"
+        )
+    return said
