@@ -79,8 +79,11 @@ if TYPE_CHECKING:
     from casacal.least_squares.objective import LeastSquares as LeastSquares
     from casacal.least_squares.result import Result as Result
     from casacal.least_squares.result import Status as Status
+    from casacal.measuring.session import Session as Session
     from casacal.planning.plan import Plan as Plan
     from casacal.planning.plan import plan as plan
+    from casacal.planning.route import Route as Route
+    from casacal.planning.route import read_route as read_route
     from casacal.problem.cell import Cell as Cell
     from casacal.problem.cell import Face as Face
     from casacal.problem.cell import corner as corner
@@ -121,7 +124,9 @@ _HOMES = {
     "casacal.binding.symbolic": ("SymbolicProblem",),
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
+    "casacal.measuring.session": ("Session",),
     "casacal.planning.plan": ("Plan", "plan"),
+    "casacal.planning.route": ("Route", "read_route"),
     "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
     "casacal.problem.disturbances": ("Disturbances",),
     "casacal.compensation.compensate": ("compensate",),

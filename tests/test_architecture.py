@@ -47,6 +47,12 @@ ORDER = [
 ]
 """The packages and modules of casacal/, from the ground up: each imports only what stands before it, or itself."""
 PLACE = {name: place for place, name in enumerate(ORDER)}
+EXTRAS = {
+    "study.executors": {"dask", "distributed"},
+    "tables.workbooks": {"openpyxl"},
+    "measuring.serial_line": {"serial"},
+}
+"""Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}
 
 
@@ -137,7 +143,7 @@ def test_only_declared_packages_are_imported():
     allowed = {"casadi", "numpy", "scipy", "pandas", "matplotlib"}
     standard = __import__("sys").stdlib_module_names
     for path in FILES:
-        extra = {"study.executors": {"dask", "distributed"}, "tables.workbooks": {"openpyxl"}}.get(name_of(path), set())
+        extra = EXTRAS.get(name_of(path), set())
         assert imports(path)[1] <= allowed | standard | extra, name_of(path)
 
 

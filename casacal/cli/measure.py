@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import queue
 import sys
 import threading
@@ -170,8 +171,11 @@ def _lines(line: SerialLine | None) -> Iterator[str]:
     come: queue.Queue[str | None] = queue.Queue()
 
     def of_keyboard() -> None:
-        for typed in sys.stdin:
-            come.put(typed)
+        held = b""  # read without a buffer of Python's, whose lock would outlive this thread
+        while data := os.read(sys.stdin.fileno(), 1024):
+            *whole, held = (held + data).split(b"\n")
+            for typed in whole:
+                come.put(typed.decode(errors="replace"))
         come.put(None)
 
     def of_gauge() -> None:

@@ -17,10 +17,11 @@ from casacal.least_squares.arrow import check_size
 from casacal.least_squares.linalg import downdated, tria
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
+from casacal.values import Value
 
 
-@dataclass(frozen=True)
-class Belief:
+@dataclass(frozen=True, eq=False)
+class Belief(Value):
     """A Gaussian over the unknowns: mean (n,) and lower triangular square root of the covariance (n, n)."""
 
     mean: Array

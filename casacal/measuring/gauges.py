@@ -30,11 +30,16 @@ class Gauge:
     unit: str = "mm"
     asks: str = ""
 
-    def reading(self, line: str) -> float:
-        """The reading of a line, mm; raises CasacalError where there is none."""
-        text = line.strip("\x00\r\n\t ")
+    def refuse_error(self, line: str) -> None:
+        """Raise CasacalError where a line says that there is no reading."""
+        text = _stripped(line)
         if re.fullmatch(self.errors, text, re.IGNORECASE):
             raise CasacalError(f"The gauge says {text!r}, which is an error", "Look at it, and send the reading again")
+
+    def reading(self, line: str) -> float:
+        """The reading of a line, mm; raises CasacalError where there is none."""
+        self.refuse_error(line)
+        text = _stripped(line)
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
             raise CasacalError(
@@ -79,6 +84,10 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
     return Gauge(
         known.name, known.pattern, known.errors, unit or known.unit, known.asks if asks is None else _unescaped(asks)
     )
+
+
+def _stripped(line: str) -> str:
+    return line.strip("\x00\r\n\t ")
 
 
 def _unescaped(text: str) -> str:

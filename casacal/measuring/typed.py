@@ -57,6 +57,7 @@ def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> 
     A line with a single number is read as the gauge would write it, so that a unit may follow. Raises CasacalError for
     lines that are neither.
     """
+    gauge.refuse_error(line)
     joints, readings = len(layout.joints), len(layout.columns)
     if readings == 1 and planned is not None and (alone := _alone(line, gauge)) is not None:
         return Typed(planned.joints, (alone,), _labels((), layout, planned))

@@ -1,0 +1,293 @@
+"""Sessions: the filter's belief against other ways to it, slips against their names, and what a session must not do."""
+
+import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from measured_world import World, taken
+
+from casacal import CasacalError, Session, bind, lm, load_problem, plan
+from casacal.estimators.sckf import Belief
+from casacal.measuring.tip_error import error_below, expected_error, spectrum
+from casacal.measuring.touch import rows_of
+from casacal.uncertainty.expectation import expected_accuracy
+
+UR5, SCARA = (ROOT / "problems" / name for name in ("ur5", "adept_cobra600"))
+
+
+@pytest.fixture(scope="module")
+def route(hsr):
+    return plan(hsr.problem, hsr.cell, touches=50, pool=600, starts=1, check=0.1, seed=3)
+
+
+@pytest.fixture(scope="module")
+def world(hsr, route):
+    return World(hsr.problem, route, seed=5)
+
+
+@pytest.fixture(scope="module")
+def late(hsr, route, world):
+    """After forty touches."""
+    return taken(Session(hsr.problem, route), world, range(1, 41))
+
+
+def test_the_belief_is_what_least_squares_find(late):
+    """Levenberg and Marquardt on the same rows, and the tip error by the formula of the reports."""
+    rows = rows_of([touch for touch in late.touches if touch.purpose != "check"])
+    bound = bind(late.problem, rows)
+    found = lm(bound)
+    arm = [name for name in bound.names if not name.startswith("plane.")]
+    here = [late.names.index(name) for name in arm]
+    there = [bound.names.index(name) for name in arm]
+    std = np.sqrt(np.diagonal(found.covariance))[there]
+    spread = late.belief.root @ late.belief.root.T
+    assert (np.abs(late.belief.mean[here] - found.x[there]) < 0.02 * std).all()
+    assert (np.abs(late.belief.mean[here]) > 3 * std).any(), "touches told something"
+    assert np.sqrt(np.diagonal(spread))[here] == pytest.approx(std, rel=0.03)
+    assert late.tip_error == pytest.approx(expected_accuracy(bound, found.x)[1], rel=0.01)
+
+
+def test_it_expects_less_with_every_touch(hsr, route, world):
+    session, before = Session(hsr.problem, route), math.inf
+    assert session.tip_error is None
+    assert session.belief is None
+    assert not session.done
+    for number in range(1, 30):
+        session = session.take(*world.touch(number), number=number)
+        assert session.tip_error <= before * (1 + 1e-4)
+        before = session.tip_error
+    assert session.tip_error < 0.5 * 3.03, "what is known beforehand"
+
+
+def test_nineteen_of_twenty():
+    """Against two hundred thousand draws."""
+    rng = np.random.default_rng(2)
+    field, root = rng.normal(size=(30, 6)), np.tril(rng.normal(size=(6, 6))) * np.geomspace(1, 0.03, 6)
+    moves = (field @ root @ rng.normal(size=(6, 200_000))).reshape(10, 3, -1)
+    drawn = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
+    weights = spectrum(Belief(np.zeros(6), root), field)
+    assert expected_error(weights) == pytest.approx(np.sqrt((drawn**2).mean()), rel=0.01)
+    assert error_below(weights) == pytest.approx(np.quantile(drawn, 0.95), rel=0.01)
+    assert error_below(weights, 0.5) == pytest.approx(np.quantile(drawn, 0.5), rel=0.03)
+
+
+def slipped(kind, joints, reading, face):
+    other = joints.copy()
+    if kind == "sign":
+        return joints, -reading, face
+    if kind == "revolution":
+        return joints, reading - 1.0, face
+    if kind == "label":
+        return joints, reading, next(name for name in ("floor", "wall", "side") if name != face)
+    if kind == "digit":
+        return joints, reading + (3.0 if reading < 6 else -3.0), face
+    if kind == "unit":
+        return joints, reading / 25.4, face
+    if kind == "joints swapped":
+        other[[1, 2]] = other[[2, 1]]
+    if kind == "joint":
+        other[1] += math.radians(3.0)
+    return other, reading, face
+
+
+@pytest.mark.parametrize("kind", ["sign", "revolution", "label", "digit", "unit", "joints swapped", "joint"])
+def test_a_slip_is_named_and_put_right(late, world, kind):
+    told, first = [], []
+    for number in (41, 42, 43):
+        right = world.touch(number)
+        session = late.take(*slipped(kind, *right), number=number)
+        if session.planned(number).purpose == "check":
+            continue
+        assert session.alarm.touch == 40
+        assert abs(session.alarm.off) > 3 * session.alarm.std
+        assert session.belief.mean == pytest.approx(late.belief.mean, abs=1e-6), "what is in doubt is not believed"
+        assert session.undo().touches == late.touches
+        kept = session.keep()
+        assert kept.touches[-1].kept
+        assert len(kept) == 41
+        assert kept.alarm is None or kept.alarm.touch != 40, "the word of the operator stands"
+        suspects = [each for each in session.alarm.suspects if each.slip is not None and each.slip.kind == kind]
+        told.append(bool(suspects))
+        first.append(session.alarm.suspects[0] in suspects)
+        for suspect in suspects:
+            mended = session.correct(suspect)
+            touch = mended.touches[-1]
+            if (
+                mended.alarm is None
+                and touch.joints == pytest.approx(right[0], abs=2e-6)
+                and touch.labels["plane"] == right[2]
+            ):
+                assert touch.columns["reading"] == pytest.approx(right[1], abs=2e-3)
+                break
+        else:
+            told[-1] &= kind == "digit"  # of several that fit no data can say which
+    assert len(told) > 1
+    assert sum(told) >= len(told) - 1
+    assert kind in ("unit", "joint", "digit") or sum(first) >= len(first) - 1
+
+
+def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
+    """A turn of the pointer lost in the fifth touch: no larger than what the drawing may be wrong by, at first."""
+    session = taken(Session(hsr.problem, route), world, range(1, 5))
+    joints, reading, face = world.touch(5)
+    session = session.take(joints, reading - 1.0, face, number=5)
+    assert session.alarm is None
+    innocent = 0
+    for number in range(6, 46):
+        session = session.take(*world.touch(number), number=number)
+        while session.alarm is not None and all(suspect.touch != 4 for suspect in session.alarm.suspects):
+            session, innocent = session.keep(), innocent + 1
+        if session.alarm is not None:
+            break
+    named = next(suspect for suspect in session.alarm.suspects if suspect.touch == 4)
+    assert innocent <= 2
+    assert named.slip.kind == "revolution"
+    assert session.correct(named).alarm is None
+
+
+def test_what_is_right_is_left_alone(hsr, route):
+    """Five arms, fifty touches each, faces elsewhere than planned: below one of a hundred is doubted."""
+    doubts = 0
+    for seed in range(5):
+        world = World(hsr.problem, route, seed=seed, faces=(8.0, 8e-3))
+        session = Session(hsr.problem, route)
+        for number in range(1, 51):
+            session = session.take(*world.touch(number), number=number)
+            while session.alarm is not None:
+                session, doubts = session.keep(), doubts + 1
+        off, std = session.checked()
+        assert len(off) == 5
+        assert (np.abs(off) < 4 * std).all()
+        assert session.noise == 1.0
+        assert session.next() is None
+    assert doubts <= 2
+
+
+def test_noise_beyond_the_stated_is_found_and_counted(hsr, route, late):
+    world = World(hsr.problem, route, seed=5, noise=6.0)
+    session = Session(hsr.problem, route)
+    for number in range(1, 51):
+        session = session.take(*world.touch(number), number=number)
+        while session.alarm is not None:
+            session = session.keep()
+    assert 3.5 < session.noise < 10
+    assert session.tip_error > 1.2 * late.tip_error
+
+
+def test_without_a_plan_it_waits_for_the_faces(hsr, route, world):
+    session, seen = Session(hsr.problem), {}
+    for number in range(1, 30):
+        joints, reading, face = world.touch(number)
+        session = session.take(joints, reading, face)
+        seen[face] = seen.get(face, 0) + 1
+        waiting = {session.touches[k].labels["plane"] for k in session.waiting}
+        assert waiting == {name for name, count in seen.items() if count < 4}
+    assert session.next() is None
+    assert session.alarm is None
+    assert session.tip_error < 2.5
+    assert rows_of(session.touches).faces().names == tuple(seen)
+
+
+def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
+    joints, reading, face = world.touch(41)
+    doubtful = late.take(joints, -reading, face, number=41)
+    with pytest.raises(CasacalError, match=r"Touch 41 is in doubt. Answer first"):
+        doubtful.take(joints, reading, face)
+    stray = next(each for each in doubtful.alarm.suspects if each.slip is not None)
+    assert doubtful.correct(stray).alarm is None
+    for wrong, words in (
+        (lambda: late.keep(), "No touch is in doubt"),
+        (lambda: late.correct(), "No touch is in doubt"),
+        (lambda: late.take(joints[:5], reading, face), r"shape \(5,\)"),
+        (lambda: late.take(joints * np.nan, reading, face), "not finite"),
+        (lambda: late.take(joints * 1000, reading, face), "no robot has"),
+        (lambda: late.take(joints, None, face), "Nothing came as the reading"),
+        (lambda: late.take(joints, "3.2", face), "A str came as the reading"),
+        (lambda: late.take(joints, {"way": 3.2}, face), "'way'"),
+        (lambda: late.take(joints, reading, "flor"), "Did you mean 'floor'"),
+        (lambda: late.take(joints, reading), "without its plane"),
+        (lambda: late.take(joints, reading, face, number=51), "the plan has 1 to 50"),
+        (lambda: late.undo(40), "no touch 40"),
+        (lambda: Session(hsr.problem).undo(), "no touch to take back"),
+        (lambda: Session("arm"), "came as the problem"),
+        (lambda: Session(hsr.problem, "plan.csv"), "came as the plan"),
+        (lambda: Session(hsr.problem, tolerance=-1.0), "as the tolerance"),
+    ):
+        with pytest.raises(CasacalError, match=words):
+            wrong()
+
+
+def test_sessions_are_values(late, world):
+    again = pickle.loads(pickle.dumps(late))
+    assert again == late
+    assert again.tip_error == pytest.approx(late.tip_error, rel=1e-12)
+    with ThreadPoolExecutor(2) as pool:
+        both = list(pool.map(lambda number: late.take(*world.touch(number), number=number), (41, 42)))
+    assert [each.touches[-1].number for each in both] == [41, 42]
+    assert len(late) == 40
+    assert late.resumed(late.touches).belief.mean == pytest.approx(late.belief.mean, abs=1e-9)
+    assert late.undo().undo().touches == late.touches[:-2]
+    assert repr(late).startswith("<Session of 40 touches: tip error")
+
+
+def test_a_touch_may_be_left_out(hsr, route):
+    session = Session(hsr.problem, route)
+    assert session.next().number == 1
+    assert session.skip(1).skip(2).next().number == 3
+    assert session.next().number == 1
+
+
+def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
+    route = plan(hsr.problem, hsr.cell, touches=24, pool=400, starts=1, check=0.0, again=0.0)
+    world = World(hsr.problem, route, seed=1)
+    session = taken(Session(hsr.problem, route, tolerance=1.2, cell=hsr.cell), world, range(1, 25))
+    assert not session.done
+    needed, before = session.needed(), session.tip_error_below
+    assert 1 <= needed <= 30
+    touch = session.next()
+    assert touch.number is None
+    one = bind(hsr.problem, rows_of([*session.touches, touch]))
+    random = route.samples.take([0])
+    for _ in range(needed):
+        assert not session.done
+        touch = session.next()
+        rows = rows_of([touch])
+        off = world.bound.on(rows).plain_residual(world.x)
+        slope = (
+            world.bound.on(
+                rows_of([touch.__class__(touch.joints, {"reading": touch.columns["reading"] + 1e-3}, touch.labels)])
+            ).plain_residual(world.x)
+            - off
+        )
+        session = session.take(
+            touch.joints, touch.columns["reading"] - float((off / slope)[0]) * 1e-3, touch.labels["plane"]
+        )
+        assert session.alarm is None
+    assert session.done
+    assert session.next() is None
+    assert session.tip_error_below < before
+    assert one.rows == 25
+    assert len(random) == 1
+
+
+def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
+    from dataclasses import replace
+
+    assert replace(late, tolerance=0.01).needed() is None
+    assert replace(late, tolerance=0.9 * late.tip_error_below).needed() > 0
+    assert replace(late, tolerance=1.1 * late.tip_error_below).done
+
+
+@pytest.mark.parametrize("folder", [UR5, SCARA], ids=lambda folder: folder.name)
+def test_other_arms(folder):
+    source = load_problem(folder)
+    route = plan(source.problem, source.cell, touches=40, pool=300, starts=1, check=0.0, seed=1)
+    world = World(source.problem, route, seed=2, faces=(2.0, 2e-3))
+    session = taken(Session(source.problem, route), world, range(1, 31))
+    joints, reading, face = world.touch(31)
+    wrong = session.take(joints, -reading, face, number=31)
+    assert wrong.alarm.suspects[0].slip.kind == "sign"
+    assert world.tip_error(session.belief) < 3 * session.tip_error
