@@ -1,66 +1,6 @@
-"""A true arm with true faces, which answers each planned posture as a dial would; and an operator's mistakes."""
+"""A session whose touches are made well."""
 
-from dataclasses import replace
-
-import numpy as np
-
-from casacal import bind
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
-
-STEP = 1e-4
-
-
-class World:
-    """An arm drawn from the prior; faces some mm and mrad from where the plan has them; joints moved to touch them."""
-
-    def __init__(self, problem, route, *, seed=0, noise=1.0, faces=(3.0, 3e-3)):
-        rng = np.random.default_rng(seed)
-        self.bound = bind(problem, route.samples)
-        self.problem, self.route = problem, route
-        prior, units = self.bound.prior_std, np.array([faces[u == "rad"] for u in self.bound.units])
-        self.x = rng.normal(size=prior.size) * np.where(np.isfinite(prior), prior, units)
-        samples, self.column = route.samples, next(iter(route.samples.columns), None)
-        self.joints, self.readings = samples.joints.copy(), None
-        travel = problem.instrument.probe.travel
-        readings = np.full(len(samples), travel / 2)
-        for _ in range(8):
-            wanted = self._answered(samples, readings)
-            far = (wanted < 0.05 * travel) | (wanted > 0.95 * travel)
-            readings = np.where(far, travel / 2, wanted)
-            if not far.any():
-                break
-            self._jog(samples, readings, far)
-        self.joints = np.where(problem.robot.revolute, np.radians(np.round(np.degrees(self.joints), 4)), self.joints)
-        for _ in range(3):
-            readings = self._answered(samples, readings)
-        scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
-        self.readings = np.round(readings + scatter, 3)
-
-    def residual(self, samples, joints, readings):
-        rows = replace(samples, joints=joints, columns={self.column: readings})
-        return self.bound.on(rows).plain_residual(self.x)
-
-    def _answered(self, samples, readings):
-        here = self.residual(samples, self.joints, readings)
-        return readings - here * STEP / (self.residual(samples, self.joints, readings + STEP) - here)
-
-    def _jog(self, samples, readings, far):
-        here = self.residual(samples, self.joints, readings)
-        turns = np.eye(self.joints.shape[1]) * 1e-6
-        slopes = np.stack([(self.residual(samples, self.joints + t, readings) - here) / 1e-6 for t in turns], axis=1)
-        self.joints[far] -= (here[:, None] * slopes / (slopes**2).sum(axis=1)[:, None])[far]
-
-    def touch(self, number):
-        """Joint values, reading and face of a touch of the plan, made well."""
-        k = number - 1
-        return self.joints[k].copy(), float(self.readings[k]), self.route.samples.labels["plane"][k]
-
-    def tip_error(self, belief):
-        """True tip error of what a session believes, mm RMS over the workspace, apart from where the base stands."""
-        joints, arm = workspace_joints(self.problem.robot), ~np.isinf(self.bound.prior_std)
-        believed = np.where(arm, belief.mean, self.x)
-        tips = self.bound.tips(self.x, joints)
-        return tip_rms(without_rigid((self.bound.tips(believed, joints) - tips).ravel(), tips))
+from studies.true_cell import World as World
 
 
 def taken(session, world, numbers):

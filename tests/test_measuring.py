@@ -290,4 +290,4 @@ def test_other_arms(folder):
     joints, reading, face = world.touch(31)
     wrong = session.take(joints, -reading, face, number=31)
     assert wrong.alarm.suspects[0].slip.kind == "sign"
-    assert world.tip_error(session.belief) < 3 * session.tip_error
+    assert world.tip_error(session.belief.mean) < 3 * session.tip_error

@@ -1,0 +1,81 @@
+"""A true arm before true faces, which answers each planned posture as a dial on it would."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal import Problem, Route, Samples, bind
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+
+Array = NDArray[np.float64]
+
+STEP = 1e-4
+"""Of readings, mm, by which slopes are found."""
+
+
+class World:
+    """An arm drawn from the prior; faces some mm and mrad from where the plan has them; joints moved to touch them."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        route: Route,
+        *,
+        seed: int = 0,
+        noise: float = 1.0,
+        faces: tuple[float, float] = (3.0, 3e-3),
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        self.bound = bind(problem, route.samples)
+        self.problem, self.route = problem, route
+        prior, units = self.bound.prior_std, np.array([faces[u == "rad"] for u in self.bound.units])
+        self.x = rng.normal(size=prior.size) * np.where(np.isfinite(prior), prior, units)
+        samples, self.column = route.samples, next(iter(route.samples.columns), None)
+        self.joints = samples.joints.copy()
+        travel = problem.instrument.probe.travel
+        readings = np.full(len(samples), travel / 2)
+        for _ in range(8):
+            wanted = self._answered(samples, readings)
+            far = (wanted < 0.05 * travel) | (wanted > 0.95 * travel)
+            readings = np.where(far, travel / 2, wanted)
+            if not far.any():
+                break
+            self._jog(samples, readings, far)
+        self.joints = np.where(problem.robot.revolute, np.radians(np.round(np.degrees(self.joints), 4)), self.joints)
+        for _ in range(3):
+            readings = self._answered(samples, readings)
+        scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
+        self.readings = np.round(readings + scatter, 3)
+
+    def residual(self, samples: Samples, joints: Array, readings: Array) -> Array:
+        """Distances from the true faces, mm."""
+        rows = replace(samples, joints=joints, columns={self.column: readings})
+        return self.bound.on(rows).plain_residual(self.x)
+
+    def _answered(self, samples: Samples, readings: Array) -> Array:
+        here = self.residual(samples, self.joints, readings)
+        return readings - here * STEP / (self.residual(samples, self.joints, readings + STEP) - here)
+
+    def _jog(self, samples: Samples, readings: Array, far: NDArray[np.bool_]) -> None:
+        here = self.residual(samples, self.joints, readings)
+        turns = np.eye(self.joints.shape[1]) * 1e-6
+        slopes = np.stack([(self.residual(samples, self.joints + t, readings) - here) / 1e-6 for t in turns], axis=1)
+        self.joints[far] -= (here[:, None] * slopes / (slopes**2).sum(axis=1)[:, None])[far]
+
+    def touch(self, number: int) -> tuple[Array, float, str]:
+        """Joint values, reading and face of a touch of the plan, made well."""
+        k = number - 1
+        return self.joints[k].copy(), float(self.readings[k]), self.route.samples.labels["plane"][k]
+
+    def tip_error(self, x: Array) -> float:
+        """True tip error of an estimate x (n,), mm RMS over the workspace, apart from where the base stands."""
+        joints, arm = workspace_joints(self.problem.robot), ~np.isinf(self.bound.prior_std)
+        believed = np.where(arm, x, self.x)
+        tips = self.bound.tips(self.x, joints)
+        return tip_rms(without_rigid((self.bound.tips(believed, joints) - tips).ravel(), tips))
+
+    def off(self, joints: Array, reading: float, face: str) -> float:
+        """By how much one touch as it was typed is off its true face, mm."""
+        one = replace(self.route.samples.take([0]), labels={"plane": [face]})
+        return float(self.residual(one, joints[None], np.array([reading]))[0])
