@@ -232,7 +232,7 @@ def report(run: Run) -> list[str]:
         "# Sessions with somebody who mistypes",
         "",
         f"{run.study.trials} sessions of `casacal measure` over a pseudo-terminal, each with another HSR-JR680 and",
-        f"other faces. Of every hundred touches {100 * WRONG:g} are typed wrong, by a sign, a digit, the face or a turn of",
+        f"other faces. Of a hundred touches {100 * WRONG:g} are typed wrong, by a sign, a digit, the face or a turn of",
         f"the pointer. *Gross* is a slip of more than {GROSS:g} standard deviations of what was to be expected there:",
         "smaller ones nobody could tell from an arm that is not known yet. *At once*: when it came, or with the next",
         f"touch. A session ends when the tip error is below {TOLERANCE:g} mm 19 times of 20. Intervals are Clopper and",

@@ -13,7 +13,7 @@ from casacal.measuring.known import Known
 from casacal.measuring.tip_error import error_below, spectrum
 from casacal.measuring.touch import Touch
 from casacal.planning.exchange import gains
-from casacal.planning.plan import pool_of
+from casacal.planning.pool import pool_of
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,16 +27,32 @@ BETTER = 1e-7
 Chosen = NDArray[np.intp]
 
 
+class Criterion(Enum):
+    """What a plan makes small: the mean error of what is asked for, or the volume of what the unknowns may be."""
+
+    TIP = "tip"
+    """Trace of C M: I-optimal."""
+    PARAMETERS = "parameters"
+    """Determinant of C: D-optimal."""
+
+
 @dataclass(frozen=True)
 class Exchanged:
-    """Rows of a plan (k,), and the error that they leave: the root of trace(C M)."""
+    """Rows of a plan (k,), the error that they leave (root of trace C M), and what was made small."""
 
     rows: Chosen
     error: float
+    loss: float
 
 
 def exchange(
-    rows: Array, known: Array, weight: Array, start: Chosen, *, progress: Callable[[float], None] | None = None
+    rows: Array,
+    known: Array,
+    weight: Array,
+    start: Chosen,
+    *,
+    criterion: Criterion = Criterion.TIP,
+    progress: Callable[[float], None] | None = None,
 ) -> Exchanged:
     """Improve a plan until no single exchange does.
 
@@ -44,6 +61,7 @@ def exchange(
         known: information (n, n) that there is without them, positive definite.
         weight: M (n, n).
         start: the plan to begin with (k,), no row twice.
+        criterion: what is made small.
         progress: called with the error after each sweep.
 
     """
@@ -54,11 +72,11 @@ def exchange(
         for place in range(len(plan)):
             rest = np.delete(plan, place)
             covariance: Array = np.asarray(np.linalg.inv(_information(rows[rest], known)), dtype=np.float64)
-            others = gains(rows, covariance, weight)
+            others = gains(rows, covariance, weight, criterion)
             others[~free] = -np.inf
-            present = float(gains(rows[plan[place]][None], covariance, weight)[0])
+            present = float(gains(rows[plan[place]][None], covariance, weight, criterion)[0])
             best = int(np.argmax(others))
-            left = float(np.trace(covariance @ weight)) - present
+            left = float(np.trace(covariance @ weight)) - present if criterion is Criterion.TIP else 1.0
             if others[best] > present + BETTER * left:
                 free[plan[place]], free[best] = True, False
                 plan[place], changed = best, True
@@ -66,7 +84,9 @@ def exchange(
             progress(error_of(rows[plan], known, weight))
         if not changed:
             break
-    return Exchanged(plan, error_of(rows[plan], known, weight))
+    error = error_of(rows[plan], known, weight)
+    loss = error if criterion is Criterion.TIP else -float(np.linalg.slogdet(_information(rows[plan], known))[1])
+    return Exchanged(plan, error, loss)
 
 
 def error_of(rows: Array, known: Array, weight: Array) -> float:
@@ -79,11 +99,13 @@ def _information(rows: Array, known: Array) -> Array:
     return np.asarray(known + flat.T @ flat)
 
 
-def gains(rows: Array, covariance: Array, weight: Array) -> Array:
-    """By how much each measurement (N,) lowers trace(C M)."""
+def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = Criterion.TIP) -> Array:
+    """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
     count, size, unknowns = rows.shape
     seen = (rows.reshape(-1, unknowns) @ covariance).reshape(count, size, unknowns)
     spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
+    if criterion is Criterion.PARAMETERS:
+        return np.asarray(np.linalg.slogdet(spread)[1])
     told = np.einsum("kin,kjn->kij", seen @ weight, seen)
     if size == 1:
         return np.asarray(told[:, 0, 0] / spread[:, 0, 0])

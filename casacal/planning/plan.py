@@ -5,31 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.errors import CasacalError, came
-from casacal.planning.exchange import Chosen, error_of, exchange
+from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.planning.choice import Choice
+from casacal.planning.clearance import Clearance
+from casacal.planning.exchange import Chosen, Criterion
+from casacal.planning.pool import pool_of
 from casacal.planning.route import AGAIN, CHECK, FIT, Route
 from casacal.planning.wanted import wanted_joints
 from casacal.planning.way import shortest_way
-from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
-from casacal.simulation.places import default_cell
-from casacal.simulation.simulate import simulate
+from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box
-from casacal.uncertainty.workspace import up_to_base, workspace_joints
 from casacal.values import FrozenMapping, is_real
 
-UNKNOWN = 1e-9
-"""Information, in units of what filters start from, of what nobody knows beforehand."""
-
 DRAWS = 8
-"""Random plans of as many touches, for comparison."""
+"""Random plans of as many touches, for comparison; draws of what is lost."""
+
+LOST = 0.1
+"""Part of the fitted touches of which it is said what losing them costs."""
+
+ARMS = 5
+"""Arms that the prior allows, over which an error is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,9 @@ class Plan(Route):
 
     samples, purposes: as of every `Route`. error: tip error to expect, mm RMS over what was asked for, apart from where
     the base stands. before: the same without any touch. at_random: of as many touches that nobody chose, the median of
-    some. best: of all touches among which was chosen. curve: error by number of fitted touches.
+    some. best: of all touches among which was chosen. curve: error by number of fitted touches. if_lost: error when a
+    tenth of the fitted touches is lost, the mean of some draws. over_arms: error averaged over arms that the prior
+    allows, where the drawing errs.
     """
 
     error: float
@@ -46,6 +51,8 @@ class Plan(Route):
     at_random: float
     best: float
     curve: Mapping[int, float]
+    if_lost: float = math.nan
+    over_arms: float = math.nan
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curve", FrozenMapping(self.curve))
@@ -65,6 +72,10 @@ def plan(
     check: float = 0.15,
     box: Box | None = None,
     targets: Array | None = None,
+    criterion: Literal["tip", "parameters"] = "tip",
+    clearance: Clearance | None = None,
+    after: Samples | None = None,
+    loose: Mapping[str, float] | None = None,
     seed: int = 0,
 ) -> Plan:
     """Choose touches that leave the least mean squared error of the tip (I-optimal), among many that can be made.
@@ -82,19 +93,28 @@ def plan(
         check: part of them that is drawn at random and not to be fitted, for `verify`.
         box: ranges of x, y, z in the base frame (mm) in which the tip is wanted; by default the whole workspace.
         targets: joint values (M, n; rad, mm) at which it is wanted, in place of a box.
+        criterion: "tip" as above, or "parameters" for the least volume of what the unknowns may be (D-optimal).
+        clearance: what the arm must keep clear of.
+        after: touches that were made already; those of the plan come on top of them.
+        loose: what may have moved since they were made, by the name of the unknown: standard deviation, rad or mm. The
+            fewest touches that restore the zero of a joint after its motor was changed are found so.
         seed: of everything that is drawn.
 
     Raises CasacalError for numbers that make no plan, SimulationError where faces are out of reach.
 
     """
     _check(problem, touches, pool, starts, again, check, box, targets)
-    reachable = pool_of(problem, cell, pool, seed)
-    bound = bind(problem, reachable)
-    choice = _Choice.of(bound, wanted_joints(bound, box, targets))
+    wanted = _criterion(criterion)
+    reachable = pool_of(problem, cell, pool, seed, clearance)
+    bound = bind(problem, reachable if after is None else joined(reachable, _made(problem, after)))
+    for name in loose or {}:
+        if name not in bound.names:
+            raise UnknownNameError("unknown", name, bound.names)
+    joints = wanted_joints(bound, box, targets)
+    choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
-    fitted = touches - checks - repeats
     rng = np.random.default_rng([seed, 1])
-    best = choice.best_of(fitted, starts, rng)
+    best = choice.best_of(touches - checks - repeats, starts, rng, wanted)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
     fresh = rng.choice(np.setdiff1d(np.arange(pool), best), checks, replace=False)
     way = shortest_way(problem.robot, reachable.joints[np.concatenate([best, fresh])])
@@ -108,7 +128,9 @@ def plan(
         choice.error(best[:0]),
         float(np.median(draws)),
         choice.error(np.arange(pool)),
-        choice.curve(best, rng),
+        choice.curve(best, rng, wanted),
+        choice.lost(best, LOST, DRAWS, rng),
+        _over_arms(bound, joints, pool, loose, np.concatenate([best, twice]), np.random.default_rng([seed, 2])),
     )
 
 
@@ -129,7 +151,7 @@ def touches_for(
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
     bound = bind(problem, pool_of(problem, cell, 1000, 0))
-    choice, rng = _Choice.of(bound, wanted_joints(bound, box, targets)), np.random.default_rng(0)
+    choice, rng = Choice.of(bound, wanted_joints(bound, box, targets)), np.random.default_rng(0)
     count = 12
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
@@ -144,39 +166,34 @@ def touches_for(
     )
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """Measurements among which is chosen, in units of what each unknown may be."""
+def _over_arms(
+    bound: BoundProblem,
+    joints: Array,
+    pool: int,
+    loose: Mapping[str, float] | None,
+    chosen: Chosen,
+    rng: np.random.Generator,
+) -> float:
+    """Error, RMS over arms drawn from the prior: what a plan made by the drawing does on arms that are not as drawn."""
+    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    arms = (bound.x0 + std * rng.normal(size=std.size) for _ in range(ARMS))
+    errors = [Choice.of(bound, joints, count=pool, loose=loose, at=arm).error(chosen) for arm in arms]
+    return float(np.sqrt(np.mean(np.square(errors))))
 
-    rows: Array
-    known: Array
-    weight: Array
 
-    @staticmethod
-    def of(bound: BoundProblem, joints: Array) -> _Choice:
-        """Of a pool at the drawing, for a tip that is wanted at some joint values (M, n)."""
-        units, frame = bound.start_std, workspace_joints(bound.problem.robot)
-        sets = [(bound.tips(bound.x0, q), bound.tip_jacobian(bound.x0, q)) for q in (joints, frame)]
-        field = up_to_base(sets[0][1], sets[0][0], sets[1][1], sets[1][0]) * units
-        rows = (bound.jacobian(bound.x0) * units).reshape(len(bound.measured), -1, bound.unknowns)
-        known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
-        return _Choice(rows, known, field.T @ field / len(joints))
+def _made(problem: Problem, after: Samples) -> Samples:
+    """Touches that were made; raises SamplesError for those of another problem."""
+    if not isinstance(after, Samples):
+        raise CasacalError(f"{came(after)} came as touches that were made", "Give what problem.read(path) returns")
+    after.check(problem.layout())
+    return after
 
-    def error(self, chosen: Chosen) -> float:
-        """Tip error (mm RMS) that some measurements leave."""
-        return error_of(self.rows[chosen], self.known, self.weight)
 
-    def best_of(self, count: int, starts: int, rng: np.random.Generator) -> Chosen:
-        """So many measurements, the best of some exchanges."""
-        begins = [rng.choice(len(self.rows), count, replace=False) for _ in range(starts)]
-        found = [exchange(self.rows, self.known, self.weight, begin) for begin in begins]
-        return min(found, key=lambda each: each.error).rows
-
-    def curve(self, best: Chosen, rng: np.random.Generator) -> dict[int, float]:
-        """Error by number of measurements: half and a quarter as many, these, and half as many again."""
-        counts = sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)})
-        others = {count: self.error(self.best_of(count, 1, rng)) for count in counts if count <= len(self.rows)}
-        return dict(sorted({**others, len(best): self.error(best)}.items()))
+def _criterion(name: str) -> Criterion:
+    names = [each.value for each in Criterion]
+    if name not in names:
+        raise UnknownNameError("criterion", str(name), names)
+    return Criterion(name)
 
 
 def _check(
@@ -197,14 +214,3 @@ def _check(
         raise CasacalError(f"Of {touches} touches fewer than three are fitted", "Ask for more, or check fewer")
     if box is not None and targets is not None:
         raise CasacalError("A box and targets came", "Give one of them")
-
-
-def pool_of(problem: Problem, cell: Disturbances | None, count: int, seed: int) -> Samples:
-    """Touches that the arm as drawn could make, without any error."""
-    if cell is None and problem.instrument.probe is not None:
-        cell = default_cell(problem)
-    still = Disturbances()
-    if isinstance(cell, Cell):
-        still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
-    still = replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
-    return simulate(problem, still, samples=count, seed=seed).samples

@@ -1,0 +1,89 @@
+"""Measurements among which a plan chooses, in numbers: what each tells, what is known without them, what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
+from casacal.uncertainty.workspace import up_to_base, workspace_joints
+
+UNKNOWN = 1e-9
+"""Information, in units of what filters start from, of what nobody knows beforehand."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Measurements among which is chosen, in units of what each unknown may be.
+
+    rows: whitened slopes of each (N, m, n). known: information (n, n) without them. weight: M (n, n).
+    """
+
+    rows: Array
+    known: Array
+    weight: Array
+
+    @staticmethod
+    def of(
+        bound: BoundProblem,
+        joints: Array,
+        *,
+        count: int | None = None,
+        loose: Mapping[str, float] | None = None,
+        at: Array | None = None,
+    ) -> Choice:
+        """Of a pool, for a tip that is wanted at some joint values (M, q).
+
+        count: how many of the rows can be chosen; the others have been made. loose: what may have moved since, by the
+        name of the unknown: its standard deviation. at: the arm (n,), by default as drawn.
+        """
+        x, units, frame = bound.x0 if at is None else at, bound.start_std, workspace_joints(bound.problem.robot)
+        sets = [(bound.tips(x, q), bound.tip_jacobian(x, q)) for q in (joints, frame)]
+        field = up_to_base(sets[0][1], sets[0][0], sets[1][1], sets[1][0]) * units
+        rows = (bound.jacobian(x) * units).reshape(len(bound.measured), -1, bound.unknowns)
+        known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
+        if count is not None and count < len(rows):
+            made = rows[count:].reshape(-1, bound.unknowns)
+            known, rows = known + made.T @ made, rows[:count]
+        if loose:
+            known = _loosened(known, bound, loose)
+        return Choice(rows, np.asarray(known), field.T @ field / len(joints))
+
+    def error(self, chosen: Chosen) -> float:
+        """Tip error (mm RMS) that some measurements leave."""
+        return error_of(self.rows[chosen], self.known, self.weight)
+
+    def best_of(
+        self, count: int, starts: int, rng: np.random.Generator, criterion: Criterion = Criterion.TIP
+    ) -> Chosen:
+        """So many measurements, the best of some exchanges."""
+        begins = [rng.choice(len(self.rows), count, replace=False) for _ in range(starts)]
+        found = [exchange(self.rows, self.known, self.weight, begin, criterion=criterion) for begin in begins]
+        return min(found, key=lambda each: each.loss).rows
+
+    def curve(self, best: Chosen, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
+        """Error by number of measurements: half and a quarter as many, these, and half as many again."""
+        counts = sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)})
+        others = {
+            count: self.error(self.best_of(count, 1, rng, criterion)) for count in counts if count <= len(self.rows)
+        }
+        return dict(sorted({**others, len(best): self.error(best)}.items()))
+
+    def lost(self, best: Chosen, part: float, draws: int, rng: np.random.Generator) -> float:
+        """Error, RMS over some draws, when a part of the measurements is lost at random."""
+        left = max(len(best) - max(round(part * len(best)), 1), 1)
+        errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _loosened(known: Array, bound: BoundProblem, loose: Mapping[str, float]) -> Array:
+    """Information once some unknowns may have moved by so much: their covariance grows."""
+    covariance = np.linalg.inv(known)
+    for name, std in loose.items():
+        j = bound.names.index(name)
+        covariance[j, j] += (std / bound.start_std[j]) ** 2
+    return np.asarray(np.linalg.inv(covariance))
