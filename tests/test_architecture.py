@@ -39,6 +39,7 @@ ORDER = [
     "compensation",
     "export",
     "calibration",
+    "fieldwork",
     "verification",
     "study",
     "bench",

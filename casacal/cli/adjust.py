@@ -66,6 +66,15 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
     return found
 
 
+def stds_of(option: str, settings: Sequence[str]) -> dict[str, float]:
+    """Standard deviations by name, as they stand after an option; raises CasacalError for what is none."""
+    found = _numbers(option, settings, "NAME=STD", "mm or rad, such as theta4=0.01")
+    for name, std in found.items():
+        if not 0 < std < math.inf:
+            raise CasacalError(f"{option} {name}={std:g} is no standard deviation", "Give a positive number")
+    return found
+
+
 def _numbers(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
     found = {}
     for setting in settings:

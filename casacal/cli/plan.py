@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from casacal.cli.adjust import stds_of
 from casacal.cli.common import DONE, add_json, add_problem, box_of, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
+if TYPE_CHECKING:
+    from casacal.planning.clearance import Clearance
+    from casacal.planning.plan import Plan
+    from casacal.planning.setups import SetUp
+    from casacal.problem.problem_file import ProblemFile
+
 HELP = "which touches to make, and what they will bring"
+
+TOUCHES = 60
+"""How many where nothing is said."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,43 +31,128 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     parser.add_argument("--out", required=True, metavar="FILE", help="plan to write, such as plan.csv")
-    parser.add_argument("--touches", type=whole_number, metavar="N", help="how many in all; default: 60")
+    parser.add_argument("--touches", type=whole_number, metavar="N", help=f"how many in all; default: {TOUCHES}")
     parser.add_argument(
         "--tolerance",
         type=float,
         metavar="MM",
         help="in place of --touches: as many as it takes to expect this tip error",
     )
+    _add_choice(parser)
+    _add_cell(parser)
+    _add_written(parser)
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="of all that is drawn; default: 0")
+    add_json(parser)
+
+
+def _add_choice(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="where the tip is wanted, mm, base frame")
     parser.add_argument("--targets", metavar="FILE", help="joint values at which it is wanted, in place of a box")
+    parser.add_argument(
+        "--criterion",
+        default="tip",
+        metavar="NAME",
+        help="tip: the least mean error of the tip (default); parameters: the least volume of what they may be",
+    )
+    parser.add_argument("--after", metavar="FILE", help="touches that were made already, on top of which these come")
+    parser.add_argument(
+        "--loose",
+        action="append",
+        default=[],
+        metavar="NAME=STD",
+        help="with --after: what may have moved since, such as theta4=0.01 after a new motor; rad or mm",
+    )
     parser.add_argument(
         "--pool", type=whole_number, default=3000, metavar="N", help="among how many is chosen; default: 3000"
     )
     parser.add_argument("--check", type=float, default=0.15, metavar="F", help="part kept to verify; default: 0.15")
     parser.add_argument("--again", type=float, default=0.05, metavar="F", help="part that repeats; default: 0.05")
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="of all that is drawn; default: 0")
-    add_json(parser)
+
+
+def _add_cell(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--keep-out",
+        action="append",
+        default=[],
+        metavar="X0:X1,Y0:Y1,Z0:Z1",
+        help="a box, mm, base frame, where neither arm nor tool may be; may be given several times",
+    )
+    parser.add_argument(
+        "--link-radius",
+        type=float,
+        metavar="MM",
+        help="how thick the links are; they keep off boxes, faces, each other",
+    )
+    parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
+
+
+def _add_written(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sheet", metavar="FILE", help="a sheet to print and write on, such as sheet.html")
+    parser.add_argument(
+        "--program",
+        action="append",
+        default=[],
+        metavar="LANGUAGE",
+        help="also a program beside the plan: rapid, krl or urscript; may be given several times",
+    )
+    parser.add_argument(
+        "--retreat", type=float, default=20.0, metavar="MM", help="how far programs stand back; default: 20"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.compensation.predict import read_joints
-    from casacal.planning.plan import plan, touches_for
-    from casacal.planning.written import write_plan
+    from casacal.planning.words import document, told
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
         raise CasacalError("--touches and --tolerance came", "Give one of them")
+    if not 0 < options.retreat < 1000:
+        raise CasacalError(f"--retreat is {options.retreat:g}", "Give a number of mm from 1 to 999")
     source = load_problem(options.problem)
     if len(source.problem.instruments) == 1:
-        spare([options.out], *(file.path for file in source.files), source.samples, options.targets)
+        outs = [options.out, *([] if options.sheet is None else [options.sheet])]
+        inputs = (source.samples, options.targets, options.after)
+        spare(outs, *(file.path for file in source.files), *inputs)
+    clearance = _clearance(options)
+    found = _planned(source, options, clearance)
+    written = _written(source, options, found, clearance)
+    compared = _compared(source, options, found) if options.setups else ()
+    if options.json:
+        say_json(document(found, compared, written))
+        return DONE
+    for sentence in told(found, compared, where=_where(options), pool=options.pool, after=options.after is not None):
+        say_paragraph(sentence)
+    for place in written:
+        say_paragraph(f"Written: {place}")
+    return DONE
+
+
+def _clearance(options: argparse.Namespace) -> Clearance | None:
+    from casacal.planning.clearance import Clearance
+
+    if not options.keep_out and options.link_radius is None:
+        return None
+    return Clearance(tuple(box_of(text) for text in options.keep_out), options.link_radius)
+
+
+def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
+    from casacal.compensation.predict import read_joints
+    from casacal.planning.plan import plan, touches_for
+
     box = None if options.box is None else box_of(options.box)
     targets = None if options.targets is None else read_joints(options.targets, source).joints
-    touches = 60 if options.touches is None else options.touches
+    after = None if options.after is None else source.problem.read(options.after)
+    touches = TOUCHES if options.touches is None else options.touches
+    loose = stds_of("--loose", options.loose)
+    if loose and after is None:
+        raise CasacalError("--loose came without --after", "Name the touches from which the arm was calibrated")
     if options.tolerance is not None:
-        fitted = touches_for(source.problem, source.cell, options.tolerance, box=box, targets=targets)
-        touches = round(fitted / max(1 - options.check - options.again, 0.1))
-    found = plan(
+        fitted = touches_for(
+            source.problem, source.cell, options.tolerance, box=box, targets=targets, after=after, loose=loose
+        )
+        touches = max(round(fitted / max(1 - options.check - options.again, 0.1)), 3)
+    return plan(
         source.problem,
         source.cell,
         touches=touches,
@@ -65,27 +161,52 @@ def run(options: argparse.Namespace) -> int:
         check=options.check,
         box=box,
         targets=targets,
+        criterion=options.criterion,
+        clearance=clearance,
+        after=after,
+        loose=loose,
         seed=options.seed,
     )
-    write_plan(options.out, found, source.problem.layout(), source.name)
-    place = Path(options.out).as_posix()
-    if options.json:
-        counts = {purpose: found.purposes.count(purpose) for purpose in dict.fromkeys(found.purposes)}
-        errors = {"expected": found.error, "at_random": found.at_random, "before": found.before, "of_all": found.best}
-        curve = [{"touches": count, "expected_mm": error} for count, error in found.curve.items()]
-        say_json({"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": [place]})
-        return DONE
-    fitted, check, again = (found.purposes.count(purpose) for purpose in ("fit", "check", "again"))
-    say_paragraph(f"{len(found)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify")
-    say_paragraph(
-        f"Expect a tip error of {found.error:.3g} mm RMS {_where(options)}, apart from where the base stands, if "
-        f"stated noise and priors are right. Priors alone: {found.before:.3g} mm; as many at random: "
-        f"{found.at_random:.3g} mm; all {options.pool} that were looked at: {found.best:.3g} mm"
-    )
-    left = ", ".join(f"{count} {error:.3g}" for count, error in found.curve.items())
-    say_paragraph(f"Fitted touches and what they leave, mm: {left}")
-    say_paragraph(f"Written: {place}")
-    return DONE
+
+
+def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
+    """Write the plan and what was asked for beside it; all is made before anything is written."""
+    from casacal.fieldwork.approaches import approaches
+    from casacal.fieldwork.programs import LANGUAGES, program_text
+    from casacal.fieldwork.sheet import sheet_page
+    from casacal.files import write_text
+    from casacal.planning.written import plan_text
+
+    problem, name = source.problem, source.name
+    texts = {Path(options.out): plan_text(found, problem.layout(), name)}
+    if options.sheet is not None:
+        texts[Path(options.sheet)] = sheet_page(problem, found, name)
+    if options.program:
+        ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
+        for language in dict.fromkeys(options.program):
+            text = program_text(problem, found, ways, language, name)
+            texts[Path(options.out).with_suffix(LANGUAGES[language].ending)] = text
+        blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
+        if blocked and not options.json:
+            say_paragraph(
+                f"warning: no clear way was found to {'touch' if len(blocked) == 1 else 'touches'} "
+                f"{', '.join(blocked)}; the program stops before"
+            )
+    if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
+        raise CasacalError("Two of the files to write have the same name", "Name others")
+    for path, text in texts.items():
+        write_text(path, text)
+    return [path.as_posix() for path in texts]
+
+
+def _compared(source: ProblemFile, options: argparse.Namespace, found: Plan) -> tuple[SetUp, ...]:
+    from casacal.compensation.predict import read_joints
+    from casacal.planning.setups import set_ups
+
+    fitted = found.purposes.count("fit")
+    box = None if options.box is None else box_of(options.box)
+    targets = None if options.targets is None else read_joints(options.targets, source).joints
+    return set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
 
 
 def _where(options: argparse.Namespace) -> str:

@@ -31,7 +31,7 @@ class Clearance(Value):
     """What an arm must keep clear of.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
-    mm, or None where only its tip and flange are looked at.
+    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.
     """
 
     boxes: tuple[Box, ...] = ()
@@ -63,9 +63,9 @@ class Clearance(Value):
         count, radius = len(joints), self.link_radius
         good = ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
         if cell is not None:
-            arm = points[:, :-1].reshape(count, -1, 3)  # the tool is what touches
+            arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
             for face in cell.faces:
-                good &= ~_near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
+                good &= ~near_face(arm, np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, radius)
         return good & ~_near_itself(points, radius)
 
 
@@ -94,7 +94,7 @@ def _inside(points: Array, boxes: Sequence[Box], radius: float) -> NDArray[np.bo
     return found
 
 
-def _near_face(points: Array, centre: Array, axes: Array, half: Array, radius: float) -> NDArray[np.bool_]:
+def near_face(points: Array, centre: Array, axes: Array, half: Array, radius: float) -> NDArray[np.bool_]:
     """Whether any point (N, k, 3) is nearer to a rectangular face than a radius, or behind it."""
     local = (points - centre) @ axes.T
     aside = np.linalg.norm(np.maximum(np.abs(local[..., 1:]) - half, 0.0), axis=-1)

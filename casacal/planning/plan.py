@@ -107,9 +107,7 @@ def plan(
     wanted = _criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
     bound = bind(problem, reachable if after is None else joined(reachable, _made(problem, after)))
-    for name in loose or {}:
-        if name not in bound.names:
-            raise UnknownNameError("unknown", name, bound.names)
+    _refuse_unknown(bound, loose)
     joints = wanted_joints(bound, box, targets)
     choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
@@ -141,22 +139,26 @@ def touches_for(
     *,
     box: Box | None = None,
     targets: Array | None = None,
+    after: Samples | None = None,
+    loose: Mapping[str, float] | None = None,
     most: int = 240,
 ) -> int:
     """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
 
-    box, targets: where the tip is wanted, as for `plan`. Raises CasacalError where so many as `most` do not.
+    box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` do not.
     """
     _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
-    bound = bind(problem, pool_of(problem, cell, 1000, 0))
-    choice, rng = Choice.of(bound, wanted_joints(bound, box, targets)), np.random.default_rng(0)
-    count = 12
+    pool = pool_of(problem, cell, 1000, 0)
+    bound = bind(problem, pool if after is None else joined(pool, _made(problem, after)))
+    _refuse_unknown(bound, loose)
+    choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
+    count, rng = 3 if after is not None else 12, np.random.default_rng(0)
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
             return count
-        count = min(math.ceil(count * 1.25), most)
+        count = min(math.ceil(count * 1.25 + 0.5), most)
     left = choice.error(choice.best_of(most, 1, rng))
     if left <= tolerance:
         return most
@@ -179,6 +181,12 @@ def _over_arms(
     arms = (bound.x0 + std * rng.normal(size=std.size) for _ in range(ARMS))
     errors = [Choice.of(bound, joints, count=pool, loose=loose, at=arm).error(chosen) for arm in arms]
     return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _refuse_unknown(bound: BoundProblem, loose: Mapping[str, float] | None) -> None:
+    for name in loose or {}:
+        if name not in bound.names:
+            raise UnknownNameError("unknown", name, bound.names)
 
 
 def _made(problem: Problem, after: Samples) -> Samples:

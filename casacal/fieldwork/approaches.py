@@ -1,0 +1,133 @@
+"""The way from touch to touch: to a place above each, down to it, and back, clear of the faces all along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError
+from casacal.planning.clearance import Clearance, near_face
+from casacal.planning.pool import cell_of
+from casacal.planning.route import Route
+from casacal.problem.cell import Cell
+from casacal.problem.disturbances import Disturbances
+from casacal.problem.problem import Problem
+from casacal.simulation.reach import Touch
+from casacal.simulation.true_arm import true_unknowns
+from casacal.values import Value
+
+RETREAT = 20.0
+"""How far the tip stands back before and after a touch, mm."""
+
+HIGHER = (1.0, 2.0, 4.0, 8.0)
+"""Times of that by which it is tried to stand back where the way between two touches is not clear."""
+
+ON_THE_WAY = 25
+"""Postures looked at between two touches."""
+
+FREE = 2.0
+"""How near the tip may come to a face between touches, mm."""
+
+ARRIVED = 0.05
+"""By how much a place above may be missed, mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Approaches(Value):
+    """Joint values (N, n; rad, mm) above each touch, and whether the way from the touch before it is clear (N,).
+
+    retreat: how far above (N,), mm.
+    """
+
+    above: Array
+    retreat: Array
+    clear: NDArray[np.bool_]
+
+
+def approaches(
+    problem: Problem,
+    route: Route,
+    cell: Disturbances | None = None,
+    *,
+    retreat: float = RETREAT,
+    clearance: Clearance | None = None,
+) -> Approaches:
+    """Where to stand before and after each touch of a plan, the plunger drawn back along itself.
+
+    Where the straight way of the joints from one to the next would come near a face, both stand back further, up to
+    eight times as far. What is not clear then is said, not hidden.
+
+    Raises CasacalError for an instrument without a plunger, and where the arm cannot draw back.
+    """
+    probe = problem.instrument.probe
+    if probe is None:
+        raise CasacalError(
+            f"{type(problem.instrument).__name__} has no plunger that could be drawn back", "Use the plan's CSV"
+        )
+    still = cell_of(problem, cell)
+    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
+    arm = Touch.of(problem.robot, problem.instrument, probe, local)
+    samples = route.samples
+    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
+    tips, axes = arm.place(arm.local, samples.joints, readings[:, None])
+    levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
+    if not np.isfinite(levels[0]).all():
+        k = int(np.flatnonzero(~np.isfinite(levels[0]).all(axis=1))[0])
+        raise CasacalError(
+            f"From touch {k + 1} the arm cannot draw back by {retreat:g} mm inside its joint limits",
+            "Give a smaller --retreat, or leave the touch out",
+        )
+    chosen, clear = np.zeros(len(samples), dtype=int), np.ones(len(samples), dtype=bool)
+    if isinstance(still, Cell):
+        looked = _Looked(arm, still, clearance)
+        for k in range(1, len(samples)):
+            clear[k] = _raised(looked, levels, chosen, k)
+    above = np.array([levels[level][k] for k, level in enumerate(chosen)])
+    return Approaches(above, retreat * np.array(HIGHER)[chosen], clear)
+
+
+def _raised(looked: _Looked, levels: list[Array], chosen: NDArray[np.intp], k: int) -> bool:
+    """Raise both ends of the way to touch k until it is clear; whether it is."""
+    for level in range(len(levels)):
+        ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
+        start, end = levels[ends[0]][k - 1], levels[ends[1]][k]
+        if not (np.isfinite(start).all() and np.isfinite(end).all()):
+            return False
+        if looked.clear(start, end):
+            chosen[k - 1], chosen[k] = ends
+            return True
+    return False
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """Ways between postures, looked at."""
+
+    arm: Touch
+    cell: Cell
+    clearance: Clearance | None
+
+    def clear(self, start: Array, end: Array) -> bool:
+        """Whether the straight way of the joints keeps off faces, and off all else that is said."""
+        part = np.linspace(0, 1, ON_THE_WAY)[:, None]
+        joints = start * (1 - part) + end * part
+        tips, _ = self.arm.place(self.arm.local, joints, np.zeros((len(joints), 1)))
+        for face in self.cell.faces:
+            if near_face(tips[:, None], np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, FREE).any():
+                return False
+        if self.clearance is None:
+            return True
+        return bool(self.clearance.clear(self.arm.robot, None, joints, tips).all())
+
+
+def _above(arm: Touch, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:
+    """Joint values (N, n) with the tip drawn back along the plunger; NaN where limits or reach forbid it."""
+    targets = tips - retreat * axes
+    found = arm.reach(targets, axes, readings, joints)
+    reached, _ = arm.place(arm.local, found, readings[:, None])
+    low, high = arm.robot.limits
+    good = (np.linalg.norm(reached - targets, axis=1) < ARRIVED) & ((found >= low) & (found <= high)).all(axis=1)
+    return np.where(good[:, None], found, np.nan)

@@ -1,0 +1,146 @@
+"""What other set-ups of the cell would bring: as many touches, each time chosen best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import bind
+from casacal.errors import CasacalError
+from casacal.planning.choice import Choice
+from casacal.planning.pool import cell_of, pool_of
+from casacal.planning.wanted import wanted_joints
+from casacal.problem.cell import Cell, Face
+from casacal.problem.disturbances import Disturbances
+from casacal.problem.problem import Problem
+from casacal.uncertainty.expectation import Box
+from casacal.values import Value
+
+POOL = 600
+"""Touches among which is chosen in each set-up."""
+
+HIGHER, STEP, BLOCK = 300.0, 100.0, (35.0, 35.0)
+"""By how much a plate is raised, a gauge block's height, and its top, mm."""
+
+TILTS = (10.0, 30.0, 45.0)
+"""Largest angles between plunger and face that are compared, degrees."""
+
+ALIKE = math.cos(math.radians(5.0))
+"""Cosine between normals of faces that are as good as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetUp(Value):
+    """A way to set the cell up, and the tip error (mm RMS) that chosen touches leave there; infinite out of reach."""
+
+    words: str
+    problem: Problem
+    cell: Cell
+    error: float
+
+
+def set_ups(
+    problem: Problem,
+    cell: Disturbances | None = None,
+    *,
+    touches: int = 40,
+    box: Box | None = None,
+    targets: Array | None = None,
+    seed: int = 0,
+) -> tuple[SetUp, ...]:
+    """Compare ways to set the cell up by the tip error to expect from as many touches, the best first.
+
+    As it is; one plate; it at two heights; three faces at right angles; a gauge block; other tilts. What this arm
+    cannot touch is last, with an infinite error.
+
+    Args:
+        problem: a robot with one instrument that touches faces.
+        cell: as for `plan`.
+        touches: how many are fitted in each.
+        box, targets: where the tip is wanted, as for `plan`.
+        seed: of everything that is drawn.
+
+    Raises CasacalError for an instrument that touches no faces.
+
+    """
+    still = cell_of(problem, cell)
+    if not isinstance(still, Cell):
+        raise CasacalError(
+            f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them",
+            "Plan without comparing set-ups",
+        )
+    if not 3 <= touches <= POOL:
+        raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
+    found = []
+    for words, other, place in _ways(problem, still):
+        try:
+            bound = bind(other, pool_of(other, place, POOL, seed))
+            choice = Choice.of(bound, wanted_joints(bound, box, targets))
+            error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
+        except CasacalError:  # out of reach
+            error = math.inf
+        found.append(SetUp(words, other, place, error))
+    return tuple(sorted(found, key=lambda each: each.error))
+
+
+def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
+    """Words, problem and cell of each."""
+    count, tilt = len(cell.faces), math.degrees(cell.tilt)
+    yield f"as it is: {_faces(count)}, tilt up to {tilt:.0f} degrees", problem, cell
+    first = cell.faces[0]
+    several = problem.instrument.with_faces_by_label()
+    labelled = problem if several is None else Problem(problem.robot, several)
+    if count > 1:
+        yield f"one plate, '{first.label}'", problem, replace(cell, faces=(first,))
+    if several is not None:
+        up = np.asarray(first.centre) + HIGHER * first.axes[0]
+        yield (
+            f"one plate, '{first.label}', and it again {HIGHER:g} mm higher",
+            labelled,
+            replace(cell, faces=(first, Face("higher", _triple(up), first.normal, first.size))),
+        )
+        if not _right_angles(cell):
+            yield "three faces at right angles", labelled, replace(cell, faces=_corner_on(first))
+        label = "gauge block"
+        stepped = several.with_step(label, first.label, STEP)
+        if stepped is not None:
+            top = np.asarray(first.centre) + STEP * first.axes[0]
+            yield (
+                f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'",
+                Problem(problem.robot, stepped),
+                replace(cell, faces=(*cell.faces, Face(label, _triple(top), first.normal, BLOCK))),
+            )
+    for other in TILTS:
+        if abs(other - tilt) > 1:
+            yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
+
+
+def _faces(count: int) -> str:
+    return "one face" if count == 1 else f"{count} faces"
+
+
+def _right_angles(cell: Cell) -> bool:
+    """Whether there are three faces at right angles already."""
+    normals = np.array([face.axes[0] for face in cell.faces])
+    across = np.abs(normals @ normals.T) < math.sin(math.radians(10))
+    return len(normals) > 2 and bool((across.sum(axis=1) >= 2).any())
+
+
+def _corner_on(first: Face) -> tuple[Face, ...]:
+    """A face and two that rise at right angles from two of its edges."""
+    normal, aside, across = first.axes
+    centre, half = np.asarray(first.centre), 0.5 * first.size[0]
+    rising = [
+        Face(name, _triple(centre + half * (normal - way)), _triple(way), first.size)
+        for name, way in (("wall", aside), ("side", across))
+    ]
+    return (first, *rising)
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
