@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.planning.clearance import Clearance, near_face
+from casacal.planning.clearance import Clearance
 from casacal.planning.pool import cell_of
 from casacal.planning.route import Route
 from casacal.problem.cell import Cell
@@ -25,7 +25,10 @@ RETREAT = 20.0
 HIGHER = (1.0, 2.0, 4.0, 8.0)
 """Times of that by which it is tried to stand back where the way between two touches is not clear."""
 
-ON_THE_WAY = 25
+MOST_PLACES = 40
+"""Places through which a way is tried."""
+
+ON_THE_WAY = 60
 """Postures looked at between two touches."""
 
 FREE = 2.0
@@ -39,11 +42,12 @@ ARRIVED = 0.05
 class Approaches(Value):
     """Joint values (N, n; rad, mm) above each touch, and whether the way from the touch before it is clear (N,).
 
-    retreat: how far above (N,), mm.
+    retreat: how far above (N,), mm. via: joint values (N, n) through which the way there leads, NaN where it is straight.
     """
 
     above: Array
     retreat: Array
+    via: Array
     clear: NDArray[np.bool_]
 
 
@@ -58,7 +62,7 @@ def approaches(
     """Where to stand before and after each touch of a plan, the plunger drawn back along itself.
 
     Where the straight way of the joints from one to the next would come near a face, both stand back further, up to
-    eight times as far. What is not clear then is said, not hidden.
+    eight times as far; then it leads through a place high above another touch. What is not clear then is said.
 
     Raises CasacalError for an instrument without a plunger, and where the arm cannot draw back.
     """
@@ -86,7 +90,23 @@ def approaches(
         for k in range(1, len(samples)):
             clear[k] = _raised(looked, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
-    return Approaches(above, retreat * np.array(HIGHER)[chosen], clear)
+    via = np.full_like(above, np.nan)
+    if isinstance(still, Cell):
+        places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
+        for k in np.flatnonzero(~clear):
+            found = _through(looked, places, above[k - 1], above[k])
+            if found is not None:
+                via[k], clear[k] = found, True
+    return Approaches(above, retreat * np.array(HIGHER)[chosen], via, clear)
+
+
+def _through(looked: _Looked, places: Array, start: Array, end: Array) -> Array | None:
+    """A place by which the way is clear, the one with the shortest way first; None where there is none."""
+    ways = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
+    for k in np.argsort(ways)[:MOST_PLACES]:
+        if looked.clear(start, places[k]) and looked.clear(places[k], end):
+            return np.asarray(places[k])
+    return None
 
 
 def _raised(looked: _Looked, levels: list[Array], chosen: NDArray[np.intp], k: int) -> bool:
@@ -116,7 +136,10 @@ class _Looked:
         joints = start * (1 - part) + end * part
         tips, _ = self.arm.place(self.arm.local, joints, np.zeros((len(joints), 1)))
         for face in self.cell.faces:
-            if near_face(tips[:, None], np.asarray(face.centre), face.axes, np.asarray(face.size) / 2, FREE).any():
+            local = (tips - face.centre) @ face.axes.T
+            over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)
+            height = local[over, 0]
+            if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
                 return False
         if self.clearance is None:
             return True

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from casacal.array_types import Array
 from casacal.compensation.programs import in_comments, printable
 from casacal.errors import CasacalError, UnknownNameError
@@ -108,7 +110,9 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
             halt = f"no clear way to touch {k + 1} was found: jog the arm above it, then go on"
             lines += [line.format(words=halt) for line in form.wait]
         above, there = _written(ways.above[k], form), _written(route.samples.joints[k], form)
-        lines += [line.format(*above) for line in form.fast]
+        for place in (ways.via[k], ways.above[k]):
+            if np.isfinite(place).all():
+                lines += [line.format(*_written(place, form)) for line in form.fast]
         lines += [line.format(*there) for line in form.slow]
         lines += [line.format(words=words) for line in form.wait]
         lines += [line.format(*above) for line in form.slow]

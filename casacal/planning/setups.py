@@ -23,6 +23,9 @@ from casacal.values import Value
 POOL = 600
 """Touches among which is chosen in each set-up."""
 
+FEW = 3
+"""Touches of each face that show whether it is in reach."""
+
 HIGHER, STEP, BLOCK = 300.0, 100.0, (35.0, 35.0)
 """By how much a plate is raised, a gauge block's height, and its top, mm."""
 
@@ -78,6 +81,7 @@ def set_ups(
     found = []
     for words, other, place in _ways(problem, still):
         try:
+            pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
             bound = bind(other, pool_of(other, place, POOL, seed))
             choice = Choice.of(bound, wanted_joints(bound, box, targets))
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
