@@ -31,8 +31,7 @@ def judged(
     per_row = bound.rows // len(samples)
     parts = fresh.likelihood()
     found = expected(*parts)
-    off = gross(*parts)
-    off = off[off < bound.rows]
+    off = np.array([k for k in gross(*parts) if k < bound.rows], dtype=np.intp)
     arm_chi, seen = toward(*parts, fresh.scaled_arm())
     drawn, seen_rows = fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), seen_by_rows(arm, fresh)
     before, after = (lengths(bound.plain_residual(x), per_row) for x in (drawn, fresh.x))
