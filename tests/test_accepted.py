@@ -3,13 +3,14 @@
 import dataclasses
 import json
 import math
+import re
 from functools import cache
 
 import html5lib
 import numpy as np
 import pytest
 from conftest import ROOT
-from page_reader import REFERENCES, Page
+from page_reader import REFERENCES, Page, tables
 from scipy.stats import binom
 from test_real_arm import SETS
 from test_verification import drawn, fitted, halves, touched, true_arm
@@ -340,12 +341,30 @@ def test_the_page_is_whole_valid_and_says_what_the_command_says(written, capsys,
     found = verify(written / "out", written / "fresh.csv", tolerance=0.05)
     told = " ".join(page.text_of("words").split())
     assert told.removeprefix("In words").startswith(" ".join(found.summary().split())[:60])
-    for part in found.errors:
-        assert f"{part.after.mm:.4f}" in page.text_of("errors")
-        assert f"{part.before.low_mm:.4f} to {part.before.high_mm:.4f}" in page.text_of("errors")
+    heading, *rows = tables(text)["errors"]
+    assert heading[2:6] == ["As drawn, mm", "95 %", "As calibrated, mm", "95 %"]
+    for row, part in zip(rows, found.errors, strict=True):
+        each = (f"{error.mm:.4f} {error.low_mm:.4f} to {error.high_mm:.4f}" for error in (part.before, part.after))
+        assert " ".join(row[1:]) == f"{part.rows} {' '.join(each)} {part.promised_mm:.4f}"
+        assert row[0].endswith(part.label)
+    places = picture_of(text)
+    assert len(places) == 2 * len(found.errors)
+    assert places == sorted_by_size(found)
     assert "Verified by fresh rows" in page.text_of("verified")
     assert "verdict good" in text
     assert list(place.parent.iterdir()) == [place]
+
+
+def picture_of(text):
+    """Order by size of the dots of the picture, before and after of each part."""
+    drawing = text.partition('id="errors-picture"')[2].partition("</svg>")[0]
+    across = [float(x) for x in re.findall(r'd="M([\d.]+) [\d.]+h\.1"', drawing)]
+    return np.argsort(across, kind="stable").tolist()
+
+
+def sorted_by_size(found):
+    sizes = [error.mm for part in found.errors for error in (part.before, part.after)]
+    return np.argsort(sizes, kind="stable").tolist()
 
 
 def test_a_page_takes_the_place_of_nothing_that_is_needed(written, capsys):

@@ -27,7 +27,7 @@ def error_picture(found: Figures) -> Markup:
     parts = found.errors[:MOST]
     low, high = _span(found)
     height = TOP + BOTTOM + EACH * len(parts)
-    panel = Panel((low, high), (0.0, 1.0), height, left=14.0, right=14.0, top=TOP, bottom=BOTTOM)
+    panel = Panel((low, high), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
     drawn = [_axis(panel)]
     for k, part in enumerate(parts):
         y = TOP + EACH * k
