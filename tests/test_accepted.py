@@ -196,6 +196,19 @@ def test_what_is_not_kept_is_not_accepted(good):
     assert "verdict bad" in found.page()
 
 
+def test_a_result_that_must_not_be_used_is_not_accepted(good):
+    arm, fresh, _ = good
+    denied = {"level": "do not use", "words": "Do not use this result: it is spoiled.", "reasons": []}
+    spoiled = dataclasses.replace(arm, document={**arm.document, "verdict": denied})
+    found = verify(spoiled, fresh, tolerance=0.05)
+    assert found.kept
+    assert not found.passed
+    assert found.summary().startswith("Kept, but not to be used")
+    assert "a result that must not be used is not" in found.summary()
+    assert "Accepted:" not in found.summary()
+    assert "verdict bad" in found.page()
+
+
 def test_a_gross_row_does_not_decide(good):
     arm, fresh, _ = good
     reading = fresh.columns["reading"].copy()

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Verify as the options say; returns 0, or 1 when the promise was not kept or the tolerance is exceeded."""
+    """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
     from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
     from casacal.files import write_text

@@ -117,7 +117,7 @@ class Seen:
 
     def scatter(self, residual: Array, rows: NDArray[np.intp] | None = None) -> Scatter | None:
         """What residuals (k,), mm, say of the arm's error, of all or some rows; None where they say nothing."""
-        counts = self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
+        counts = self._counted(rows)
         places, which = np.unique(self.sample_of[counts], return_inverse=True)
         if not places.size:
             return None
@@ -135,9 +135,17 @@ class Seen:
         uneven = (places.size * found + AS_ROWS * USUAL / parts) / (places.size + AS_ROWS)
         return Scatter(total, min(noise, most), most, 2 * given / (uneven * alike))
 
+    def _counted(self, rows: NDArray[np.intp] | None) -> NDArray[np.bool_]:
+        """Which residuals (k,) are of some rows, or of all, and in mm."""
+        if rows is None:
+            return self.leading
+        asked = np.zeros(int(self.sample_of.max(initial=0)) + 1, dtype=bool)
+        asked[rows[rows < asked.size]] = True
+        return self.leading & asked[self.sample_of]
+
     def given_rows(self, rows: NDArray[np.intp] | None = None) -> float:
         """Rows less what their own unknowns absorbed of them."""
-        counts = self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
+        counts = self._counted(rows)
         parts = int(counts.sum()) / max(np.unique(self.sample_of[counts]).size, 1)
         return float(self.given[counts].sum()) / max(parts, 1.0)
 
@@ -160,7 +168,7 @@ class Seen:
 
     def promised_mm(self, rows: NDArray[np.intp] | None = None) -> float:
         """Error that the calibration expects of all or some rows, RMS."""
-        counts = self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
+        counts = self._counted(rows)
         places = np.unique(self.sample_of[counts]).size
         given = float(self.given[counts].sum()) * places / max(int(counts.sum()), 1)
         return math.sqrt(float(self.promised[counts].sum()) / given) if given > 0 else math.nan

@@ -148,6 +148,11 @@ class Figures(Value):
         return next((part for part in self.errors if part.kind == "all"), None)
 
     @property
+    def denied(self) -> bool:
+        """Whether the calibration's own verdict is not to use it."""
+        return self.verdict[0] == "do not use"
+
+    @property
     def passed(self) -> bool:
-        """Whether the promise was kept, and the arm accepted where there is a tolerance."""
-        return self.kept and (self.decision is None or self.decision.verdict == "accept")
+        """Whether the promise was kept, and the arm accepted where there is a tolerance, if it may be used at all."""
+        return self.kept and (self.decision is None or (self.decision.verdict == "accept" and not self.denied))

@@ -62,7 +62,7 @@ def judged(
         gross_lines=tuple(sorted({int(samples.lines[k // per_row]) for k in off.tolist()})),
         kept_without_gross=_kept_without(fresh, off, freedom),
         quantile_mm=float(np.quantile(after, QUANTILE, method="inverted_cdf")),
-        errors=errors_by_part(seen_rows, drawn),
+        errors=errors_by_part(seen_rows, drawn) if instrument.words.unit == "mm" else (),
         decision=None if tolerance is None else _decision(arm, fresh, off, tolerance, risk),
         noise_mm=noise,
         noise_most_mm=most,

@@ -25,7 +25,7 @@ def verification_page(found: Figures) -> str:
 
 def verified_section(found: Figures) -> Markup | None:
     """The arm's error before and after, by face and region: picture and table; None where rows say nothing of it."""
-    if found.overall is None or found.unit != "mm":
+    if found.overall is None:
         return None
     return section(
         "verified",
@@ -61,7 +61,7 @@ def _verdict(found: Figures) -> Markup:
     undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
     look = "good" if found.passed else "care" if undecided else "bad"
     # a result whose own verdict denies it looks no better for rows that agree with it
-    look = "bad" if found.verdict[0] == "do not use" else look
+    look = "bad" if found.denied else look
     return section(
         "verdict",
         "Verdict",
@@ -73,7 +73,7 @@ def _verdict(found: Figures) -> Markup:
 
 def _boxes(found: Figures) -> Markup | None:
     part, decision = found.overall, found.decision
-    if part is None or found.unit != "mm":
+    if part is None:
         return None
     boxes = [
         _box("Error as drawn", mm(part.before.mm, 4), _between(part.before)),

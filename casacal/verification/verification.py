@@ -26,7 +26,7 @@ class Verification(Figures):
         found["verdict"] = {"level": level, "words": words} if level else None
         found["faces"], found["errors"] = ([asdict(part) for part in parts] for parts in (self.faces, self.errors))
         found["decision"] = None if self.decision is None else _decided(self.decision)
-        if level == "do not use" or not self.kept:  # no figure of accuracy beside a verdict that denies it
+        if self.denied or not self.kept:  # no figure of accuracy beside a verdict that denies it
             found["promised_tip_mm"] = found["hidden_tip_mm"] = math.nan
         judged = {"kept": self.kept, "passed": self.passed}
         return dict(jsonable({**judged, **found}))

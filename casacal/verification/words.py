@@ -46,6 +46,7 @@ def _answer(found: Figures) -> str:
         )
     decided = {"accept": ", and accepted", "reject": ", but rejected", "undecided": ", but undecided"}
     verdict = "" if found.decision is None else decided[found.decision.verdict]
+    verdict = ", but not to be used" if found.decision is not None and found.denied else verdict
     return f"Kept{verdict}: {said} lie as the calibration of {found.robot} promised."
 
 
@@ -109,7 +110,7 @@ def _vouches(found: Figures) -> str:
         what += "." if not any(name.startswith("tool") for name in found.own) else " and the reflector sits."
     else:
         what = "Small residuals are not accuracy: they say nothing of directions that these rows do not see."
-    if found.verdict[0] == "do not use" or not found.kept or not found.promised_tip_mm:
+    if found.denied or not found.kept or not found.promised_tip_mm:
         return f"{what} {seen}."
     if not math.isfinite(found.hidden_tip_mm):
         return f"{what} {seen}, and a tip error without bound could hide from them."
@@ -121,7 +122,7 @@ def _vouches(found: Figures) -> str:
 
 def _next(found: Figures) -> list[str]:
     """What to do where the rows are not as promised, by what is seen of them."""
-    if found.passed or (found.kept and found.decision is not None and found.decision.verdict == "undecided"):
+    if found.kept and (found.decision is None or found.decision.verdict != "reject"):
         return []
     if found.kept:
         return [

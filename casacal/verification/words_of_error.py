@@ -27,7 +27,7 @@ def measurand(found: Figures) -> str:
 
 def errors_told(found: Figures) -> list[str]:
     """The error of all rows, of each face, of each region, and the noise that was taken off."""
-    if found.overall is None or found.unit != "mm":
+    if found.overall is None:
         return []
     said = measurand(found)
     lines = [
@@ -84,6 +84,8 @@ def _verdict(found: Figures, decision: Decision) -> str:
     if decision.verdict == "accept":
         if not found.kept:
             return f"Tolerance: {what}. By itself that would be accepted; with a promise that was not kept nothing is."
+        if found.denied:
+            return f"Tolerance: {what}. By itself that would be accepted; a result that must not be used is not."
         return f"Accepted: {what}."
     return f"{'Rejected' if decision.verdict == 'reject' else 'Undecided'}: {what}."
 
