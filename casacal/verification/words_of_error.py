@@ -38,7 +38,8 @@ def errors_told(found: Figures) -> list[str]:
         parts = [part for part in found.errors if part.kind == kind]
         lines += [f"  {name} {part.label}: {counted(part.rows, 'row')}, {_interval(part)}" for part in parts[:SHOWN]]
         lines += [f"  {len(parts) - SHOWN} more with --json."] if len(parts) > SHOWN else []
-    return [*lines, _noise(found)]
+    gross = ["The rows that are named above count in it."] if found.gross_lines else []
+    return [*lines, *gross, _noise(found)]
 
 
 def _interval(part: PartError) -> str:
@@ -80,7 +81,9 @@ def decision_told(found: Figures) -> list[str]:
 
 
 def _verdict(found: Figures, decision: Decision) -> str:
-    what = f"{decision.measured_mm:.4f} mm RMS, {measurand(found)}, against a tolerance of {decision.tolerance_mm:g} mm"
+    hidden = "" if decision.measured_mm > 0 else " (the rows scatter no more than noise)"
+    size = f"{decision.measured_mm:.4f} mm RMS{hidden}"
+    what = f"{size}, {measurand(found)}, against a tolerance of {decision.tolerance_mm:g} mm"
     if decision.verdict == "accept":
         if not found.kept:
             return f"Tolerance: {what}. By itself that would be accepted; with a promise that was not kept nothing is."
