@@ -157,6 +157,11 @@ def test_faces_and_regions_have_their_own(good):
         for each in (part.before, part.after):
             assert each.low_mm <= each.mm <= each.high_mm
         assert 0 < part.promised_mm < 0.05
+    wall = np.flatnonzero(np.array(fresh.labels["plane"]) == "wall")
+    alone = verify(arm, fresh.take(wall)).overall
+    among = next(part for part in found.errors if part.label == "wall")
+    assert (alone.before.mm, alone.promised_mm) == pytest.approx((among.before.mm, among.promised_mm), rel=1e-6)
+    assert alone.after.high_mm == pytest.approx(among.after.high_mm, rel=1e-6)
     few = verify(arm, fresh.take(range(20)))
     assert [part.kind for part in few.errors] == ["all"]
 
@@ -232,6 +237,9 @@ def test_noise_that_was_stated_too_large_does_not_hide_an_error(good):
     assert verify(loud, fresh).noise_mm == pytest.approx(0.29 * found.noise_mm, rel=1e-6)
     assert verify(loud, fresh).overall.after.high_mm > found.overall.after.high_mm
     assert "residuals are too small for so much" in verify(loud, fresh).summary()
+    near = dataclasses.replace(arm, document={**arm.document, "noise": {"ratio": 0.93, "low": 0.8, "high": 1.1}})
+    assert verify(near, fresh).noise_mm == found.noise_mm
+    assert verify(near, fresh).overall == found.overall
     # another instrument's noise is its own, and its rows say themselves what they scatter by
     _, bound, *_ = drawn("hsr_jr680")
     problem, joints, *_ = watched("hsr_jr680", "tracker")
@@ -278,7 +286,8 @@ def test_the_tracker_files_of_the_motoman_verify_it(motoman_data):
     """Both sets: as drawn what the paper's authors say, less noise; better after; accepted, undecided, rejected."""
     source = load_problem(ROOT / "problems" / "motoman_ma1400")
     problem = Problem(source.problem.robot, TrackedPoint(noise_std=0.02))
-    found = calibrate(source, source.problem.read(motoman_data / "contacts.csv"), method="lm", reference=False)
+    contacts = source.problem.read(motoman_data / "contacts.csv")
+    found = calibrate(source, contacts, method="lm", reference=False, discrepancy="none")
     published = {"tracker_free.csv": 0.246, "tracker_wall.csv": 0.224}
     for name in SETS:
         rows = problem.read(motoman_data / name)
@@ -287,7 +296,7 @@ def test_the_tracker_files_of_the_motoman_verify_it(motoman_data):
         plain = math.sqrt(published[name] ** 2 * 3 * count / (3 * count - 9) - 3 * 0.02**2)
         assert before.mm == pytest.approx(plain, rel=0.01)
         assert after.mm < before.low_mm
-        assert after.mm == pytest.approx(0.16, abs=0.02)
+        assert after.mm == pytest.approx(0.175, abs=0.02)
         verdicts = [verify(found, rows, problem=problem, tolerance=t).decision.verdict for t in (0.3, after.mm, 0.1)]
         assert verdicts == ["accept", "undecided", "reject"]
         assert one.accuracy

@@ -169,6 +169,19 @@ def test_touches_in_one_posture_are_one_of_its_kind():
     assert Seen(fresh, np.arange(30)).scatter(np.ones(30)).freedom == pytest.approx(alone.freedom / 3)
 
 
+@pytest.mark.parametrize("parts", [1, 3])
+def test_few_rows_are_taken_together_with_what_is_usual(parts):
+    """Squares that are all alike count as those of a normal distribution, and 20 rows as five of its variance."""
+    count = 30 * parts
+    fresh = rows_of(np.zeros((count, 1)), np.zeros((count, 1)), np.zeros(count), np.full(count, 0.01), parts=parts)
+    alike = Seen(fresh, np.arange(count)).scatter(np.ones(count))
+    assert alike.freedom == pytest.approx(2 * 30 / ((30 * 2 / parts + 20 * 5 / parts) / 50))
+    uneven = np.where(np.arange(count) < 3 * parts, 10.0, 1e-6)  # a tenth of the rows is all there is: 9 over 1
+    assert Seen(fresh, np.arange(count)).scatter(uneven).freedom == pytest.approx(
+        2 * 30 / ((30 * 9 + 20 * 5 / parts) / 50), rel=1e-3
+    )
+
+
 def test_noise_that_was_found_lower_is_all_that_is_taken_off():
     fresh = rows_of(np.zeros((30, 1)), np.zeros((30, 1)), np.zeros(30), np.full(30, 0.02))
     seen = Seen(fresh, np.arange(30), quieter=0.5)

@@ -174,5 +174,5 @@ def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> b
     at = float(gammainccinv(half, 1 - POWER if within else POWER)) / half
     seen = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
     if within:
-        return seen <= more.accept_below_mm(tolerance, risk)
+        return replace(more, square=seen**2 + scatter.noise).upper_mm(risk) <= tolerance
     return seen >= more.reject_above_mm(tolerance, risk)
