@@ -187,6 +187,12 @@ def test_an_error_in_distances_is_never_called_accuracy(good):
     assert "not on where the tip is" in found.page()
 
 
+def test_a_tolerance_that_the_drawing_meets_is_asked_about(good):
+    arm, fresh, _ = good
+    assert "is the tolerance in mm?" in verify(arm, fresh, tolerance=50).summary()
+    assert "is the tolerance in mm?" not in verify(arm, fresh, tolerance=0.05).summary()
+
+
 def test_what_is_not_kept_is_not_accepted(good):
     arm, _, x = good
     _, bound, *_ = drawn("hsr_jr680")

@@ -77,7 +77,11 @@ def decision_told(found: Figures) -> list[str]:
     decision = found.decision
     if decision is None:
         return []
-    return [f"{_verdict(found, decision)} {_limits(decision)}{_nothing_else(found, decision)}", *_more(decision)]
+    part, drawn = found.overall, ""
+    if decision.verdict == "accept" and part is not None and part.before.high_mm < decision.tolerance_mm:
+        drawn = f" The arm as drawn ({part.before.mm:.4f} mm) would be accepted, too: is the tolerance in mm?"
+    said = f"{_verdict(found, decision)} {_limits(decision)}{_nothing_else(found, decision)}{drawn}"
+    return [said, *_more(decision)]
 
 
 def _verdict(found: Figures, decision: Decision) -> str:
