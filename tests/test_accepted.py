@@ -125,7 +125,7 @@ def good(hsr):
 def test_touches_see_what_the_arm_errs_by(name):
     """Against the true error of the same arms on all 150 postures, by the slopes of the distances alone."""
     source, bound, *_ = drawn(name)
-    rng, covered, wrong, trials = np.random.default_rng(22), 0, 0, 20
+    rng, covered, wrong, quieter, trials = np.random.default_rng(22), 0, 0, 0, 20
     slopes = bound.jacobian(bound.x0) * bound.block.noise.ravel()[:, None]
     arm = np.array([not slot.datum for slot in bound.slots for _ in slot.columns])
     faces = np.linalg.pinv(slopes[:, ~arm])
@@ -140,9 +140,11 @@ def test_touches_see_what_the_arm_errs_by(name):
         found = verify(one, fresh, tolerance=true)
         covered += found.overall.after.low_mm <= true <= found.overall.after.high_mm
         wrong += found.decision.verdict != "undecided"
+        quieter += found.noise_mm < 0.99 * found.noise_stated_mm
         assert found.overall.before.mm > 3 * found.overall.after.high_mm
     assert covered >= binom.ppf(1e-6, trials, 0.94)
     assert wrong <= binom.ppf(1 - 1e-6, trials, 0.12)
+    assert quieter <= binom.ppf(1 - 1e-6, trials, 0.01)
 
 
 def test_faces_and_regions_have_their_own(good):
@@ -254,6 +256,8 @@ def test_noise_that_was_stated_too_large_does_not_hide_an_error(good):
     right, wrong = (verify(loud, rows, problem=each) for each in (problem, loud_one))
     assert right.noise_mm == pytest.approx(NOISE * math.sqrt(3), rel=1e-6)
     assert wrong.noise_mm < 1.2 * right.noise_mm
+    by_half = Problem(problem.robot, dataclasses.replace(KINDS["tracker"], noise_std=1.5 * NOISE))
+    assert verify(loud, rows, problem=by_half).noise_mm < 1.4 * right.noise_mm
 
 
 def test_noise_that_was_found_larger_counts_for_neither_verdict(good):

@@ -46,6 +46,13 @@ def test_the_probability_is_that_of_the_posterior():
     assert scatter.conformance(tolerance) == pytest.approx(inside, abs=2e-4)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 4e-4])
+def test_at_the_limit_of_acceptance_the_probability_is_one_less_the_risk(noise):
+    """What JCGM 106 asks of guarded acceptance, with the posterior of the test above."""
+    limit = a_scatter(1e-4, noise).accept_below_mm(0.025, 0.05)
+    assert a_scatter(limit**2 + noise, noise).conformance(0.025) == pytest.approx(0.95, abs=1e-6)
+
+
 def test_limits_intervals_and_verdicts_agree():
     for square in (0.3e-4, 1.2e-4, 3e-4, 7e-4, 2e-3):
         for most in (1e-4, 3e-4):
