@@ -257,7 +257,7 @@ def test_noise_that_was_stated_too_large_does_not_hide_an_error(good):
     assert right.noise_mm == pytest.approx(NOISE * math.sqrt(3), rel=1e-6)
     assert wrong.noise_mm < 1.2 * right.noise_mm
     by_half = Problem(problem.robot, dataclasses.replace(KINDS["tracker"], noise_std=1.5 * NOISE))
-    assert verify(loud, rows, problem=by_half).noise_mm < 1.4 * right.noise_mm
+    assert verify(loud, rows.take(range(25)), problem=by_half).noise_mm < 1.4 * right.noise_mm
 
 
 def test_noise_that_was_found_larger_counts_for_neither_verdict(good):
