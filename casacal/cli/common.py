@@ -44,12 +44,14 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def spare(outs: Iterable[str | Path], *inputs: str | Path | None) -> None:
+def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out") -> None:
     """Raise CasacalError where a command would write over what it reads."""
     for out in outs:
         for given in inputs:
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
-                raise CasacalError(f"'{out}' is to be written, and it is what the command reads", "Name another --out")
+                raise CasacalError(
+                    f"'{out}' is to be written, and it is what the command reads", f"Name another {option}"
+                )
 
 
 def made_from(result: CalibratedArm) -> list[Path]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result
+from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
+
+HEAD = 20_000
+"""Characters of a page in which its title stands."""
 
 HELP = "whether a calibration keeps its promise on fresh rows"
 
@@ -17,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Judge a calibration by rows that it has not seen, without fitting the arm again: only where the faces stand, "
         "or the tracker and its reflector, is estimated from them. Exit 1 when the residuals are larger than the "
-        "calibration promised, or than the tolerance."
+        "calibration promised, or where the arm is not accepted by the tolerance: rejected or undecided."
     )
     add_result(parser)
     add_instrument(parser, "which one took these rows; default: the one whose columns they have")
@@ -27,8 +31,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
     )
     parser.add_argument(
-        "--tolerance", type=float, metavar="MM", help="largest residual that 95 %% of the rows may have"
+        "--tolerance",
+        type=float,
+        metavar="MM",
+        help="largest RMS error that the arm may have in what these rows see: accept, reject or undecided (JCGM 106)",
     )
+    parser.add_argument(
+        "--risk",
+        type=float,
+        metavar="P",
+        help="chance of a wrong decision of an arm at the tolerance; default: 0.05",
+    )
+    parser.add_argument("--report", metavar="FILE", help="write a page about it there: HTML that needs no other file")
     parser.add_argument(
         "--problem",
         metavar="PROBLEM",
@@ -45,16 +59,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Verify as the options say; returns 0, or 1 when the promise was not kept or the tolerance is exceeded."""
+    """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
     from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
+    from casacal.files import write_text
     from casacal.problem.problem_file import load_problem
+    from casacal.verification.decision import RISK
     from casacal.verification.verify import measured_by, verify
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
+    if options.risk is not None and options.tolerance is None:
+        raise CasacalError("--risk came without --tolerance", "Say the tolerance that it is a risk of")
     result = read_result(options.result)
     other = None if options.problem is None else load_problem(options.problem)
+    if options.report is not None:
+        files = () if other is None else (file.path for file in other.files)
+        spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
+        spare([options.report], *made_from(result), option="--report")
+        _spare_calibration(options.report)
     named = options.instrument
     if other is None:
         named = measured_by(result, options.samples, named)
@@ -66,10 +89,23 @@ def run(options: argparse.Namespace) -> int:
         instrument=named,
         standing=names_of("--standing", options.standing),
         tolerance=options.tolerance,
+        risk=RISK if options.risk is None else options.risk,
     )
+    if options.report is not None:
+        write_text(options.report, found.page())
     if options.json:
         say_json(found.to_dict())
     else:
         for line in found.summary().split("\n"):
             say_paragraph(line)
     return DONE if found.passed else FAILED
+
+
+def _spare_calibration(path: str) -> None:
+    """Raise CasacalError where a page of a calibration stands already: it would be lost."""
+    if not path.strip():
+        raise CasacalError("--report is empty", "Name a file, such as verified.html")
+    if Path(path).is_file():
+        with Path(path).open(encoding="utf-8", errors="replace") as file:
+            if "<title>Calibration of" in file.read(HEAD):
+                raise CasacalError(f"'{path}' is the report of a calibration", "Name another --report")

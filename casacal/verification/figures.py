@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from casacal.errors import counted
 from casacal.values import Value
+from casacal.verification.decision import Decision
 
 LEVEL = 0.05
 """Chance at which rows that are as promised are said not to be: at most one verification in twenty of a good arm.
@@ -14,7 +15,10 @@ Two tests share it, of all residuals and of what they say of the arm alone.
 """
 
 QUANTILE = 0.95
-"""Part of the rows whose residual must lie within a tolerance."""
+"""Part of the rows within whose largest residual is told."""
+
+INTERVAL = 0.95
+"""Chance with which an interval of an error holds it."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,31 @@ class FaceVerification:
     chi_square: float
     freedom: int
     p: float
+
+
+@dataclass(frozen=True)
+class ErrorInterval:
+    """An RMS error, mm, and between what it lies with a chance of 95 %."""
+
+    mm: float
+    low_mm: float
+    high_mm: float
+
+
+@dataclass(frozen=True)
+class PartError:
+    """The arm's error in what its instrument sees, in some of the rows.
+
+    kind: "all", "face" or "region". label: which one. rows: how many. before, after: of the arm as drawn and as
+    calibrated, the instrument's own noise taken off. promised_mm: what the calibration expects of it, RMS.
+    """
+
+    kind: str
+    label: str
+    rows: int
+    before: ErrorInterval
+    after: ErrorInterval
+    promised_mm: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,13 +75,18 @@ class Figures(Value):
     prior, as many as `seen` of its `unknowns`: where an arm that changed since shows.
     faces: each face by itself. gross_lines, kept_without_gross: rows that the others do not expect where they are, and
     whether the promise is kept without them.
-    quantile_mm: within which 95 % of the rows lie. tolerance_mm: what was asked for, or None.
+    quantile_mm: within which 95 % of the residuals lie, noise and all.
+    errors: the arm's error, RMS over postures of this kind, noise taken off: of all rows, each face, each region; none
+    where the rows say nothing of it. decision: whether it is within the tolerance that was asked for, or None.
+    noise_mm, noise_most_mm: the instrument's own noise, RMS of a row: what was taken off, and the most that it may be.
+    noise_stated_mm: as the problem states it.
     promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
     base stands and how another instrument is mounted, and the part of it that rows like these would leave; infinite
     where nothing bounds it.
     copied_lines, fitted_lines: rows that were left out: copies of others among them, and those that the arm was
     calibrated from.
-    accuracy: whether residuals are errors of the tip itself. thing: what was measured, as in "planes". unit: of it all.
+    accuracy: whether residuals are errors of the tip itself. things: what was measured, as in "planes". sees: what the
+    residual is, as in "distance from the planes". unit: of it all.
     """
 
     robot: str
@@ -77,11 +111,16 @@ class Figures(Value):
     gross_lines: tuple[int, ...]
     kept_without_gross: bool
     quantile_mm: float
-    tolerance_mm: float | None
+    errors: tuple[PartError, ...]
+    decision: Decision | None
+    noise_mm: float
+    noise_most_mm: float
+    noise_stated_mm: float
     promised_tip_mm: float
     hidden_tip_mm: float
     accuracy: bool
     things: str
+    sees: str
     unit: str
     copied_lines: tuple[int, ...] = ()
     fitted_lines: tuple[int, ...] = ()
@@ -104,11 +143,16 @@ class Figures(Value):
         return min(self.p, self.arm_p) >= LEVEL / 2
 
     @property
-    def within(self) -> bool | None:
-        """Whether 95 % of the rows lie within the tolerance; None where there is none."""
-        return None if self.tolerance_mm is None else self.quantile_mm <= self.tolerance_mm
+    def overall(self) -> PartError | None:
+        """The arm's error in all rows; None where they say nothing of it."""
+        return next((part for part in self.errors if part.kind == "all"), None)
+
+    @property
+    def denied(self) -> bool:
+        """Whether the calibration's own verdict is not to use it."""
+        return self.verdict[0] == "do not use"
 
     @property
     def passed(self) -> bool:
-        """Whether the promise was kept, and the tolerance where there is one."""
-        return self.kept and self.within is not False
+        """Whether the promise was kept, and the arm accepted where there is a tolerance, if it may be used at all."""
+        return self.kept and (self.decision is None or (self.decision.verdict == "accept" and not self.denied))

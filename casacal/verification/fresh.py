@@ -34,13 +34,15 @@ class Fresh:
     """Rows of an instrument, and where the result says that everything stands.
 
     known: which unknowns (n,) the result knows; the others belong to these rows. at: the estimate (n,), zero of those
-    that it does not. covariance: of the known ones (k, k).
+    that it does not. covariance: of the known ones (k, k). other: whether it is another instrument than that of the
+    calibration.
     """
 
     bound: BoundProblem
     known: NDArray[np.bool_]
     at: Array
     covariance: Array
+    other: bool = False
 
     @property
     def lost(self) -> NDArray[np.bool_]:
@@ -150,7 +152,7 @@ def fresh_rows(
             f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
             "Take more rows, or name with --standing what still stands where it was calibrated",
         )
-    return Fresh(bound, known, at, _spread(bound, known, covariance, places, corrected))
+    return Fresh(bound, known, at, _spread(bound, known, covariance, places, corrected), other)
 
 
 def _spread(

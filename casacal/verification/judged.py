@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,27 +11,32 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
+from casacal.errors import SamplesError
 from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.verification.arm_error import Seen, seen_by_rows
+from casacal.verification.decision import Decision, decide
+from casacal.verification.errors_by_part import errors_by_part
 from casacal.verification.figures import LEVEL, QUANTILE, FaceVerification
 from casacal.verification.fresh import Fresh
 from casacal.verification.verification import Verification
 
 
-def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], tolerance: float | None) -> Verification:
+def judged(
+    arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], tolerance: float | None, risk: float
+) -> Verification:
     """All figures of a verification."""
     document, bound = arm.document, fresh.bound
     instrument, samples = bound.problem.instrument, bound.block.samples
-    noise, per_row = bound.block.noise.ravel(), bound.rows // len(samples)
+    per_row = bound.rows // len(samples)
     parts = fresh.likelihood()
     found = expected(*parts)
-    off = gross(*parts)
-    off = off[off < bound.rows]
+    off = np.array([k for k in gross(*parts) if k < bound.rows], dtype=np.intp)
     arm_chi, seen = toward(*parts, fresh.scaled_arm())
-    before, after = (
-        lengths(bound.plain_residual(x), per_row) for x in (fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), fresh.x)
-    )
-    predicted = lengths(found.std[: bound.rows] * noise, per_row)
+    drawn, seen_rows = fresh.fitted(np.where(fresh.known, 0.0, fresh.at)), seen_by_rows(arm, fresh)
+    before, after = (lengths(bound.plain_residual(x), per_row) for x in (drawn, fresh.x))
+    predicted = lengths(found.std[: bound.rows] * bound.noise, per_row)
+    noise, most, stated = seen_rows.noises_mm()
     freedom = _noise_freedom(document)
     promised, hidden = _tips(fresh)
     verdict = document.get("verdict") or {}
@@ -56,12 +62,17 @@ def judged(arm: CalibratedArm, fresh: Fresh, standing: tuple[str, ...], toleranc
         gross_lines=tuple(sorted({int(samples.lines[k // per_row]) for k in off.tolist()})),
         kept_without_gross=_kept_without(fresh, off, freedom),
         quantile_mm=float(np.quantile(after, QUANTILE, method="inverted_cdf")),
-        tolerance_mm=tolerance,
+        errors=errors_by_part(seen_rows, drawn) if instrument.words.unit == "mm" else (),
+        decision=None if tolerance is None else _decision(arm, fresh, off, tolerance, risk),
+        noise_mm=noise,
+        noise_most_mm=most,
+        noise_stated_mm=stated,
         unknowns=int(fresh.arm.sum()),
         promised_tip_mm=promised,
         hidden_tip_mm=hidden,
         accuracy=instrument.words.accuracy,
         things=instrument.words.things,
+        sees=instrument.words.residual,
         unit=instrument.words.unit,
     )
 
@@ -72,6 +83,28 @@ def _kept_without(fresh: Fresh, off: NDArray[np.intp], noise: float) -> bool:
     found = expected(residual, spread, own)
     arm, seen = toward(residual, spread, own, np.delete(fresh.scaled_arm(), off, axis=0))
     return min(chance(found.chi_square, found.freedom, noise), chance(arm, seen, noise)) >= LEVEL / 2
+
+
+def _decision(arm: CalibratedArm, fresh: Fresh, off: NDArray[np.intp], tolerance: float, risk: float) -> Decision:
+    """The decision by all rows; undecided where it hangs on those that are gross."""
+    found = _decided(seen_by_rows(arm, fresh), tolerance, risk)
+    if not off.size:
+        return found
+    without = _decided(seen_by_rows(arm, fresh, off), tolerance, risk)
+    if without.verdict == found.verdict:
+        return found
+    return replace(found, verdict="undecided", further_rows=None, hangs_on_gross=True)
+
+
+def _decided(seen: Seen, tolerance: float, risk: float) -> Decision:
+    scatter = seen.scatter(seen.residual(seen.fresh.x))
+    if scatter is None:
+        raise SamplesError(
+            seen.fresh.bound.block.samples.file,
+            "the rows' own unknowns follow whatever the arm does, so that no tolerance can be held against them",
+            "Take more rows, or leave the tolerance out",
+        )
+    return decide(scatter, seen.given_rows(), tolerance, risk)
 
 
 def lengths(values: Array, per_row: int) -> Array:

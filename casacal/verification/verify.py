@@ -24,6 +24,7 @@ from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 from casacal.samples.copies import copies, fitted_among
 from casacal.samples.samples import Samples
+from casacal.verification.decision import RISK
 from casacal.verification.fresh import fresh_rows
 from casacal.verification.judged import judged
 from casacal.verification.verification import Verification
@@ -33,6 +34,9 @@ SAME = 1e-6
 
 SPENT = 0.5
 """Part of the rows that are those of the calibration, from which on they verify nothing."""
+
+LEAST_RISK = 1e-4
+"""Risk below which nobody knows the noise well enough."""
 
 COMPARED = 8
 """Random joint values at which they are compared."""
@@ -46,6 +50,7 @@ def verify(
     instrument: str | None = None,
     standing: Collection[str] = (),
     tolerance: float | None = None,
+    risk: float = RISK,
 ) -> Verification:
     """Judge a calibration by rows that it has not seen; the arm is not fitted again.
 
@@ -65,17 +70,25 @@ def verify(
             whose columns they have.
         standing: labels of faces ("floor") or unknowns ("plane", "tool") that stand where the calibration found them,
             and so are not fitted again.
-        tolerance: largest residual, mm, that 95 % of the rows may have.
+        tolerance: largest RMS error, mm, that the arm may have in what this instrument sees: accepted, rejected or left
+            undecided by JCGM 106:2012.
+        risk: chance of a wrong decision of an arm whose error is the tolerance, below one half.
 
     Returns:
         What was found; residuals in mm.
 
-    Raises CasacalError for what is no result, another arm, or a tolerance that is none; UnknownNameError for something
-    else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the calibration.
+    Raises CasacalError for what is no result, another arm, or a tolerance or risk that is none; UnknownNameError for
+    something else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the
+    calibration.
 
     """
-    if tolerance is not None and not (isinstance(tolerance, (int, float)) and 0 < tolerance < math.inf):
+    if tolerance is not None and (
+        isinstance(tolerance, bool) or not (isinstance(tolerance, (int, float)) and 0 < tolerance < math.inf)
+    ):
         raise CasacalError(f"The tolerance is {tolerance!r}", "Give a positive number of mm")
+    if isinstance(risk, bool) or not (isinstance(risk, (int, float)) and LEAST_RISK <= risk < 0.5):
+        fix = f"Give a chance from {LEAST_RISK:g} to below 0.5, such as 0.05 for 5 %"
+        raise CasacalError(f"The risk is {risk!r}", fix)
     if isinstance(standing, str):
         raise CasacalError(f"'{standing}' came as a list of what stands", f"Give ['{standing}']")
     arm = _arm(result)
@@ -90,7 +103,7 @@ def verify(
         fresh = fresh_rows(arm, source.problem, rows, other=problem is not None, standing=standing)
         if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
             raise SamplesError(rows.file, "the residuals of some rows are not finite", "Check their values with check")
-    found = judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance))
+    found = judged(arm, fresh, tuple(standing), None if tolerance is None else float(tolerance), float(risk))
     return replace(found, copied_lines=copied, fitted_lines=fitted)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from casacal.errors import counted
 from casacal.verification.figures import LEVEL, FaceVerification, Figures
+from casacal.verification.words_of_error import decision_told, errors_told
 
 LEAST = 1e-6
 """Chance below which nobody asks how small."""
@@ -26,7 +27,8 @@ def told(found: Figures) -> list[str]:
         *(_face(found, face) for face in found.faces[:SHOWN]),
         *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
         *_gross(found),
-        *_tolerance(found),
+        *errors_told(found),
+        *decision_told(found),
         _vouches(found),
         *_next(found),
     ]
@@ -42,9 +44,10 @@ def _answer(found: Figures) -> str:
             f"Not kept: {said} lie where an arm other than the calibrated one would put them, which is hardly chance "
             f"({_chance(found.arm_p)})."
         )
-    if found.within is False:
-        return f"Kept, but not within the tolerance: {said} lie as the calibration promised, and that is not enough."
-    return f"Kept: {said} lie as the calibration of {found.robot} promised."
+    decided = {"accept": ", and accepted", "reject": ", but rejected", "undecided": ", but undecided"}
+    verdict = "" if found.decision is None else decided[found.decision.verdict]
+    verdict = ", but not to be used" if found.decision is not None and found.denied else verdict
+    return f"Kept{verdict}: {said} lie as the calibration of {found.robot} promised."
 
 
 def _chance(p: float) -> str:
@@ -99,16 +102,6 @@ def _gross(found: Figures) -> list[str]:
     ]
 
 
-def _tolerance(found: Figures) -> list[str]:
-    if found.tolerance_mm is None:
-        return []
-    said = "within" if found.within else "NOT within"
-    return [
-        f"Tolerance: 95 % of the rows lie within {found.quantile_mm:.4f} mm, {said} the {found.tolerance_mm:g} mm that "
-        "was asked for."
-    ]
-
-
 def _vouches(found: Figures) -> str:
     """What residuals mean, and what they leave open."""
     seen = f"These rows see {found.seen} of the arm's {found.unknowns} unknown directions better than its priors do"
@@ -117,7 +110,7 @@ def _vouches(found: Figures) -> str:
         what += "." if not any(name.startswith("tool") for name in found.own) else " and the reflector sits."
     else:
         what = "Small residuals are not accuracy: they say nothing of directions that these rows do not see."
-    if found.verdict[0] == "do not use" or not found.kept or not found.promised_tip_mm:
+    if found.denied or not found.kept or not found.promised_tip_mm:
         return f"{what} {seen}."
     if not math.isfinite(found.hidden_tip_mm):
         return f"{what} {seen}, and a tip error without bound could hide from them."
@@ -129,7 +122,7 @@ def _vouches(found: Figures) -> str:
 
 def _next(found: Figures) -> list[str]:
     """What to do where the rows are not as promised, by what is seen of them."""
-    if found.kept and found.within is not False:
+    if found.kept and (found.decision is None or found.decision.verdict != "reject"):
         return []
     if found.kept:
         return [

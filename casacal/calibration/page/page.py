@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.page.markup import Markup, tag
+from casacal.calibration.page.markup import tag
 from casacal.calibration.page.sections.beside import beside_section
 from casacal.calibration.page.sections.expected import expected_section
 from casacal.calibration.page.sections.measured import measured_section
@@ -17,7 +17,7 @@ from casacal.calibration.page.sections.reference import reference_section
 from casacal.calibration.page.sections.residuals import residuals_section
 from casacal.calibration.page.sections.unseen import unseen_section
 from casacal.calibration.page.sections.verdict import verdict_section
-from casacal.calibration.page.style import STYLE
+from casacal.calibration.page.shell import whole_page
 from casacal.calibration.page.touches import Touches
 from casacal.uncertainty.expectation import Box
 
@@ -50,17 +50,4 @@ def report_page(
         outliers_section(each, document),
         provenance_section(document, command),
     )
-    title = f"Calibration of {calibration.fit.problem.robot.name} ({document['problem']['name']})"
-    head = tag(
-        "head",
-        tag("meta", at={"charset": "utf-8"}),
-        tag("meta", at={"name": "viewport", "content": "width=device-width, initial-scale=1"}),
-        tag("meta", at={"name": "color-scheme", "content": "light"}),
-        tag("title", title),
-        tag("style", Markup(STYLE)),
-    )
-    page = tag("html", head, tag("body", main), at={"lang": "en"})
-    # one line per block, so that two reports can be compared line by line
-    for block in ("section", "table", "tr", "figure", "svg", "path", "p", "li", "div", "head", "style"):
-        page = Markup(page.replace(f"</{block}>", f"</{block}>\n"))
-    return f"<!DOCTYPE html>\n{page}\n"
+    return whole_page(f"Calibration of {calibration.fit.problem.robot.name} ({document['problem']['name']})", main)
