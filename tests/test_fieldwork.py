@@ -225,7 +225,13 @@ def test_ways_lead_above_the_touches(hsr, small):
             local = (tips - face.centre) @ face.axes.T
             over = (np.abs(local[:, 1:]) <= np.array(face.size) / 2).all(axis=1)
             assert not ways.clear[k] or (local[over, 0] > 0.5).all() or (local[over, 0] < 0).all()
-    assert ways.clear.mean() > 0.9
+    assert ways.clear.mean() > 0.8
+    tips = bound.tips(bound.x0, ways.above)
+    corners = np.zeros(len(small), dtype=bool)
+    for face in faces.values():  # near an edge a plunger drawn back is in the next face
+        local = (tips - face.centre) @ face.axes.T
+        corners |= (np.abs(local[:, 1:]) <= np.array(face.size) / 2 + 2).all(axis=1) & (local[:, 0] < 2)
+    assert (corners | np.roll(corners, 1))[~ways.clear].all(), "nothing else keeps a touch from being reached"
     assert reading.min() > 0
     shut = Clearance((((-3000.0, 3000.0), (-3000.0, 3000.0), (-3000.0, 3000.0)),))
     assert not approaches(hsr.problem, small, hsr.cell, clearance=shut).clear[1:].any()

@@ -42,7 +42,7 @@ ARRIVED = 0.05
 class Approaches(Value):
     """Joint values (N, n; rad, mm) above each touch, and whether the way from the touch before it is clear (N,).
 
-    retreat: how far above (N,), mm. via: joint values (N, n) through which the way there leads, NaN where it is straight.
+    retreat: how far above (N,), mm. via: joint values (N, n) through which the way leads, NaN where it is straight.
     """
 
     above: Array
