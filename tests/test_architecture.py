@@ -39,6 +39,7 @@ ORDER = [
     "export",
     "calibration",
     "verification",
+    "changes",
     "study",
     "bench",
     "cli",

@@ -95,7 +95,7 @@ def plan(
 
     """
     _check(problem, touches, pool, starts, again, check, box, targets)
-    reachable = _pool(problem, cell, pool, seed)
+    reachable = reachable_touches(problem, cell, pool, seed)
     bound = bind(problem, reachable)
     choice = _Choice.of(bound, _wanted(bound, box, targets))
     checks, repeats = round(check * touches), round(again * touches)
@@ -135,7 +135,7 @@ def touches_for(
     _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
-    bound = bind(problem, _pool(problem, cell, 1000, 0))
+    bound = bind(problem, reachable_touches(problem, cell, 1000, 0))
     choice, rng = _Choice.of(bound, _wanted(bound, box, targets)), np.random.default_rng(0)
     count = 12
     while count < most:
@@ -206,7 +206,7 @@ def _check(
         raise CasacalError("A box and targets came", "Give one of them")
 
 
-def _pool(problem: Problem, cell: Disturbances | None, count: int, seed: int) -> Samples:
+def reachable_touches(problem: Problem, cell: Disturbances | None, count: int, seed: int) -> Samples:
     """Touches that the arm as drawn could make, without any error."""
     if cell is None and problem.instrument.probe is not None:
         cell = default_cell(problem)
