@@ -49,7 +49,7 @@ def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
     labels, units = ["x", "y", "z"], ["mm"] * 3
     if _sees_turns(shifted):
         tool += [*shift_columns(shifted, TURN)]
-        labels, units = labels + ["about x", "about y", "about z"], units + ["rad"] * 3
+        labels, units = [*labels, "about x", "about y", "about z"], [*units, *["rad"] * 3]
     found.append(Cause("tool", "tool", np.array(tool), tuple(units), tuple(labels)))
     base = np.concatenate([shift_columns(shifted, BASE), shift_columns(shifted, BASE_TURN)])
     labels = ["x", "y", "z", "about x", "about y", "about z"]

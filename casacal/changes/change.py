@@ -22,7 +22,7 @@ class Change(Figures):
         level, words = self.verdict
         found = {field.name: getattr(self, field.name) for field in fields(self)}
         found["verdict"] = {"level": level, "words": words} if level else None
-        found["causes"] = [{key: value for key, value in asdict(each).items()} for each in self.causes]
+        found["causes"] = [asdict(each) for each in self.causes]
         found["joints"] = [asdict(each) for each in self.joints]
         found["drift"] = dict(self.drift)
         found["touches"] = None if self.touches is None else len(self.touches)

@@ -1,9 +1,9 @@
-"""Has the arm changed since it was calibrated? Fresh rows, the earlier posterior as the prior, and what explains them."""
+"""Has the arm changed since it was calibrated? Fresh rows, the earlier posterior, and what explains them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFoun
 from casacal.changes.look import Look
 from casacal.changes.tell import telling
 from casacal.compensation.arm import CalibratedArm
-from casacal.errors import CasacalError, SamplesError, UnknownNameError, came
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
@@ -68,8 +68,34 @@ def changed(
     Raises CasacalError, UnknownNameError and SamplesError as `verify` does, and for numbers that mean nothing.
 
     """
+    return changed_by(
+        result,
+        samples,
+        problem=problem,
+        instrument=instrument,
+        standing=standing,
+        drift=drift,
+        alarm=alarm,
+        touches=touches,
+        seed=seed,
+    )[1]
+
+
+def changed_by(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
+    standing: Collection[str] = (),
+    drift: Mapping[str, float] | None = None,
+    alarm: float = 0.01,
+    touches: int = 0,
+    seed: int = 0,
+) -> tuple[Opened, Change, Look]:
+    """The same with what an update needs: rows and result as they were opened, and the last look at them."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
-        raise CasacalError(f"{came(alarm)} came as the rate of false alarms", "Give 0.001 to 0.5, such as 0.01")
+        raise CasacalError(f"{came(alarm)} of {alarm!r} came as the rate of false alarms", "Give 0.001 to 0.5")
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
             raise CasacalError(f"{came(value)} came as the {what}", f"Give a whole number from 0 to {most}")
@@ -77,7 +103,7 @@ def changed(
     if len(given.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"
         raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
-    return examined(given, tuple(standing), dict(drift or {}), float(alarm), int(touches), int(seed))[0]
+    return given, *examined(given, tuple(standing), dict(drift or {}), float(alarm), int(touches), int(seed))
 
 
 def examined(
@@ -137,7 +163,7 @@ def examined(
 
 
 def _shows(look: Look, k: int) -> bool:
-    return np.isfinite(look.found_from(k)) if look.causes[k].kind == "joint" else look.seen(k)  # type: ignore[return-value]
+    return math.isfinite(look.found_from(k)) if look.causes[k].kind == "joint" else look.seen(k)
 
 
 def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:

@@ -56,9 +56,7 @@ class Look:
         tests = Tests(whitened, bases, rows, noise_freedom)
         by_cause, by_row, overall = tests.chances(tests.falls(whitened.residual[None]))
         level = tests.level(alarm, seed)
-        return Look(
-            fresh, shifted, x, causes, tuple(slopes), tests, level, by_cause[0], by_row[0], float(overall[0])
-        )
+        return Look(fresh, shifted, x, causes, tuple(slopes), tests, level, by_cause[0], by_row[0], float(overall[0]))
 
     def without(self, rows: NDArray[np.intp], alarm: float, seed: int) -> Look:
         """The same without some rows."""

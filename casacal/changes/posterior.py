@@ -1,4 +1,4 @@
-"""The minimum with the earlier posterior as the prior, its whole covariance: in coordinates where that is a unit one."""
+"""The minimum with the earlier posterior as the prior: in coordinates in which its covariance is one."""
 
 from __future__ import annotations
 

@@ -8,18 +8,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.changes.change import Change
 from casacal.changes.explain import Explanation, prior_of, ways_of
 from casacal.changes.look import Look
 from casacal.errors import CasacalError
+from casacal.files import write_text
 from casacal.planning.plan import reachable_touches
 from casacal.planning.way import shortest_way
+from casacal.planning.written import postures_text
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
+from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
@@ -40,7 +45,7 @@ TELLS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class _Expected:
-    """What one cause expects of each touch of the pool: whitened residuals (N, m), and slopes (N, m, k) by its doubt."""
+    """What a cause expects of each touch of the pool: whitened residuals (N, m), slopes (N, m, k) by its doubt."""
 
     residual: Array
     slopes: Array
@@ -51,7 +56,7 @@ def telling(
 ) -> tuple[Samples | None, float]:
     """Touches that would tell causes apart, in the order of a short way, and the log-odds to expect of the worst pair.
 
-    None where none are asked for, where there is but one cause beside rows that are off, and where no touch is in reach.
+    None where none are asked for, where there is but one cause beside rows that are off, where no touch is in reach.
     """
     causes = [each for each in found if each.posterior is not None]
     if not count or len(causes) < 2:
@@ -107,7 +112,9 @@ def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
     if probe is None:
         return None
     samples = bound.block.samples
-    touch = Touch.of(problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, np.random.default_rng(0)))
+    touch = Touch.of(
+        problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
+    )
     readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
     tips, directions, *_ = touch(samples.joints, readings)
     rows_of, faces = samples.faces(problem.instrument.groups).rows(), list[Face]()
@@ -124,3 +131,16 @@ def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
         side = max(WIDER * way, LEAST)
         faces.append(Face(label, tuple(middle.tolist()), tuple(normal.tolist()), (side, side)))
     return Cell(faces=tuple(faces)) if faces else None
+
+
+def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:
+    """Write the touches of a `Change` in the form of a plan, whole or not at all; nothing where it has none."""
+    if found.touches is None:
+        return
+    notes = [
+        f"touches that would tell what changed, by casacal for {name}: not a measurement",
+        f"between {' and '.join(cause.name for cause in found.causes)}",
+        "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
+        "that the controller shows and the reading that there is, not the expected one; give them with the other rows",
+    ]
+    write_text(path, postures_text(found.touches, ["tell"] * len(found.touches), layout, notes))

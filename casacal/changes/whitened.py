@@ -1,7 +1,7 @@
 """Fresh rows with unit covariance, and what a fit of some directions takes off their chi-square.
 
-With P of `casacal.uncertainty.fresh_rows`, P = L'L for L = (I - U (I - (I + S^2)^-1/2) U') N, where N B = U S W'. What L
-makes of the residuals is standard normal in the space that the rows' own unknowns leave, and the fall of r'P r by
+With P of `casacal.uncertainty.fresh_rows`, P = L'L for L = (I - U (I - (I + S^2)^-1/2) U') N, where N B = U S W'. What
+L makes of the residuals is standard normal in the space that the rows' own unknowns leave, and the fall of r'P r by
 fitting directions A is the squared length of its projection onto L A: a generalised likelihood ratio, chi-square with
 rank(L A) degrees of freedom where nothing changed.
 """
@@ -47,7 +47,7 @@ class Whitened:
     @property
     def freedom(self) -> int:
         """Dimension of the space in which the residual lies."""
-        return len(self.residual) - self.own.shape[1]
+        return int(len(self.residual) - self.own.shape[1])
 
     @property
     def chi_square(self) -> float:

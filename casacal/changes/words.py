@@ -1,4 +1,4 @@
-"""What was found of an arm that may have changed, in words: the answer first, then what it rests on, then what to do."""
+"""What was found of an arm that may have changed, in words: the answer first, what it rests on, what to do."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ def _answer(found: Figures) -> str:
         (cause,) = found.causes
         return f"Changed: {name_of(cause)}, by {amount(cause)}; {said}, {_chance(found.p)}, {rate}."
     if not found.causes:
-        return f"Undecided: {said} do not lie as promised, {_chance(found.p)}, and no cause that is known explains them."
+        return (
+            f"Undecided: {said} do not lie as promised, {_chance(found.p)}, and no cause that is known explains them."
+        )
     if len(found.causes) == 1:
         (cause,) = found.causes
         return (
@@ -123,8 +125,8 @@ def _rests_on(found: Figures) -> str:
     drift = ", ".join(f"{name} {std:g}" for name, std in found.drift)
     return (
         f"Smallest chance of all tests {_number(found.p)}; an alarm below {_number(found.level)}. All residuals: "
-        f"chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {_chance(found.p_all)}. {fitted[0].upper()}"
-        f"{fitted[1:]}{still}{f'; drift {drift}' if drift else ''}."
+        f"chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {_chance(found.p_all)}. "
+        f"{_capital(fitted)}{still}{f'; drift {drift}' if drift else ''}."
     )
 
 
@@ -166,7 +168,7 @@ def _next(found: Figures) -> list[str]:
     if found.tells < 1.0:
         return ["Next: no touch of these faces tells them apart; what was done to the arm may."]
     sure = f"odds of about {math.exp(min(found.tells, 14.0)):.0f} to 1"
-    return [f"Next: {counted(len(found.touches), 'touch')[:-1] + 'es'} would tell, with {sure}; give them together with these rows."]
+    return [f"Next: {len(found.touches)} touches would tell, with {sure}; give them together with these rows."]
 
 
 def _lines(found: Figures) -> str:
