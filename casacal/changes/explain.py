@@ -63,9 +63,12 @@ def prior_of(look_fresh: Fresh, unknowns: int) -> Prior:
     return Prior(at, ways, made.mean, made.stds, made.start)
 
 
-def explanations(look: Look) -> list[Explanation]:
-    """All causes that show in the rows, and single rows, the likeliest first."""
-    found = [*_causes(look), *_rows(look)]
+def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
+    """All causes that show in the rows, and single rows, the likeliest first.
+
+    linear: causes to first order, which says nothing of where they leave the arm.
+    """
+    found = [*(_linear(look) if linear else _causes(look)), *_rows(look)]
     if not found:
         return []
     best = max(each.evidence for each in found)
@@ -106,6 +109,19 @@ def _causes(look: Look) -> list[Explanation]:
         p = float(chances(np.array(max(nothing - chi, 0.0)), float(n), noise))
         left = float(chances(np.array(chi), float(freedom - n), noise))
         found.append(Explanation(cause, -1, shift, std, p, left, evidence, 0.0, posterior))
+    return found
+
+
+def _linear(look: Look) -> list[Explanation]:
+    tests, found = look.tests, list[Explanation]()
+    falls = tests.falls(tests.whitened.residual[None])[0][0]
+    for k, cause in enumerate(look.causes):
+        if look.seen(k):
+            n, chi = int(tests.freedoms[k]), tests.whitened.chi_square - float(falls[k])
+            evidence = likelihood(chi, tests.whitened.freedom, tests.noise) - occam(look.slopes[k], cause.sizes)
+            left = float(chances(np.array(chi), float(tests.whitened.freedom - n), tests.noise))
+            none, p = np.zeros(0), float(look.by_cause[k])
+            found.append(Explanation(cause, -1, none, none, p, left, evidence, 0.0, None))
     return found
 
 

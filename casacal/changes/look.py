@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.changes.causes import Cause, causes_of, slopes_of
-from casacal.changes.null import Tests, row_bases
+from casacal.changes.null import AllTests, row_bases
 from casacal.changes.shifts import with_shifts
 from casacal.changes.whitened import Whitened, seen_basis
 from casacal.verification.fresh import Fresh
@@ -36,7 +36,7 @@ class Look:
     x: Array
     causes: tuple[Cause, ...]
     slopes: tuple[Array, ...]
-    tests: Tests
+    tests: AllTests
     level: float
     by_cause: Array
     by_row: Array
@@ -53,7 +53,7 @@ class Look:
         bases = [seen_basis(each, cause.sizes) for each, cause in zip(slopes, causes, strict=True)]
         samples = len(fresh.bound.block.samples)
         rows = row_bases(whitened, samples, fresh.bound.rows // samples)
-        tests = Tests(whitened, bases, rows, noise_freedom)
+        tests = AllTests(whitened, bases, rows, noise_freedom)
         by_cause, by_row, overall = tests.chances(tests.falls(whitened.residual[None]))
         level = tests.level(alarm, seed)
         return Look(fresh, shifted, x, causes, tuple(slopes), tests, level, by_cause[0], by_row[0], float(overall[0]))

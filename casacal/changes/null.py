@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def row_bases(whitened: Whitened, count: int, per_row: int) -> Array:
     return found
 
 
-class Tests:
+class AllTests:
     """All tests of fresh rows at once: of each cause, of single rows, and of everything."""
 
     def __init__(self, whitened: Whitened, bases: Sequence[Array], rows: Array, noise_freedom: float) -> None:
@@ -39,6 +40,15 @@ class Tests:
         self.freedoms = np.array([basis.shape[1] for basis in bases], dtype=np.float64)
         self.row_freedoms = np.rint((rows**2).sum(axis=(1, 2)))
         self._every = np.hstack([*self.bases, *rows]) if len(rows) else np.hstack(self.bases)
+
+    def at(self, residual: Array) -> AllTests:
+        """The same tests of another whitened residual (m,)."""
+        return AllTests(replace(self.whitened, residual=residual), self.bases, self.rows, self.noise)
+
+    @property
+    def judged(self) -> int:
+        """How many rows the others can judge."""
+        return int((self.row_freedoms > 0).sum())
 
     def falls(self, residuals: Array) -> tuple[Array, Array, Array]:
         """Fall of chi-square by each cause (D, causes) and row (D, rows), and chi-square itself (D,).
@@ -56,19 +66,22 @@ class Tests:
     def chances(self, falls: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Chance of each fall; of single rows times as many as there are (Bonferroni)."""
         by_cause, by_row, everything = falls
-        count = max(int((self.row_freedoms > 0).sum()), 1)
         return (
             chances(by_cause, self.freedoms, self.noise),
-            np.minimum(count * chances(by_row, self.row_freedoms, self.noise), 1.0),
+            np.minimum(self.judged * chances(by_row, self.row_freedoms, self.noise), 1.0),
             chances(everything, float(self.whitened.freedom), self.noise),
         )
 
     def smallest(self, residuals: Array, noise: Array | float = 1.0) -> Array:
         """The smallest chance (D,) of whitened residuals (D, m) whose noise was found to be so many times the true."""
-        squared = np.broadcast_to(np.asarray(noise) ** 2, (len(residuals),))[:, None]
+        squared = np.broadcast_to(np.asarray(noise) ** 2, (len(residuals),))
         by_cause, by_row, everything = self.falls(residuals)
-        found = self.chances((by_cause / squared, by_row / squared, everything / squared[:, 0]))
-        return np.asarray(np.column_stack([*found[:2], found[2]]).min(axis=1))
+        found = chances(everything / squared, float(self.whitened.freedom), self.noise)
+        for falls, freedoms, times in ((by_cause, self.freedoms, 1.0), (by_row, self.row_freedoms, self.judged)):
+            for freedom in np.unique(freedoms[freedoms > 0]):  # of one freedom the largest fall is the least likely
+                largest = falls[:, freedoms == freedom].max(axis=1)
+                found = np.minimum(found, times * chances(largest / squared, freedom, self.noise))
+        return found
 
     def level(self, alarm: float, seed: int, draws: int = DRAWS) -> float:
         """Below which the smallest chance of an arm that has not changed falls in this part of all cases."""
