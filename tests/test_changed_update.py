@@ -10,7 +10,7 @@ from conftest import ROOT
 from scipy.optimize import least_squares
 from test_changed import off, robot, touched
 
-from casacal import CasacalError, bind, calibrate, changed, load, read_result, simulate, updated, verify
+from casacal import CasacalError, Problem, bind, calibrate, changed, load, read_result, simulate, updated, verify
 from casacal.changes.directions import joint_direction
 from casacal.changes.shifts import JOINTS, shift_columns, with_shifts
 from casacal.cli.main import main
@@ -147,7 +147,7 @@ def test_the_expected_error_is_worked_out_as_a_calibration_does():
 
 
 def test_a_face_that_moved_is_fitted_anew_and_others_stay(tmp_path):
-    rows = touched("hsr_jr680", 45, session=6)
+    rows = touched("hsr_jr680", 45, session=1)
     readings = rows.columns["reading"].copy()
     readings[[label == "wall" for label in rows.labels["plane"]]] += 0.4
     rows = dataclasses.replace(rows, columns={"reading": readings})
@@ -184,12 +184,10 @@ def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
     twice = dataclasses.replace(rows, joints=rows.joints - np.array([0, 0, 3e-3, 0, 5e-3, 0]))
     with pytest.raises(CasacalError, match="cannot be told"):
         updated(arm, twice, standing=["plane"], folder=tmp_path / "b")
-    with pytest.raises(CasacalError, match="hold|held"):
-        dial = arm.source.problem.instrument
-        tool = dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=(0.7, -0.5, 0.3)))
-        from casacal import Problem
-
-        other = simulate_one(Problem(arm.source.problem.robot, tool), cell, 60, Draw(3, session=5)).samples
+    dial = arm.source.problem.instrument
+    tool = dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=(0.7, -0.5, 0.3)))
+    other = simulate_one(Problem(arm.source.problem.robot, tool), cell, 60, Draw(3, session=5)).samples
+    with pytest.raises(CasacalError, match="this problem holds it"):
         updated(arm, other, standing=["plane"], folder=tmp_path / "c")
     assert not list(tmp_path.iterdir())
 
@@ -222,7 +220,7 @@ def test_a_joint_shifts_along_its_own_offset(name):
             continue
         named = {bound.names[j] for j in np.flatnonzero(way)}
         if len(named) == 1:
-            assert named == {f"{'theta' if axis.turns else 'd'}{i + 1}"}
+            assert named <= {f"{'theta' if axis.turns else 'd'}{i + 1}", "zero"}
             assert way[np.flatnonzero(way)] == pytest.approx(1.0)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.changes.change import Change
@@ -112,19 +113,9 @@ def examined(
     """The same of rows that were opened, and the last look: without rows that are off."""
     fresh = given.fresh(standing)
     fresh = with_drift(fresh, drift)
-    first = look = Look.at(fresh, given.noise_freedom, alarm, seed)
-    bad, places = list[int](), np.arange(len(given.rows))
-    most = max(FEWEST, len(given.rows) // 20)
-    found, best = list[Explanation](), list[Explanation]()
-    while look.alarm:
-        found = explanations(look)
-        best = contenders(found)
-        if len(best) != 1 or best[0].cause is not None or len(bad) == most:
-            break
-        bad.append(int(places[best[0].row]))
-        look = look.without(np.array([best[0].row]), alarm, seed)
-        places = np.delete(places, best[0].row)
-        found = best = []
+    first = Look.at(fresh, given.noise_freedom, alarm, seed)
+    look, best, places = _without_bad(first, len(given.rows), alarm, seed)
+    bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
     ended = _ended(look, best, bad)
     proposed, tells = telling(given.source.problem, look, best, touches, seed) if ended == UNDECIDED else (None, 0.0)
     rows, document = given.rows, given.arm.document
@@ -147,7 +138,7 @@ def examined(
         p_all=first.overall,
         ended=ended,
         causes=tuple(_cause(each, rows, places) for each in best),
-        bad_lines=tuple(sorted(int(rows.lines[k]) for k in bad)),
+        bad_lines=tuple(int(rows.lines[k]) for k in bad),
         joints=tuple(
             Shown(cause.name, cause.units[0], look.found_from(k))
             for k, cause in enumerate(look.causes)
@@ -160,6 +151,18 @@ def examined(
         fitted_lines=given.fitted,
     )
     return change, look
+
+
+def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look, list[Explanation], NDArray[np.intp]]:
+    """The last look, what explains it, and the numbers of the rows that remain: single ones that are off go first."""
+    places, most = np.arange(count), max(FEWEST, count // 20)
+    while look.alarm:
+        best = contenders(explanations(look))
+        if len(best) != 1 or best[0].cause is not None or count - len(places) == most:
+            return look, best, places
+        look = look.without(np.array([best[0].row]), alarm, seed)
+        places = np.delete(places, best[0].row)
+    return look, [], places
 
 
 def _shows(look: Look, k: int) -> bool:
@@ -176,7 +179,7 @@ def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
     return CHANGED
 
 
-def _cause(found: Explanation, rows: Samples, places: Any) -> CauseFound:
+def _cause(found: Explanation, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
     cause = found.cause
     if cause is None:
         line = int(rows.lines[int(places[found.row])])

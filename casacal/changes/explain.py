@@ -25,6 +25,9 @@ OFF = 100.0
 SURE = 0.95
 """Part of the evidence from which on one cause is the one."""
 
+STEPS = 60
+"""Of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever."""
+
 NAMED = 0.02
 """Part of the evidence below which a cause is none of those that remain."""
 
@@ -100,7 +103,7 @@ def _causes(look: Look) -> list[Explanation]:
         if not look.seen(k):
             continue
         ways, used = ways_of(look, k)
-        posterior = prior.with_ways(ways, np.ones(ways.shape[1])).given(look.shifted)
+        posterior = prior.with_ways(ways, np.ones(ways.shape[1])).given(look.shifted, most=STEPS, strict=False)
         n, chi = ways.shape[1], posterior.chi_square
         place = slice(len(posterior.v) - n, None)
         shift = used @ posterior.v[place]

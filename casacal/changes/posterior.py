@@ -114,11 +114,14 @@ class Prior:
             np.concatenate([self.start, sizes]),
         )
 
-    def given(self, bound: BoundProblem) -> Posterior:
-        """The minimum (Levenberg-Marquardt), linearised there; raises CasacalError where there is none."""
+    def given(self, bound: BoundProblem, *, most: int = 1000, strict: bool = True) -> Posterior:
+        """The minimum (Levenberg-Marquardt, so many steps at most), linearised there.
+
+        Raises CasacalError where none is found; where that is not strict, what was found counts.
+        """
         problem = Mapped(bound, self.at, self.ways, self.mean, self.stds, self.start)
         start = np.where(np.isfinite(self.stds), self.mean, 0.0)
-        found = lm(problem, start=start)
-        if not found.converged:
+        found = lm(problem, start=start, max_steps=most)
+        if strict and not found.converged:
             raise CasacalError(f"The rows were not fitted: {found.message}", "Look for wrong rows with casacal check")
         return Posterior(found.x, found.covariance, problem.expand(found.x), 2 * found.cost)
