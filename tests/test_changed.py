@@ -12,7 +12,19 @@ from scipy.linalg import null_space
 from scipy.stats import binom, chi2, f
 from seals import resealed
 
-from casacal import CasacalError, Change, Problem, bind, calibrate, changed, load_problem, simulate
+from casacal import (
+    CasacalError,
+    Change,
+    Problem,
+    TrackedPoint,
+    bind,
+    calibrate,
+    changed,
+    load_problem,
+    simulate,
+    tool_point,
+)
+from casacal.changes.drift import with_drift
 from casacal.changes.explain import contenders, explanations
 from casacal.changes.look import Look
 from casacal.changes.null import AllTests, row_bases
@@ -90,8 +102,14 @@ def test_whitening_and_likelihood_ratios_against_dense_matrices():
     assert p_cause[0, 0] == pytest.approx(chi2.sf(by_cause[0, 0], 2))
     assert p_row[0, 7] == pytest.approx(min(24 * chi2.sf(by_row[0, 7], 1), 1.0))
     assert p_all[0] == pytest.approx(chi2.sf(whole[0], 21))
-    smallest = min(p_cause.min(), p_row.min(), p_all.min())
-    assert tests.smallest(found.residual[None])[0] == pytest.approx(smallest)
+    for by, least in ((np.zeros(24), 0), (15 * np.eye(24)[7], 1), (20 * columns[:, 0], 0)):
+        one = Whitened.of(residual / 3 + by, spread, own).residual[None]
+        every = [each.min() for each in tests.chances(tests.falls(one))]
+        assert tests.smallest(one)[0] == pytest.approx(min(every), rel=1e-6)
+        assert least == 0 or np.argmin(every) == 1, "single rows decide where one is off"
+        # noise that is half as large as it was taken for
+        double = [each.min() for each in tests.chances(tuple(4 * fall for fall in tests.falls(one)))]
+        assert tests.smallest(one, 0.5)[0] == pytest.approx(min(double), rel=1e-6)
 
 
 def test_noise_that_was_found_gives_f_and_t():
@@ -195,6 +213,30 @@ def test_what_would_have_been_found_is_found_nine_times_of_ten():
         assert 0.88 < power < 0.94  # a little more: others raise the alarm too
     names = [shown.name for shown in changed(given.arm, given.rows, standing=STANDING).joints]
     assert names == [f"joint {k + 1}" for k in range(6)]
+
+
+def test_noise_that_was_found_asks_for_larger_shifts():
+    given = opened(robot("hsr_jr680")[2], touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING)
+    look = Look.at(given.fresh(STANDING), 12.0, 0.01, 0)
+    sure = Look.at(given.fresh(STANDING), np.inf, 0.01, 0)
+    rng, size = np.random.default_rng(4), len(look.tests.whitened.residual)
+    for k in (1, 3):
+        assert look.found_from(k) > 1.1 * sure.found_from(k)
+        drawn = rng.normal(size=(3000, size)) - look.slopes[k][:, 0] * look.found_from(k)
+        noise = np.sqrt(rng.chisquare(12.0, 3000) / 12.0)
+        assert 0.85 < (look.tests.smallest(drawn, noise) < look.level).mean() < 0.96
+
+
+def test_drift_adds_its_variance():
+    fresh = opened(
+        robot("hsr_jr680")[2], touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING
+    ).fresh(STANDING)
+    names = [name for name, known in zip(fresh.bound.names, fresh.known, strict=True) if known]
+    more = with_drift(fresh, {"theta4": 2e-3, "plane.wall": 0.1}).covariance - fresh.covariance
+    wanted = np.zeros(len(names))
+    wanted[names.index("theta4")] = 4e-6
+    wanted[[k for k, name in enumerate(names) if name.startswith("plane.wall.")]] = 0.01
+    np.testing.assert_allclose(more, np.diag(wanted), rtol=1e-6, atol=1e-15)
 
 
 def test_what_cannot_show_is_said():
@@ -302,6 +344,24 @@ def test_drift_that_is_allowed_for_is_no_change():
         changed(arm, rows, drift={"theta4": -1.0})
 
 
+def test_a_tracker_tells_joints_and_its_own_rows_apart():
+    """Three residuals a row: the joint that shifted, the station that stands, one row that is off."""
+    arm = Problem(robot("hsr_jr680")[0].problem.robot, TrackedPoint(noise_std=0.02, tool=tool_point(10, 20, 30)))
+    found = calibrate(arm, simulate(arm, samples=60, seed=4).samples, reference=False)
+    rows = simulate_one(arm, None, 20, Draw(4, session=2)).samples
+    first = dataclasses.replace(rows, joints=rows.joints - np.array([1e-3, 0, 0, 0, 0, 0]))
+    assert changed(found, first).ended == "nothing", "the station hides it"
+    told = changed(found, first, standing=["station"])
+    assert [cause.name for cause in told.causes] == ["joint 1"]
+    assert told.causes[0].shift[0] == pytest.approx(1e-3, rel=0.05)
+    name = next(iter(rows.columns))
+    values = rows.columns[name].copy()
+    values[3] += 2.0
+    told = changed(found, dataclasses.replace(rows, columns={**rows.columns, name: values}))
+    assert told.bad_lines == (rows.lines[3],)
+    assert told.ended == "rows"
+
+
 # ------------------------------------------------------------------------------------------------ causes and touches
 
 
@@ -397,6 +457,17 @@ def test_shares_are_of_the_evidence():
     assert sum(each.share for each in found) == pytest.approx(1.0)
     assert [each.cause.name for each in contenders(found)] == ["joint 4"]
     first = {each.cause.name: each for each in explanations(look, linear=True) if each.cause}
+    residual, spread, own = look.fresh.likelihood()
+    beside = null_space(own.T)
+    inside = beside @ np.linalg.inv(beside.T @ (np.eye(len(spread)) + spread @ spread.T) @ beside) @ beside.T
+    for each in found:
+        if (
+            each.cause is None
+        ):  # a row by itself: it leaves the others, is one of 24, and may be off by 100 times its noise
+            weight = inside[each.row, each.row]
+            left = residual @ inside @ residual - (inside @ residual)[each.row] ** 2 / weight
+            wanted = likelihood(left, look.tests.whitened.freedom, given.noise_freedom)
+            assert each.evidence == pytest.approx(wanted - np.log(1 + 1e4 * weight) / 2 - np.log(24), rel=1e-6)
     for each in found:
         if each.cause is not None and each.cause.kind == "joint":
             assert each.evidence == pytest.approx(first[each.cause.name].evidence, abs=0.3), "shifts are small"

@@ -19,13 +19,14 @@ def told(found: Figures) -> list[str]:
     """Paragraphs, the answer first."""
     return [
         _answer(found),
+        *(_unseen(found) if found.ended == NOTHING else []),
         *_own_verdict(found),
         *_left_out(found),
         *_causes(found),
         *_bad(found),
         _rests_on(found),
         _shown(found),
-        *_unseen(found),
+        *(_unseen(found) if found.ended != NOTHING else []),
         *_next(found),
     ]
 
