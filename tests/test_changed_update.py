@@ -20,6 +20,7 @@ from casacal import (
     calibrate,
     changed,
     load,
+    load_problem,
     read_result,
     simulate,
     tool_point,
@@ -377,3 +378,52 @@ def test_bad_input_is_one_sentence(place, words, said, capsys, monkeypatch):
     assert told.out == ""
     assert told.err.count("\n") == 1
     assert sorted(path.name for path in place.rglob("*")) == before
+
+
+# ------------------------------------------------------------------------------------------------ beside the geometry
+
+
+def test_what_is_corrected_is_updated_too(tmp_path):
+    """A small arm that sags, whose give is corrected: its value and its covariance follow the rows."""
+    source = load_problem(ROOT / "problems" / "ur5")
+    soft = dataclasses.replace(source.cell, compliance=0.3)
+    made = simulate(source.problem, soft, samples=120, seed=1)
+    old = calibrate(source, made.samples, reference=False).arm
+    assert old.document["discrepancy"]["corrected"] == ["give"]
+    rows = simulate(source.problem, soft, samples=60, seed=1).samples
+    found = changed(old, rows, standing=["plane"])
+    assert found.ended == "nothing", found.summary()
+    new = updated(old, rows, standing=["plane"], folder=tmp_path)
+    before, after = (arm.document["discrepancy"] for arm in (old, load(tmp_path).arm))
+    was, now = ({row["name"]: row["value"] for row in part["unknowns"]} for part in (before, after))
+    stds = [
+        dict(zip(part["covariance_of"], np.sqrt(np.diag(np.array(part["covariance"], dtype=float))), strict=True))
+        for part in (before, after)
+    ]
+    give = [row["name"] for row in before["unknowns"] if row["effect"] == "give" and row["value"]]
+    assert give
+    for name in give:
+        assert now[name] != was[name]
+        assert abs(now[name] - was[name]) < 4 * stds[0][name]
+        assert stds[1][name] < stds[0][name]
+    assert set(before["covariance_of"]) == set(after["covariance_of"])
+    held = {row["name"]: row["value"] for row in new.to_dict()["unknowns"]}
+    moved = {row["name"]: row["value"] for row in after["without_corrections"]}
+    alone = {row["name"]: row["value"] for row in before["without_corrections"]}
+    first = {row["name"]: row["value"] for row in old.document["unknowns"]}
+    for name in ("a2", "theta5"):  # what is best without corrections moves as the geometry does
+        assert moved[name] - alone[name] == pytest.approx(held[name] - first[name], abs=1e-12)
+        assert held[name] != first[name]
+    joints = workspace_joints(source.problem.robot)
+    tips = made.true_tips(joints)
+    errors = [
+        tip_rms(without_rigid((load_of(arm).predict(joints, frame="tip").positions - tips).ravel(), tips))
+        for arm in (old, new.arm)
+    ]
+    assert errors[1] < 1.2 * errors[0]
+    later = simulate(source.problem, soft, samples=72, seed=1).samples
+    assert verify(tmp_path, later).kept
+    assert (
+        new.predict(joints, frame="tip", std=True).std.mean()
+        < load_of(old).predict(joints, frame="tip", std=True).std.mean()
+    )
