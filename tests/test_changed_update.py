@@ -320,6 +320,23 @@ def test_the_command_says_it_and_ends_as_it_should(place, capsys):
     assert main(["changed", result, str(place / "other.csv"), "--drift", "theta4=5e-3"]) == 0
 
 
+def test_an_update_that_is_refused_comes_after_what_was_found(place, capsys):
+    source, _, _ = robot("hsr_jr680")
+    wrong = off(touched("hsr_jr680", 24, session=13), 4, 1.0)
+    write_samples(place / "wrong.csv", source.problem.layout(), wrong, [])
+    words = ["changed", str(place / "first"), str(place / "wrong.csv"), "--update", str(place / "never")]
+    assert main(words) == 1
+    told = capsys.readouterr()
+    assert told.out.startswith("Look at line ")
+    assert "is off, so nothing was updated" in told.out
+    assert told.err == ""
+    assert main([*words, "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["written"] == []
+    assert "nothing was updated" in answer["refused"]
+    assert not (place / "never").exists()
+
+
 def test_touches_are_not_written_where_none_are_needed(place, capsys):
     out = place / "touches.csv"
     assert main(["changed", str(place / "first"), str(place / "same.csv"), "--touches", str(out)]) == 0

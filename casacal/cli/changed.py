@@ -87,18 +87,25 @@ def run(options: argparse.Namespace) -> int:
         touches=0 if options.touches is None else TOUCHES,
         seed=options.seed,
     )
-    written = []
+    written, refused = list[str](), ""
     if options.update is not None:
-        after(given, found, look, Path(options.update))
-        written.append((Path(options.update) / "result.json").as_posix())
+        try:
+            after(given, found, look, Path(options.update))
+            written.append((Path(options.update) / "result.json").as_posix())
+        except CasacalError as error:
+            if found.changed is not None:
+                raise
+            refused = str(error)
     if options.touches is not None and found.touches is not None:
         write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
         written.append(Path(options.touches).as_posix())
     if options.json:
-        say_json({**found.to_dict(), "written": written})
+        say_json({**found.to_dict(), "written": written, "refused": refused})
     else:
         for line in found.summary().split("\n"):
             say_paragraph(line)
+        if refused:
+            say_paragraph(refused)
         for place in written:
             say_paragraph(f"Written: {place}")
         if options.touches is not None and found.touches is None:
