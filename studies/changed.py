@@ -16,6 +16,7 @@ from pathlib import Path
 from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
 from casacal.changes.explain import SURE, contenders, explanations
 from casacal.changes.look import Look
+from casacal.changes.memory import with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.simulation.single import simulate_one
 from casacal.simulation.true_arm import Draw
@@ -48,7 +49,7 @@ def looks(source: ProblemFile, arm: CalibratedArm, seed: int, sets: int, stands:
         for session in range(1, sets + 1):
             rows = simulate_one(source.problem, cell, touches, Draw(seed, session=100 * touches + session)).samples
             given = opened(arm, rows, problem=None, instrument=None, standing=standing)
-            yield touches, Look.at(given.fresh(standing), given.noise_freedom, ALARM, session)
+            yield touches, Look.at(with_memory(given.fresh(standing), arm), given.noise_freedom, ALARM, session)
 
 
 def shifted(look: Look, joint: int, shift: float) -> Look:
@@ -144,7 +145,7 @@ def report(run: Run) -> list[str]:
     """False alarms, power, and how often the right joint is named."""
     run.out.mkdir(parents=True, exist_ok=True)
     source = load_problem(reporting.PROBLEMS / "hsr_jr680")
-    arms, sets = (1, 2) if run.quick else (40, 10)
+    arms, sets = (1, 2) if run.quick else (15, 10)
     alarms, found = counted(source, arms, sets)
     picture(found, run.out)
     return [

@@ -27,6 +27,7 @@ from casacal import (
 from casacal.changes.drift import with_drift
 from casacal.changes.explain import contenders, explanations
 from casacal.changes.look import Look
+from casacal.changes.memory import with_memory
 from casacal.changes.null import AllTests, row_bases
 from casacal.changes.whitened import Whitened, chances, likelihood, occam, seen_basis
 from casacal.errors import SamplesError, UnknownNameError
@@ -237,6 +238,31 @@ def test_drift_adds_its_variance():
     wanted[names.index("theta4")] = 4e-6
     wanted[[k for k, name in enumerate(names) if name.startswith("plane.wall.")]] = 0.01
     np.testing.assert_allclose(more, np.diag(wanted), rtol=1e-6, atol=1e-15)
+
+
+def test_effects_that_go_with_the_arm_are_as_the_fit_left_them():
+    """Gears and give with their covariance with the geometry; warmth begins anew."""
+    source, cell, _ = robot("hsr_jr680")
+    fit = calibrate(source.problem, simulate(source.problem, cell, samples=120, seed=3).samples, reference=False)
+    given = opened(fit.arm, touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING)
+    fresh = given.fresh(STANDING)
+    found = with_memory(fresh, given.arm)
+    columns = np.flatnonzero(found.known)
+    kinds = [fresh.bound.beside[j] for j in columns]
+    kept = [k for k, kind in enumerate(kinds) if kind in ("", "wave1", "wave2", "give", "play")]
+    places = [fit.fit.names.index(fresh.bound.names[columns[k]]) for k in kept]
+    np.testing.assert_allclose(found.at[columns[kept]], fit.result.x[places], atol=1e-12)
+    np.testing.assert_allclose(
+        found.covariance[np.ix_(kept, kept)], fit.result.covariance[np.ix_(places, places)], rtol=1e-9, atol=1e-18
+    )
+    anew = [k for k, kind in enumerate(kinds) if kind in ("growth", "form", "drift")]
+    assert anew
+    assert not found.at[columns[anew]].any()
+    np.testing.assert_array_equal(found.covariance[np.ix_(anew, anew)], fresh.covariance[np.ix_(anew, anew)])
+    assert "growth" in kinds
+    plain = calibrate(source.problem, fit.samples, reference=False, discrepancy="none").arm
+    there = opened(plain, given.rows, problem=None, instrument=None, standing=()).fresh(())
+    assert with_memory(there, plain) is there
 
 
 def test_what_cannot_show_is_said():

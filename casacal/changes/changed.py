@@ -16,6 +16,7 @@ from casacal.changes.drift import with_drift
 from casacal.changes.explain import SURE, Explanation, contenders, explanations
 from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown
 from casacal.changes.look import Look
+from casacal.changes.memory import with_memory
 from casacal.changes.tell import telling
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
@@ -111,8 +112,7 @@ def examined(
     given: Opened, standing: tuple[str, ...], drift: Mapping[str, float], alarm: float, touches: int, seed: int
 ) -> tuple[Change, Look]:
     """The same of rows that were opened, and the last look: without rows that are off."""
-    fresh = given.fresh(standing)
-    fresh = with_drift(fresh, drift)
+    fresh = with_drift(with_memory(given.fresh(standing), given.arm), drift)
     first = Look.at(fresh, given.noise_freedom, alarm, seed)
     look, best, places = _without_bad(first, len(given.rows), alarm, seed)
     bad = sorted(set(range(len(given.rows))) - set(places.tolist()))

@@ -127,7 +127,8 @@ def _of_joint(fresh: Fresh, look: Look, cause: CauseFound) -> Array:
     arm = np.zeros(look.shifted.unknowns, dtype=bool)
     for slot in before.slots:
         arm[slot.columns] = slot.key in keys
-    direction = joint_direction(look.shifted, look.x, int(shift_columns(look.shifted, JOINTS)[place]), arm)
+    bare = np.where(np.array(look.shifted.beside, dtype=bool), 0.0, look.x)  # gears that err are no part of an offset
+    direction = joint_direction(look.shifted, bare, int(shift_columns(look.shifted, JOINTS)[place]), arm)
     if direction is None:
         raise CasacalError(
             f"The zero of {cause.name} changed, and no free unknown of this problem does what it does",
