@@ -8,10 +8,11 @@ same rows: their residuals are those of the shifted arm to first order, which is
 """
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+
+from scipy.stats import beta
 
 from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
 from casacal.changes.explain import SURE, contenders, explanations
@@ -97,14 +98,15 @@ def part(found: Mapping[FOUND, int], faces: str, said: str, shift: float, touche
 
 
 def alarm_table(alarms: Mapping[tuple[str, int, str], int]) -> list[str]:
-    """False alarms with their 95 % intervals."""
+    """False alarms with their 95 % intervals (Clopper and Pearson 1934)."""
     rows = []
     for faces in ("fitted anew", "standing"):
         for touches in ANEW:
             sets, count = alarms[faces, touches, "sets"], alarms[faces, touches, "alarms"]
-            rate = count / sets
-            half = 1.96 * math.sqrt(max(rate * (1 - rate), 0.0099) / sets)
-            rows.append((faces, touches, sets, count, f"{100 * rate:.1f} +- {100 * half:.1f}"))
+            low = float(beta.ppf(0.025, count, sets - count + 1)) if count else 0.0
+            high = float(beta.ppf(0.975, count + 1, sets - count)) if count < sets else 1.0
+            said = f"{100 * count / sets:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+            rows.append((faces, touches, sets, count, said))
     return reporting.table(("faces", "touches", "sets", "alarms", "rate, %"), rows)
 
 
