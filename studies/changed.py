@@ -12,8 +12,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from scipy.stats import beta
-
 from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
 from casacal.changes.explain import SURE, contenders, explanations
 from casacal.changes.look import Look
@@ -21,6 +19,7 @@ from casacal.changes.memory import with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.simulation.single import simulate_one
 from casacal.simulation.true_arm import Draw
+from casacal.study.statistics import success_rate
 from casacal.verification.opened import opened
 from studies import reporting
 from studies.reporting import script
@@ -103,9 +102,8 @@ def alarm_table(alarms: Mapping[tuple[str, int, str], int]) -> list[str]:
     for faces in ("fitted anew", "standing"):
         for touches in ANEW:
             sets, count = alarms[faces, touches, "sets"], alarms[faces, touches, "alarms"]
-            low = float(beta.ppf(0.025, count, sets - count + 1)) if count else 0.0
-            high = float(beta.ppf(0.975, count + 1, sets - count)) if count < sets else 1.0
-            said = f"{100 * count / sets:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+            rate = success_rate(count, sets)
+            said = f"{100 * rate.value:.1f} ({100 * rate.low:.1f} to {100 * rate.high:.1f})"
             rows.append((faces, touches, sets, count, said))
     return reporting.table(("faces", "touches", "sets", "alarms", "rate, %"), rows)
 
