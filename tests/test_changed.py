@@ -160,11 +160,11 @@ def test_the_level_is_the_same_for_the_same_seed_and_lower_than_the_rate():
 @pytest.mark.parametrize(("name", "stands"), [("hsr_jr680", False), ("ur5", True), ("adept_cobra600", True)])
 def test_an_arm_that_did_not_change_is_not_called_changed(name, stands):
     standing, arm, alarms = STOOD.get(name, ("plane",)) if stands else (), robot(name)[2], 0
-    for session in range(1, 13):
+    for session in range(1, 7):
         found = changed(arm, touched(name, 24, session=session), standing=standing)
         alarms += found.changed is not False
         assert found.ended == "nothing" or found.causes or found.bad_lines
-    assert alarms <= binom.ppf(0.999, 12, 0.01)
+    assert alarms <= binom.ppf(0.999, 6, 0.01)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,6 @@ def test_an_arm_that_did_not_change_is_not_called_changed(name, stands):
         ("hsr_jr680", 2, 1e-3),
         ("hsr_jr680", 4, 20e-3),
         ("ur5", 1, 2e-3),
-        ("kuka_iiwa14", 3, 3e-3),
         ("adept_cobra600", 1, 3e-3),
     ],
 )
@@ -341,7 +340,11 @@ def test_a_base_that_moved_is_named_against_what_stands():
     )
     rows = simulate_one(source.problem, dataclasses.replace(cell, faces=faces), 60, Draw(3, session=6)).samples
     found = changed(arm, rows, standing=STANDING)
-    assert found.causes[0].kind == "base", found.summary()
+    cause = found.causes[0]
+    assert cause.kind == "base", found.summary()
+    moved = np.array([-0.5, 0.4, -0.3, -4e-4, -3e-4, -6e-4])
+    assert (np.abs(cause.shift - moved) < 4 * cause.std + 0.02 * np.abs(moved)).all()
+    assert (np.abs(cause.shift / cause.std)[:3] > 3).any()
     assert changed(arm, rows).ended == "nothing"
 
 

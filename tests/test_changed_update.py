@@ -235,10 +235,10 @@ def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600"])
+@pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "adept_cobra600"])
 def test_a_joint_shifts_along_its_own_offset(name):
     """In a DH table: theta of a joint that turns, d of one that slides, by the joint's sign."""
-    source, cell, _ = robot(name) if name != "kuka_iiwa14" else (*robot_alone(name), None)
+    source, cell, _ = robot(name)
     rows = simulate(source.problem, cell, samples=40, seed=1).samples
     bound = with_shifts(bind(source.problem, rows))
     keys = source.problem.robot.parameters
@@ -271,14 +271,6 @@ def test_a_joint_that_counts_backwards_or_moves_another_shifts_them():
         way = joint_direction(bound, bound.x0, int(column), of_arm)
         found = {bound.names[j]: way[j] for j in np.flatnonzero(np.abs(way) > 1e-6)}
         assert found == pytest.approx({f"theta{i}": size for i, size in offsets.items()}, rel=1e-6)
-
-
-def robot_alone(name):
-    from casacal import load_problem
-    from casacal.simulation.places import default_cell
-
-    source = load_problem(ROOT / "problems" / name)
-    return source, source.cell or default_cell(source.problem)
 
 
 # ------------------------------------------------------------------------------------------------ the command
