@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from casacal.calibration.calibration import Calibration as Calibration
     from casacal.calibration.saved import SavedCalibration as SavedCalibration
     from casacal.calibration.saved import load as load
+    from casacal.changes.change import Change as Change
+    from casacal.changes.changed import changed as changed
+    from casacal.changes.update import updated as updated
     from casacal.checks import Finding as Finding
     from casacal.checks import check as check
     from casacal.compensation.arm import CalibratedArm as CalibratedArm
@@ -125,6 +128,9 @@ _HOMES = {
     "casacal.calibration.calibrate": ("calibrate",),
     "casacal.calibration.calibration": ("Calibration",),
     "casacal.measuring.session": ("Session",),
+    "casacal.changes.change": ("Change",),
+    "casacal.changes.changed": ("changed",),
+    "casacal.changes.update": ("updated",),
     "casacal.planning.plan": ("Plan", "plan"),
     "casacal.planning.route": ("Route", "read_route"),
     "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),

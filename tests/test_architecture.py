@@ -41,6 +41,7 @@ ORDER = [
     "calibration",
     "fieldwork",
     "verification",
+    "changes",
     "study",
     "bench",
     "cli",

@@ -43,7 +43,7 @@ def bash(tmp_path, capsys):
 
 def test_bash_offers_commands(bash):
     assert bash("casacal", "") == set(COMMANDS)
-    assert bash("casacal", "c") == {"calibrate", "check", "compensate", "completion"}
+    assert bash("casacal", "c") == {"calibrate", "changed", "check", "compensate", "completion"}
     assert bash("casacal", "--") == {"--help", "--version"}
 
 

@@ -43,10 +43,10 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
 
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
-        problem = problem.with_settings(_numbers("--set", options.set, "NAME=NUMBER", "sign=-1 or noise_std=0.02"))
+        problem = problem.with_settings(numbers_of("--set", options.set, "NAME=NUMBER", "sign=-1 or noise_std=0.02"))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
     problem = problem.free(*free)
-    problem = problem.with_prior(_numbers("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
+    problem = problem.with_prior(numbers_of("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
     problem = problem.fix(*fix)
     left = problem.free_names() if fix else free
     for name in free:
@@ -68,14 +68,15 @@ def names_of(option: str, groups: Sequence[str]) -> list[str]:
 
 def stds_of(option: str, settings: Sequence[str]) -> dict[str, float]:
     """Standard deviations by name, as they stand after an option; raises CasacalError for what is none."""
-    found = _numbers(option, settings, "NAME=STD", "mm or rad, such as theta4=0.01")
+    found = numbers_of(option, settings, "NAME=STD", "mm or rad, such as theta4=0.01")
     for name, std in found.items():
         if not 0 < std < math.inf:
             raise CasacalError(f"{option} {name}={std:g} is no standard deviation", "Give a positive number")
     return found
 
 
-def _numbers(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
+def numbers_of(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
+    """Numbers by name that stand after an option; raises CasacalError for what is none."""
     found = {}
     for setting in settings:
         name, equals, number = setting.partition("=")

@@ -12,6 +12,7 @@ from typing import NoReturn
 from casacal.cli import (
     bench,
     calibrate,
+    changed,
     check,
     compensate,
     completion,
@@ -40,6 +41,7 @@ COMMANDS = {
     "doctor": doctor,
     "predict": predict,
     "verify": verify,
+    "changed": changed,
     "compensate": compensate,
     "study": study,
     "bench": bench,

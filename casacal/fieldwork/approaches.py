@@ -93,7 +93,7 @@ def approaches(
     via = np.full_like(above, np.nan)
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
-        for k in np.flatnonzero(~clear):
+        for k in np.flatnonzero(~clear).tolist():
             found = _through(looked, places, above[k - 1], above[k])
             if found is not None:
                 via[k], clear[k] = found, True

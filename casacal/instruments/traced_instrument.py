@@ -116,18 +116,22 @@ class TracedInstrument(Instrument):
 
     def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
         """The tip that was traced (3, mm)."""
-        return self._called(pose, p, row)[1]
+        return self._called(pose, p, row, whole=False)[1]
 
     def plunger_direction(self, pose: Expression, p: Any) -> Expression | None:
         """The plunger's direction that was traced (3), or None."""
-        return None if self.graph.numel_out(2) == 0 else self._called(pose, p, None)[2]
+        return None if self.graph.numel_out(2) == 0 else self._called(pose, p, None, whole=False)[2]
 
     def propose(self, key: str, sight: Sight) -> Array:
         """A plane through the tips; for anything else the instrument itself would have to be asked."""
         return touched_plane(sight) if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
 
-    def _called(self, pose: Expression, p: Any, row: Any) -> list[Expression]:
-        packed = [unknown.packed(getattr(p, key)) for key, unknown in self.values.items()]
+    def _called(self, pose: Expression, p: Any, row: Any, *, whole: bool = True) -> list[Expression]:
+        """All outputs; of a tip or a plunger alone, unknowns that nobody gives, such as a face, play no part."""
+        packed = [
+            unknown.packed(getattr(p, key)) if whole or hasattr(p, key) else ca.DM.zeros(*self.graph.size_in(i))
+            for i, (key, unknown) in enumerate(self.values.items(), 1)
+        ]
         names = (*self.columns, *self.known_columns)
         known = [getattr(row, name, 0.0) for name in names]  # a tip is asked for without a row, at reading zero
         found: list[Expression] = self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known])

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 from casacal.files import write_text
 from casacal.planning.plan import Plan
 from casacal.planning.route import EXPECTED
 from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
 from casacal.samples.write import WRITTEN
 
 PLANNED_DECIMALS = 4
@@ -22,11 +24,15 @@ def plan_text(plan: Plan, layout: Layout, name: str) -> str:
     layout: of the problem's samples. name: of the problem. Readings have other names than in samples, so that a plan
     cannot be taken for a measurement.
     """
-    samples = plan.samples
+    return postures_text(plan.samples, plan.purposes, layout, _notes(plan, name))
+
+
+def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
+    """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
     joints = enumerate(zip(layout.joints, samples.joints.T, strict=True), 1)
     quantities = [(f"q{i}", kind, values) for i, (kind, values) in joints]
     quantities += [(EXPECTED + column, kind, samples.columns[column]) for column, kind in layout.columns.items()]
-    header, columns = ["touch", "purpose"], [[str(k) for k in range(1, len(plan) + 1)], list(plan.purposes)]
+    header, columns = ["touch", "purpose"], [[str(k) for k in range(1, len(purposes) + 1)], list(purposes)]
     for what, kind, values in quantities:
         ending, factor, decimals = WRITTEN[kind]
         decimals = decimals if what.startswith(EXPECTED) else PLANNED_DECIMALS
@@ -35,7 +41,7 @@ def plan_text(plan: Plan, layout: Layout, name: str) -> str:
     header += list(samples.labels)
     columns += [list(labels) for labels in samples.labels.values()]
     text = io.StringIO()
-    text.writelines(f"# {line}\n" for line in _notes(plan, name))
+    text.writelines(f"# {line}\n" for line in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(zip(*columns, strict=True))

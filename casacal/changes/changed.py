@@ -1,0 +1,199 @@
+"""Has the arm changed since it was calibrated? Fresh rows, the earlier posterior, and what explains them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.calibration.as_arm import AsArm
+from casacal.changes.change import Change
+from casacal.changes.drift import with_drift
+from casacal.changes.explain import SURE, Explanation, contenders, explanations
+from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown
+from casacal.changes.look import Look
+from casacal.changes.memory import with_memory
+from casacal.changes.tell import telling
+from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError, SamplesError, came
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.samples import Samples
+from casacal.values import is_real
+from casacal.verification.opened import Opened, opened
+
+MOST = 1500
+"""Rows that are looked at: each is compared with every cause as one that is off."""
+
+FEWEST = 3
+"""Rows that may be off, of few; of many one in twenty."""
+
+UNEXPLAINED = 0.01
+"""Chance of what a cause leaves below which it is not the whole of it."""
+
+
+def changed(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
+    standing: Collection[str] = (),
+    drift: Mapping[str, float] | None = None,
+    alarm: float = 0.01,
+    touches: int = 0,
+    seed: int = 0,
+) -> Change:
+    """Look whether an arm has changed since it was calibrated, what, and by how much.
+
+    The residuals of fresh rows are compared with what the calibration promises, as in `verify`. Beside it each joint's
+    zero, the tool, the base and whatever was said to stand may have changed: generalised likelihood ratios, the
+    smallest chance of which is judged so that an arm that has not changed is called changed at the rate that was asked
+    for. A row that is off explains a misfit as well, and is named in place of the arm where it does so better.
+
+    Args:
+        result: a calibration, what `load` or `read_result` returns, or the path of a result.json or its folder.
+        samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
+        problem, instrument, standing: as for `verify`. Where the base stands shows only against what stands.
+        drift: standard deviations (mm, rad) by which unknowns may have drifted since, by name or key.
+        alarm: rate of false alarms, 0.001 to 0.5.
+        touches: how many touches to propose where causes cannot be told apart; none by default.
+        seed: of everything that is drawn.
+
+    Returns:
+        What was found; shifts in rad and mm.
+
+    Raises CasacalError, UnknownNameError and SamplesError as `verify` does, and for numbers that mean nothing.
+
+    """
+    return changed_by(
+        result,
+        samples,
+        problem=problem,
+        instrument=instrument,
+        standing=standing,
+        drift=drift,
+        alarm=alarm,
+        touches=touches,
+        seed=seed,
+    )[1]
+
+
+def changed_by(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
+    standing: Collection[str] = (),
+    drift: Mapping[str, float] | None = None,
+    alarm: float = 0.01,
+    touches: int = 0,
+    seed: int = 0,
+) -> tuple[Opened, Change, Look]:
+    """The same with what an update needs: rows and result as they were opened, and the last look at them."""
+    if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
+        raise CasacalError(f"{came(alarm)} of {alarm!r} came as the rate of false alarms", "Give 0.001 to 0.5")
+    for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
+        if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
+            raise CasacalError(f"{came(value)} came as the {what}", f"Give a whole number from 0 to {most}")
+    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    if len(given.rows) > MOST:
+        fix = f"Give up to {MOST:,} of them"
+        raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
+    return given, *examined(given, tuple(standing), dict(drift or {}), float(alarm), int(touches), int(seed))
+
+
+def examined(
+    given: Opened, standing: tuple[str, ...], drift: Mapping[str, float], alarm: float, touches: int, seed: int
+) -> tuple[Change, Look]:
+    """The same of rows that were opened, and the last look: without rows that are off."""
+    fresh = with_drift(with_memory(given.fresh(standing), given.arm), drift)
+    first = Look.at(fresh, given.noise_freedom, alarm, seed)
+    look, best, places = _without_bad(first, len(given.rows), alarm, seed)
+    bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
+    ended = _ended(look, best, bad)
+    proposed, tells = telling(given.source.problem, look, best, touches, seed) if ended == UNDECIDED else (None, 0.0)
+    rows, document = given.rows, given.arm.document
+    verdict = document.get("verdict") or {}
+    change = Change(
+        robot=given.source.problem.robot.name,
+        result=given.arm.file,
+        verdict=(str(verdict.get("level", "")), str(verdict.get("words", ""))),
+        samples=rows.file,
+        sha256=rows.sha256,
+        rows=len(rows),
+        own=fresh.own_names,
+        standing=standing,
+        drift=tuple(sorted(drift.items())),
+        alarm=alarm,
+        p=first.smallest,
+        level=first.level,
+        chi_square=first.tests.whitened.chi_square,
+        freedom=first.tests.whitened.freedom,
+        p_all=first.overall,
+        ended=ended,
+        causes=tuple(_cause(each, rows, places) for each in best),
+        bad_lines=tuple(int(rows.lines[k]) for k in bad),
+        joints=tuple(
+            Shown(cause.name, cause.units[0], look.found_from(k))
+            for k, cause in enumerate(look.causes)
+            if cause.kind == "joint"
+        ),
+        unseen=tuple(cause.name for k, cause in enumerate(look.causes) if not _shows(look, k)),
+        touches=proposed,
+        tells=tells,
+        copied_lines=given.copied,
+        fitted_lines=given.fitted,
+    )
+    return change, look
+
+
+def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look, list[Explanation], NDArray[np.intp]]:
+    """The last look, what explains it, and the numbers of the rows that remain: single ones that are off go first."""
+    places, most = np.arange(count), max(FEWEST, count // 20)
+    while look.alarm:
+        best = contenders(explanations(look))
+        if len(best) != 1 or best[0].cause is not None or count - len(places) == most:
+            return look, best, places
+        look = look.without(np.array([best[0].row]), alarm, seed)
+        places = np.delete(places, best[0].row)
+    return look, [], places
+
+
+def _shows(look: Look, k: int) -> bool:
+    return math.isfinite(look.found_from(k)) if look.causes[k].kind == "joint" else look.seen(k)
+
+
+def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
+    """How it ended: one cause must be surer than all others together, and leave nothing that is hardly chance."""
+    if not look.alarm:
+        return ROWS if bad else NOTHING
+    only = best[0] if len(best) == 1 else None
+    if only is None or only.cause is None or only.share < SURE or only.left < UNEXPLAINED:
+        return UNDECIDED
+    return CHANGED
+
+
+def _cause(found: Explanation, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
+    cause = found.cause
+    if cause is None:
+        line = int(rows.lines[int(places[found.row])])
+        none = np.zeros(0)
+        return CauseFound(f"line {line}", "row", line, (), (), none, none, found.p, found.share, found.left)
+    return CauseFound(
+        cause.name,
+        cause.kind,
+        0,
+        cause.labels,
+        cause.units,
+        found.shift,
+        found.std,
+        found.p,
+        found.share,
+        found.left,
+    )

@@ -1,0 +1,220 @@
+"""result.json of an update: what the old one said, with everything that fresh rows tell put in its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.calibration.provenance import seen_from
+from casacal.calibration.result_parts import geometry, parameter_rows
+from casacal.changes.change import Change
+from casacal.changes.figures import CHANGED
+from casacal.changes.state import State
+from casacal.changes.words import amount, name_of
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.predict import predict
+from casacal.compensation.seal import sealed
+from casacal.errors import counted
+from casacal.files import jsonable
+from casacal.samples.copies import listing
+from casacal.samples.samples import Samples
+from casacal.uncertainty.workspace import workspace_joints
+from casacal.verification.fresh import Fresh
+
+KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")
+"""What an update leaves as it was."""
+
+GAIN = 0.9
+"""As in the verdict of a calibration: expected tip error over the one of the priors, above which little was gained."""
+
+
+def updated_document(
+    arm: CalibratedArm, fresh: Fresh, state: State, found: Change, folder: Path | None
+) -> dict[str, Any]:
+    """The whole of it, sealed; paths are relative to the folder that it will stand in, if any."""
+    old, bound, n = arm.document, fresh.bound, fresh.bound.unknowns
+    stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
+    of_arm = np.flatnonzero([not key for key in bound.beside])
+    effects = {row["name"] for row in (old.get("discrepancy") or {}).get("unknowns", ())}
+    places = [i for i, name in enumerate(state.others) if name not in effects]
+    rows = np.concatenate([of_arm, n + np.array(places, dtype=np.intp)])
+    names = [bound.names[j] for j in of_arm] + [state.others[i] for i in places]
+    parts = _geometry(old, geometry(bound, state.x), state, places)
+    document = {
+        **{key: old[key] for key in KEPT if key in old},
+        "problem": _problem(arm, folder),
+        "method": "update",
+        "status": "Converged: old posterior and fresh rows.",
+        "converged": True,
+        "data": _data(old, fresh, found, arm, folder),
+        "cost": state.chi_square / 2,
+        "parameters": parameter_rows(bound, state.x, stds[:n]),
+        **parts,
+        "metrics": None,
+        "discrepancy": _discrepancy(old, fresh, state),
+        "identifiability": None,
+        "cures": [],
+        "correlations": [],
+        "covariance_of": names,
+        "covariance": state.covariance[np.ix_(rows, rows)],
+        "warnings": [],
+        "reference": None,
+        "updated_from": _provenance(arm, found, folder),
+    }
+    document["tip"] = _tip(CalibratedArm(arm.file, arm.source, jsonable(document)), old)
+    document["verdict"] = _verdict(old, document["tip"], found)
+    return sealed(jsonable(document))
+
+
+def _geometry(old: Mapping[str, Any], new: dict[str, Any], state: State, places: list[int]) -> dict[str, Any]:
+    """Where everything stands: rows first, then what they did not see and the result knows."""
+    before = {row["name"]: row for row in old.get("unknowns", ())}
+    rows = [
+        {**before[state.others[i]], "value": float(before[state.others[i]]["value"]) + float(state.moved[i])}
+        for i in places
+        if state.others[i] in before
+    ]
+    seen = {row["name"].rsplit(".", 1)[0] for row in rows}
+    kept = {key: value for key, value in (old.get("proposed") or {}).items() if key in seen}
+    found = {**new, "unknowns": [*new["unknowns"], *rows], "proposed": {**kept, **new["proposed"]}}
+    for kind in ("planes", "directions", "frames"):
+        known = old.get(kind) or {}
+        labels = {name.split(".", 1)[-1] for name in seen}
+        found[kind] = {**{key: value for key, value in known.items() if key in labels}, **new[kind]}
+    return found
+
+
+def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
+    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known."""
+    said = old.get("discrepancy")
+    if not said:
+        return said
+    bound, n = fresh.bound, fresh.bound.unknowns
+    corrected = set(said.get("corrected", ()))
+    inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}
+    at = {**inside, **{name: n + i for i, name in enumerate(state.others)}}
+    moves = dict(zip(state.others, state.moved.tolist(), strict=True))
+    moves |= {name: float(state.x[j] - fresh.at[j]) for name, j in inside.items() if fresh.known[j]}
+    unknowns = [{**row, "value": float(row["value"]) + moves.get(row["name"], 0.0)} for row in said["unknowns"]]
+    alone = [
+        {**row, "value": float(row["value"]) + moves.get(row["name"], 0.0)}
+        for row in said.get("without_corrections", ())
+        if row["name"] in at
+    ]
+    part = {**said, "unknowns": unknowns, **({"without_corrections": alone} if "without_corrections" in said else {})}
+    if "covariance" in said:
+        off = dict(zip(said["covariance_of"], said["off"], strict=True))
+        uncorrected = {row["name"] for row in said["unknowns"] if row["effect"] not in corrected}
+        names = [name for name in at if not (name in inside and bound.beside[inside[name]] and name not in off)]
+        rows = [at[name] for name in names]
+        part["covariance_of"] = names
+        part["off"] = [
+            float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in uncorrected else 0.0) for name in names
+        ]
+        part["covariance"] = state.covariance[np.ix_(rows, rows)]
+    return part
+
+
+def _tip(arm: CalibratedArm, old: Mapping[str, Any]) -> dict[str, Any]:
+    """Tip error to expect over the workspace, mm RMS, apart from where the base stands."""
+    joints = Samples.of_joints(workspace_joints(arm.source.problem.robot))
+    before = old.get("tip") or {}
+    errors = {}
+    for frame, key in (("tip", "expected_rms_mm"), ("flange", "flange_expected_rms_mm")):
+        known = before.get(key) is not None
+        spread = predict(arm, joints, frame=frame, std=True).std if known or frame == "tip" else None  # type: ignore[arg-type]
+        errors[key] = None if spread is None else _rms(spread)
+    return {**before, **errors, "without_prior_rms_mm": None, "unseen": None}
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float((values**2).mean()))
+
+
+def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> dict[str, Any]:
+    """The old verdict governs; a change that was estimated from few rows is to be verified first."""
+    before, reasons = old["verdict"], list(old["verdict"].get("reasons") or ())
+    earlier = (old.get("tip") or {}).get("expected_rms_mm")
+    was = f" (before these rows: {earlier:.3f} mm)" if earlier is not None else ""
+    expected = (
+        f"expect a tip error of {tip['expected_rms_mm']:.3f} mm RMS over the workspace, apart from where the base "
+        f"stands{was}, if the noise and the earlier result are right"
+    )
+    doubts = []
+    if found.ended == CHANGED:
+        (cause,) = found.causes
+        doubts.append(f"{name_of(cause)} changed, by {amount(cause)}, and no fresh rows have verified it since")
+    if before["level"] != "calibrated":
+        doubts.append("the earlier result was to be used with care")
+    prior = tip.get("prior_rms_mm")
+    if prior is not None and tip["expected_rms_mm"] > GAIN * prior:
+        doubts.append("little was gained")
+    if not doubts:
+        return {"level": "calibrated", "words": f"Calibrated: {expected}.", "reasons": []}
+    sentences = [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in doubts]
+    words = f"Use with care: {expected}; but {' and '.join(doubts[:2])}."
+    return {"level": "use with care", "words": words, "reasons": [*sentences, *reasons]}
+
+
+def _problem(arm: CalibratedArm, folder: Path | None) -> dict[str, Any]:
+    """The problem and its files, as the new folder names them."""
+    said, place = dict(arm.document["problem"]), Path(arm.file).parent
+    files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in said.get("files", ())]
+    return {**said, "path": _elsewhere(said["path"], place, folder), "files": files}
+
+
+def _elsewhere(path: str, place: Path, folder: Path | None) -> str:
+    """A path that stood relative to one folder, relative to another; itself where there is no such file."""
+    there = place / path if path else Path()
+    return seen_from(folder, there.as_posix()) if path and there.exists() else path
+
+
+def _data(
+    old: Mapping[str, Any], fresh: Fresh, found: Change, arm: CalibratedArm, folder: Path | None
+) -> dict[str, Any]:
+    """Which rows: the fresh ones, and those that were fitted before, so that neither counts as fresh again."""
+    samples, before = fresh.bound.block.samples, dict(old.get("data") or {})
+    listed, earlier = listing(samples, fresh.bound.problem.layout()), before.pop("fitted_rows", None)
+    if earlier is not None and earlier["columns"] == listed["columns"]:
+        rows = earlier["rows"] + listed["rows"]
+        listed = {**listed, "rows": rows, "values": [*earlier["values"], *listed["values"]]}
+    if isinstance(before.get("file"), str):
+        before["file"] = _elsewhere(before["file"], Path(arm.file).parent, folder)
+    return {
+        "file": seen_from(folder, samples.file),
+        "sha256": samples.sha256,
+        "samples": len(samples),
+        "heldout": 0,
+        "heldout_by": "rows",
+        "fitted": len(samples),
+        "fitted_rows": listed,
+        "set_aside": 0,
+        "copies": len(found.copied_lines),
+        "earlier": before,
+    }
+
+
+def _provenance(arm: CalibratedArm, found: Change, folder: Path | None) -> dict[str, Any]:
+    """Which result it was made from, and what was found to have changed."""
+    old = arm.document
+    causes = [
+        {"name": c.name, "kind": c.kind, "labels": c.labels, "units": c.units, "shift": c.shift, "std": c.std}
+        for c in found.causes
+    ]
+    return {
+        "result": seen_from(folder, arm.file),
+        "sha256": (old.get("seal") or {}).get("sha256"),
+        "verdict": old["verdict"],
+        "rows": counted(found.rows, "row"),
+        "standing": found.standing,
+        "drift": dict(found.drift),
+        "alarm": found.alarm,
+        "p": found.p,
+        "changed": causes,
+        "earlier": old.get("updated_from"),
+    }

@@ -1,0 +1,154 @@
+"""A new result from an old one and fresh rows: the old posterior is the prior, and what changed is free."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.calibration.as_arm import AsArm
+from casacal.calibration.saved import SavedCalibration
+from casacal.changes.change import Change
+from casacal.changes.changed import changed_by
+from casacal.changes.directions import joint_direction
+from casacal.changes.document import updated_document
+from casacal.changes.drift import with_drift
+from casacal.changes.figures import ROWS, UNDECIDED, CauseFound
+from casacal.changes.look import Look
+from casacal.changes.shifts import JOINTS, shift_columns
+from casacal.changes.state import updated_state
+from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError
+from casacal.file_sets import together
+from casacal.files import write_json
+from casacal.samples.samples import Samples
+from casacal.verification.fresh import Fresh
+from casacal.verification.opened import Opened
+
+FILE = "result.json"
+
+
+def updated(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    standing: Collection[str] = (),
+    drift: Mapping[str, float] | None = None,
+    alarm: float = 0.01,
+    seed: int = 0,
+    folder: str | Path | None = None,
+) -> SavedCalibration:
+    """The arm after a change, or known better where nothing changed: old posterior and new rows.
+
+    All unknowns are estimated anew with the old posterior, its whole covariance, as the prior, plus drift; a joint that
+    changed has no prior on its zero, a face that moved is fitted anew.
+
+    Args:
+        result, samples, standing, drift, alarm, seed: as for `changed`, which is asked first.
+        folder: where result.json is written; nowhere by default.
+
+    Returns:
+        The arm, which predicts, compensates, is exported, verified and asked again.
+
+    Raises CasacalError as `changed` does, where it cannot be told what changed, where rows are off, and where the
+    problem has no unknown for what changed.
+
+    """
+    given, found, look = changed_by(result, samples, standing=standing, drift=drift, alarm=alarm, seed=seed)
+    return after(given, found, look, None if folder is None else Path(folder))
+
+
+def after(given: Opened, found: Change, look: Look, folder: Path | None) -> SavedCalibration:
+    """The same where it has been looked already; written into a folder where one is named."""
+    _refuse(given, found)
+    standing, dropped = _still(look, found)
+    fresh = with_drift(given.fresh(standing), dict(found.drift))
+    state = updated_state(given.arm, fresh, _free(fresh, look, found), dropped)
+    document = updated_document(given.arm, fresh, state, found, folder)
+    if folder is not None:
+        with together(folder, [FILE]) as place:
+            write_json(place / FILE, document)
+    file = str(folder / FILE) if folder is not None else "this update"
+    return SavedCalibration(CalibratedArm(file, given.arm.source, document))
+
+
+def _refuse(given: Opened, found: Change) -> None:
+    """Raise CasacalError for what cannot be updated."""
+    document = given.arm.document
+    if document.get("method") == "truth":
+        raise CasacalError(
+            f"{given.arm.file}: a true arm is not estimated, so nothing updates it", "Give a calibration"
+        )
+    if given.other or (document.get("data") or {}).get("instruments"):
+        raise CasacalError(
+            f"{given.arm.file}: a result is updated by rows of its own, only instrument",
+            "Calibrate again with all rows",
+        )
+    if found.ended == ROWS or found.bad_lines:
+        lines = ", ".join(map(str, found.bad_lines))
+        raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
+    if found.ended == UNDECIDED:
+        raise CasacalError(
+            f"{found.samples}: what changed cannot be told from these rows, so nothing was updated",
+            "Take touches that tell (--touches FILE), or calibrate again",
+        )
+
+
+def _still(look: Look, found: Change) -> tuple[list[str], Any]:
+    """What still stands where it was calibrated, and whether a name is of what does not."""
+    there = [cause.name for cause in look.causes if cause.kind == "place"]
+    moved = {cause.kind: cause.name for cause in found.causes}
+    if "base" in moved:
+        gone = {slot.name for slot in look.fresh.bound.slots if slot.datum}
+        keys = {slot.key for slot in look.fresh.bound.slots if slot.datum}
+        return [], lambda name: any(name == each or name.startswith(f"{each}.") for each in gone | keys)
+    return [name for name in there if name != moved.get("place")], lambda _: False
+
+
+def _free(fresh: Fresh, look: Look, found: Change) -> list[Array]:
+    """Directions (n,) along which anything may have happened."""
+    ways = list[Array]()
+    for cause in found.causes:
+        if cause.kind == "joint":
+            ways.append(_of_joint(fresh, look, cause))
+        elif cause.kind == "tool":
+            ways += _of_tool(fresh, look)
+    return ways
+
+
+def _of_joint(fresh: Fresh, look: Look, cause: CauseFound) -> Array:
+    bound = fresh.bound
+    place = next(each.place for each in look.causes if each.name == cause.name)
+    keys = bound.problem.robot.parameters
+    before = look.fresh.bound  # what stands may differ, the arm's unknowns come first in both
+    arm = np.zeros(look.shifted.unknowns, dtype=bool)
+    for slot in before.slots:
+        arm[slot.columns] = slot.key in keys
+    bare = np.where(np.array(look.shifted.beside, dtype=bool), 0.0, look.x)  # gears that err are no part of an offset
+    direction = joint_direction(look.shifted, bare, int(shift_columns(look.shifted, JOINTS)[place]), arm)
+    if direction is None:
+        raise CasacalError(
+            f"The zero of {cause.name} changed, and no free unknown of this problem does what it does",
+            "Calibrate again with its offset free (--free)",
+        )
+    return np.concatenate([direction[arm], np.zeros(bound.unknowns - int(arm.sum()))])
+
+
+def _of_tool(fresh: Fresh, look: Look) -> list[Array]:
+    bound, keys = fresh.bound, fresh.bound.problem.robot.parameters
+    columns = [
+        j
+        for slot in bound.slots
+        if not slot.beside and not slot.datum and slot.key not in keys and slot.key == "tool"
+        for j in slot.columns
+    ]
+    if not columns:
+        raise CasacalError(
+            "The tool stands elsewhere, and this problem holds it",
+            "Say where it stands in the problem, or free it (--free tool), and calibrate again",
+        )
+    del look
+    return [np.eye(bound.unknowns)[j] for j in columns]

@@ -1,0 +1,127 @@
+"""`casacal changed`: whether the robot has changed since it was calibrated, what, and by how much."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from casacal.cli.adjust import names_of, numbers_of
+from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result, made_from, spare, whole_number
+from casacal.cli.terminal import say_json, say_paragraph
+from casacal.errors import CasacalError
+
+HELP = "whether the robot has changed since, what, and by how much"
+
+TOUCHES = 6
+"""How many touches are proposed where causes cannot be told apart."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal changed` takes."""
+    parser.description = (
+        "Look by fresh rows whether a joint's zero, the tool, the base or a face has changed since the calibration, "
+        "name it and by how much, or which touches would tell. Exit 1 when something changed or cannot be told."
+    )
+    add_result(parser)
+    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
+    parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
+    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
+    parser.add_argument(
+        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
+    )
+    parser.add_argument(
+        "--alarm", type=float, default=0.01, metavar="RATE", help="rate of false alarms, 0.001 to 0.5; default: 0.01"
+    )
+    parser.add_argument(
+        "--problem",
+        metavar="PROBLEM",
+        help="the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
+    )
+    parser.add_argument(
+        "--standing",
+        action="append",
+        default=[],
+        metavar="NAMES",
+        help="faces that still stand where they were calibrated, unless they are what moved: floor,wall,...",
+    )
+    parser.add_argument(
+        "--drift",
+        action="append",
+        default=[],
+        metavar="NAME=STD",
+        help="what may have drifted since, a standard deviation in mm or rad, such as theta=2e-5",
+    )
+    parser.add_argument("--update", metavar="DIR", help="write a result from the old one and these rows there")
+    parser.add_argument(
+        "--touches", metavar="FILE", help=f"write {TOUCHES} touches that would tell causes apart, where that is needed"
+    )
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="of all that is drawn; default: 0")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
+    from casacal.changes.changed import changed_by
+    from casacal.changes.tell import write_touches
+    from casacal.changes.update import after
+    from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
+    from casacal.problem.problem_file import load_problem
+    from casacal.verification.verify import measured_by
+
+    if not options.samples.strip():
+        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
+    result = read_result(options.result)
+    _spare(options, made_from(result))
+    other = None if options.problem is None else load_problem(options.problem)
+    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
+    problem = seen_by(result, named).source.problem if other is None else other.problem
+    given, found, look = changed_by(
+        result,
+        problem.read(options.samples, readings=options.readings, key=options.id),
+        problem=other,
+        instrument=named,
+        standing=names_of("--standing", options.standing),
+        drift=numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5"),
+        alarm=options.alarm,
+        touches=0 if options.touches is None else TOUCHES,
+        seed=options.seed,
+    )
+    written, refused = list[str](), ""
+    if options.update is not None:
+        try:
+            after(given, found, look, Path(options.update))
+            written.append((Path(options.update) / "result.json").as_posix())
+        except CasacalError as error:
+            if found.changed is not None:
+                raise
+            refused = str(error)
+    if options.touches is not None and found.touches is not None:
+        write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
+        written.append(Path(options.touches).as_posix())
+    if options.json:
+        say_json({**found.to_dict(), "written": written, "refused": refused})
+    else:
+        for line in found.summary().split("\n"):
+            say_paragraph(line)
+        if refused:
+            say_paragraph(refused)
+        for place in written:
+            say_paragraph(f"Written: {place}")
+        if options.touches is not None and found.touches is None:
+            say_paragraph(f"{options.touches} was not written: no touches are needed, or none that tell are in reach.")
+    return DONE if found.changed is False else FAILED
+
+
+def _spare(options: argparse.Namespace, inputs: list[Path]) -> None:
+    """Raise CasacalError where an answer would be written over what is read, or into what is no folder."""
+    outs = [] if options.touches is None else [options.touches]
+    if options.update is not None:
+        if not options.update.strip() or (Path(options.update).exists() and not Path(options.update).is_dir()):
+            raise CasacalError(
+                f"--update '{options.update}' is no folder", "Name a folder, or one that does not exist yet"
+            )
+        outs.append(Path(options.update) / "result.json")
+    result = Path(options.result)
+    place = result / "result.json" if result.is_dir() else result
+    spare(outs, options.samples, options.readings, place, *inputs)
