@@ -291,3 +291,14 @@ def test_other_arms(folder):
     wrong = session.take(joints, -reading, face, number=31)
     assert wrong.alarm.suspects[0].slip.kind == "sign"
     assert world.tip_error(session.belief.mean) < 3 * session.tip_error
+
+
+def test_the_very_first_touch_may_be_wrong(hsr, route, world):
+    joints, reading, face = world.touch(1)
+    other = next(name for name in ("floor", "wall", "side") if name != face)
+    session = Session(hsr.problem, route).take(joints, reading, other, number=1)
+    assert session.alarm.touch == 0
+    assert session.alarm.suspects[0].slip.kind == "label"
+    assert session.belief is None
+    assert session.correct().touches[0].labels["plane"] == face
+    assert len(session.undo()) == 0

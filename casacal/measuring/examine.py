@@ -91,7 +91,7 @@ class _Rows:
 
     def evidence(self, mean: Array) -> float:
         """Logarithm, less a constant for each row, with the unit prior about -mean of the shift integrated out."""
-        r, j = self.residual.ravel(), self.slope.reshape(self.residual.size, -1)
+        r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
         information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
         chi_square = r @ r + mean @ mean - gradient @ np.linalg.solve(information, gradient)
         return -float(chi_square + np.linalg.slogdet(information)[1]) / 2
@@ -179,7 +179,7 @@ def _ranked(scores: Sequence[tuple[int, Slip | None, float]]) -> tuple[Suspected
 
 def _left_out(rows: _Rows, mean: Array, m: int) -> Array:
     """Chance of each touch (touches,) by all others."""
-    flat = rows.slope.reshape(rows.residual.size, -1)
+    flat = rows.slope.reshape(-1, mean.size)
     covariance = np.linalg.inv(np.eye(mean.size) + flat.T @ flat)
     shift = -covariance @ (flat.T @ rows.residual.ravel() + mean)
     left = rows.residual + np.einsum("kin,n->ki", rows.slope, shift)
@@ -205,7 +205,7 @@ def _stray(known: Known) -> float:
 def _off_by(known: Known, rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
     """By how much a touch is off by the others, and the standard deviation of that, mm; of several, their length."""
     rest = rows.without(k)
-    flat = rest.slope.reshape(rest.residual.size, -1)
+    flat = rest.slope.reshape(-1, about.mean.size)
     covariance = np.linalg.inv(np.eye(about.mean.size) + flat.T @ flat)
     shift = -covariance @ (flat.T @ rest.residual.ravel() + about.mean)
     value = rows.residual[k] + rows.slope[k] @ shift

@@ -158,7 +158,7 @@ def touches_for(
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
             return count
-        count = min(math.ceil(count * 1.25 + 0.5), most)
+        count = min(max(math.ceil(count * 1.25), count + 1), most)
     left = choice.error(choice.best_of(most, 1, rng))
     if left <= tolerance:
         return most
