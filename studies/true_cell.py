@@ -15,7 +15,7 @@ STEP = 1e-4
 
 
 class World:
-    """An arm drawn from the prior; faces some mm and mrad from where the plan has them; joints moved to touch them."""
+    """An arm drawn from the prior; faces some mm and mrad from where the plan has them; joints moved where it must be."""
 
     def __init__(
         self,
@@ -34,11 +34,11 @@ class World:
         samples, self.column = route.samples, next(iter(route.samples.columns), None)
         self.joints = samples.joints.copy()
         travel = problem.instrument.probe.travel
-        readings = np.full(len(samples), travel / 2)
+        expected = readings = samples.columns[self.column].copy()
         for _ in range(8):
             wanted = self._answered(samples, readings)
-            far = (wanted < 0.05 * travel) | (wanted > 0.95 * travel)
-            readings = np.where(far, travel / 2, wanted)
+            far = (wanted < 0.02 * travel) | (wanted > 0.98 * travel)
+            readings = np.where(far, expected, wanted)
             if not far.any():
                 break
             self._jog(samples, readings, far)
@@ -47,6 +47,11 @@ class World:
             readings = self._answered(samples, readings)
         scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
         self.readings = np.round(readings + scatter, 3)
+
+    @property
+    def samples(self) -> Samples:
+        """All touches of the plan, made well."""
+        return replace(self.route.samples, joints=self.joints, columns={self.column: self.readings})
 
     def residual(self, samples: Samples, joints: Array, readings: Array) -> Array:
         """Distances from the true faces, mm."""

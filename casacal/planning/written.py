@@ -58,7 +58,8 @@ def _notes(plan: Plan, name: str) -> list[str]:
         f"planned by casacal for {name}: not a measurement",
         f"expected tip error {plan.error:.4g} mm RMS, apart from where the base stands, if stated noise and priors are "
         f"right; of as many at random {plan.at_random:.4g} mm",
-        "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
-        "that the controller shows and the reading that there is, not the expected one",
+        "bring the arm to each posture; where the instrument is at its end, go along the plunger until it reads about "
+        "what is expected (readings that differ tell the size of the arm); write down the joint values that the "
+        "controller shows and the reading that there is",
         "purpose fit: to calibrate with; again: the same once more, at the end; check: kept apart, for casacal verify",
     ]
