@@ -15,7 +15,7 @@ STEP = 1e-4
 
 
 class World:
-    """An arm drawn from the prior; faces some mm and mrad from where the plan has them; joints moved where it must be."""
+    """An arm drawn from the prior; faces some mm and mrad from where the plan has them."""
 
     def __init__(
         self,
@@ -34,6 +34,11 @@ class World:
         samples, self.column = route.samples, next(iter(route.samples.columns), None)
         self.joints = samples.joints.copy()
         travel = problem.instrument.probe.travel
+        scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
+        if self.column is None:  # a touch without a dial: the arm itself comes to the face, nearly
+            for _ in range(8):
+                self._jog(samples, scatter, np.ones(len(samples), dtype=bool), to=scatter)
+            return
         expected = readings = samples.columns[self.column].copy()
         for _ in range(8):
             wanted = self._answered(samples, readings)
@@ -45,27 +50,30 @@ class World:
         self.joints = np.where(problem.robot.revolute, np.radians(np.round(np.degrees(self.joints), 4)), self.joints)
         for _ in range(3):
             readings = self._answered(samples, readings)
-        scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
         self.readings = np.round(readings + scatter, 3)
 
     @property
     def samples(self) -> Samples:
         """All touches of the plan, made well."""
-        return replace(self.route.samples, joints=self.joints, columns={self.column: self.readings})
+        columns = {} if self.column is None else {self.column: self.readings}
+        return replace(self.route.samples, joints=self.joints, columns=columns)
 
     def residual(self, samples: Samples, joints: Array, readings: Array) -> Array:
         """Distances from the true faces, mm."""
-        rows = replace(samples, joints=joints, columns={self.column: readings})
+        columns = {} if self.column is None else {self.column: readings}
+        rows = replace(samples, joints=joints, columns=columns)
         return self.bound.on(rows).plain_residual(self.x)
 
     def _answered(self, samples: Samples, readings: Array) -> Array:
         here = self.residual(samples, self.joints, readings)
         return readings - here * STEP / (self.residual(samples, self.joints, readings + STEP) - here)
 
-    def _jog(self, samples: Samples, readings: Array, far: NDArray[np.bool_]) -> None:
-        here = self.residual(samples, self.joints, readings)
+    def _jog(self, samples: Samples, readings: Array, far: NDArray[np.bool_], *, to: Array | float = 0.0) -> None:
+        here = self.residual(samples, self.joints, readings) - to
         turns = np.eye(self.joints.shape[1]) * 1e-6
-        slopes = np.stack([(self.residual(samples, self.joints + t, readings) - here) / 1e-6 for t in turns], axis=1)
+        slopes = np.stack(
+            [(self.residual(samples, self.joints + t, readings) - to - here) / 1e-6 for t in turns], axis=1
+        )
         self.joints[far] -= (here[:, None] * slopes / (slopes**2).sum(axis=1)[:, None])[far]
 
     def touch(self, number: int) -> tuple[Array, float, str]:

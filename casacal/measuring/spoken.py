@@ -15,8 +15,8 @@ from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
 
 HELP_WORDS = (
-    "Bring the arm to the posture; where the instrument is at its end, go along the plunger until it reads about what is "
-    "expected, for readings that differ tell the size of the arm. Type the reading alone if the "
+    "Bring the arm to the posture; where the instrument is at its end, go along the plunger until it reads about what "
+    "is expected, for readings that differ tell the size of the arm. Type the reading alone if the "
     "controller shows the joint values as planned; else all joint values (degrees, mm) and the reading. A label behind "
     "them if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is right. "
     "c: put it right as the first explanation has it (c 2: the second). s: leave this touch out. q: end; what was "
