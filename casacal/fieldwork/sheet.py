@@ -49,8 +49,8 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
     words = (
         "Bring the arm to each posture; where the instrument is at its end, go along the plunger until it reads about "
         "what is expected, for readings that differ tell the size of the arm. Write down the reading that there is, "
-        "and the joint values where the controller shows others than planned. Touches to check with are shaded: keep their "
-        "readings apart, for casacal verify. Pictures: from the side, and from above."
+        "and the joint values where the controller shows others than planned. Touches to check with are shaded: keep "
+        "their readings apart, for casacal verify. Pictures: from the side, and from above."
     )
     head = tag(
         "head",
