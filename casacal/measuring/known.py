@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,7 +19,7 @@ from casacal.estimators.sckf import Belief, begun, take_in
 from casacal.measuring.touch import Touch, rows_of
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
-from casacal.values import Value
+from casacal.values import Value, read_only
 
 Places = Mapping[str, Array]
 """Where things stand that were declared without a nominal value, by the full name of the unknown."""
@@ -29,6 +29,9 @@ FACTORS = tuple(1.25**k for k in range(18))
 
 TELLING = 4.5
 """Logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one."""
+
+NEAR, MOVES = 0.5, 5
+"""Part of what a filter starts with by which a face may be elsewhere; times that it is moved."""
 
 STEPS = 6
 """Gauss-Newton steps at most; three are the rule."""
@@ -91,9 +94,18 @@ def usable(problem: Problem, touches: Sequence[Touch], places: Places) -> list[i
             continue
         for label, rows in instances(instrument, key, unknown, samples):
             name = key if label is None else f"{key}.{label}"
-            if name not in places and not counts[name]:
+            if name not in places and not (counts[name] and _stands(problem, samples.take(rows), places)):
                 told[rows] = False
     return [int(k) for k in np.flatnonzero(told)]
+
+
+def _stands(problem: Problem, samples: Samples, places: Places) -> bool:
+    """Whether rows of one face say where it is; those on a line do not."""
+    try:
+        make_slots(problem, (samples,), places)
+    except ProblemError:
+        return False
+    return True
 
 
 def known_from(
@@ -101,19 +113,25 @@ def known_from(
 ) -> Known:
     """Let a filter take in touches that are all usable, in their order, from the prior on.
 
-    Faces stand where their own touches say, once there are enough of them, before that where they are planned.
+    Faces begin where they are planned, or else where their own touches say, and where they are found to stand
+    elsewhere, there: what a filter starts from is no knowledge of where they are.
     What is planned has its unknowns from the beginning on, so that they stay the same. `before` is what was known a
     touch ago, whose binding serves again. Raises ProblemError where nothing says where a
     face stands.
     """
     samples = rows_of(touches)
-    proposed = frozenset(name for name, enough in _counts(problem, samples).items() if enough)
+    proposed = frozenset(name for name, enough in _counts(problem, samples).items() if enough and name not in places)
     labels = {name: column.names for name, column in samples.labels.items()}
     if before is not None and before.proposed == proposed and _covers(before.bound, problem, labels):
         bound = before.bound.with_noise().on(samples)
     else:
         bound = _bound(problem, samples, places, planned, proposed)
     plain = _filtered(bound)
+    for _ in range(MOVES):
+        if not _far(bound, plain[0]):
+            break
+        bound = _moved(bound, plain[0])
+        plain = _filtered(bound)
     if len(touches) < FEWEST:
         return Known(bound, *plain, 1.0, proposed)
     others = [(factor, noisier := bound.with_noise({OTHERS: factor}), _filtered(noisier)) for factor in FACTORS[1:]]
@@ -172,6 +190,23 @@ def _likelihood(filtered: tuple[Belief, Array, Array], bound: BoundProblem) -> f
     """Logarithm of the likelihood, less a constant: by innovations (Schweppe, IEEE Trans. Inf. Theory 11, 1965)."""
     _, innovations, stds = filtered
     return -float(((innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())).sum())
+
+
+def _far(bound: BoundProblem, belief: Belief) -> bool:
+    """Whether some face is believed further from where it began than a filter starts with."""
+    return bool((np.abs(belief.mean) > NEAR)[bound.datum].any())
+
+
+def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
+    """The same rows with faces where they are believed to stand."""
+    x = bound.x0 + bound.start_std * belief.mean
+    slots = []
+    for slot in bound.slots:
+        if slot.datum and slot.unknown.nominal_plane(slot.nominal) is not None:
+            _, plane = slot.unknown.shown(slot.nominal, x[slot.columns])
+            slot = replace(slot, nominal=read_only(slot.unknown.placed(plane["point_mm"], plane["normal"])))
+        slots.append(slot)
+    return BoundProblem(bound.problem, slots, bound.samples)
 
 
 def _bound(
