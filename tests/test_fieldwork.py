@@ -21,6 +21,7 @@ from casacal.planning.exchange import Criterion, exchange
 from casacal.planning.plan import touches_for
 from casacal.planning.setups import set_ups
 from casacal.robots.joint_space import random_joints
+from casacal.uncertainty.expectation import planned_accuracy
 
 NAMES = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
 HSR, IIWA = (ROOT / "problems" / name for name in ("hsr_jr680", "kuka_iiwa14"))
@@ -161,6 +162,7 @@ def test_touches_that_were_made_count(hsr):
     more = plan(hsr.problem, hsr.cell, touches=10, pool=300, check=0, again=0, after=made)
     alone = plan(hsr.problem, hsr.cell, touches=10, pool=300, check=0, again=0)
     assert more.error < more.before < 0.5 * alone.error
+    assert more.before == pytest.approx(planned_accuracy(bind(hsr.problem, made))[1], rel=0.03)
     assert more.before - more.error < 0.5 * (alone.before - alone.error)
     with pytest.raises(CasacalError, match="came as touches that were made"):
         plan(hsr.problem, hsr.cell, touches=10, pool=300, after="samples.csv")
@@ -211,7 +213,8 @@ def test_ways_lead_above_the_touches(hsr, small):
     on_it = bound.on(small.samples).plain_residual(bound.x0)
     off_it = bound.on(above).plain_residual(bound.x0)
     assert np.abs(on_it).max() < 1e-4
-    heights = np.abs(off_it)
+    assert (off_it > 0).all(), "on the side of the tool"
+    heights = off_it
     assert (heights <= ways.retreat + 0.1).all()
     assert (heights >= ways.retreat * np.cos(hsr.cell.tilt) - 0.1).all()
     assert set(np.unique(ways.retreat)) <= {20.0, 40.0, 80.0, 160.0}

@@ -247,6 +247,62 @@ def test_what_is_asked_for_wrongly_is_refused(planned, tmp_path, capsys):
     assert (tmp_path / "theirs.csv").read_text() == "q1_deg,reading_mm\n1,2\n"
 
 
+def test_files_that_others_write_are_left_alone(hsr, planned, tmp_path, monkeypatch, capsys):
+    path, _, world = planned
+    out = tmp_path / "s.csv"
+    usual = ["measure", str(HSR), "--plan", str(path), "--out"]
+    for wrong, words in ((os.devnull, "no file that can grow"), (str(tmp_path / "o.xlsx"), "would not be a .xlsx")):
+        feed(monkeypatch, ["3.2"])
+        assert main([*usual, wrong]) == 2
+        assert words in capsys.readouterr().err
+    feed(monkeypatch, [str(world.readings[0])])
+    assert main([*usual, str(out)]) == 0
+    before = out.read_bytes()
+    for data in (b"\xef\xbb\xbf" + before, before.replace(b"# measured", b'"# measured')):
+        out.write_bytes(data)
+        feed(monkeypatch, ["3.2"])
+        assert main([*usual, str(out)]) == 2
+        assert "another program has saved this file" in capsys.readouterr().err
+        assert out.read_bytes() == data
+    out.write_bytes(before)
+
+    class Elsewhere:
+        """Somebody who types here after another session has written there."""
+
+        def __iter__(self):
+            yield "2.9"
+            out.write_bytes(out.read_bytes() + before.splitlines(keepends=True)[-1])
+            yield "3.1"
+
+    monkeypatch.setattr("sys.stdin", Elsewhere())
+    assert main([*usual, str(out)]) == 2
+    assert "was changed by somebody else since" in capsys.readouterr().err
+    other = tmp_path / "other.csv"
+    other.write_text(path.read_text().replace("planned by casacal for hsr_jr680", "planned by casacal for ur5", 1))
+    assert main(["measure", str(HSR), "--plan", str(other), "--out", str(tmp_path / "x.csv")]) == 2
+    assert "was planned for 'ur5', and the problem is 'hsr_jr680'" in capsys.readouterr().err
+
+
+def test_touches_are_called_by_the_numbers_that_are_shown(planned, tmp_path, monkeypatch, capsys):
+    path, _, world = planned
+    out = tmp_path / "s.csv"
+    feed(monkeypatch, ["s", *(str(world.readings[k]) for k in (1, 2, 3)), "u 99", "u 3"])
+    assert main(["measure", str(HSR), "--plan", str(path), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "touch 4 made, 3 in all" in said
+    assert "No touch 99 has been made" in said
+    assert "touch 3 " in said.rpartition("taken back")[2]
+    numbers = [row.split(",")[-3] for row in out.read_text().splitlines()[2:]]
+    assert "3" not in numbers
+
+
+def test_a_session_that_ends_in_doubt_says_so(planned, tmp_path, monkeypatch, capsys):
+    path, *_ = planned
+    feed(monkeypatch, ["0 0 0 0 0 0 3.2"])
+    assert main(["measure", str(HSR), "--plan", str(path), "--out", str(tmp_path / "s.csv")]) == 1
+    assert "is still in doubt" in capsys.readouterr().out
+
+
 class Terminal:
     """`casacal measure` at the other end of a pseudo-terminal."""
 

@@ -70,13 +70,13 @@ def whole_number(text: str) -> int:
     return int(text)
 
 
-def box_of(text: str) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
     """Ranges of x, y, z, mm, as --box says them; raises CasacalError."""
     try:
         ranges = [tuple(float(value) for value in part.split(":")) for part in text.split(",")]
         (x0, x1), (y0, y1), (z0, z1) = ranges
     except ValueError:
-        raise CasacalError(f"--box {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
+        raise CasacalError(f"{option} {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
     return (x0, x1), (y0, y1), (z0, z1)
 
 

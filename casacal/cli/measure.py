@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import os
 import queue
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Go through the touches of a plan, take each reading from the keyboard or a gauge, and write it at once. A "
         "touch that does not agree with the others is named, with what would explain it. Cut off, it goes on where it "
-        "was. Exit 1 when a tolerance was asked for and is not met."
+        "was. Exit 1 when a tolerance was asked for and is not met, or a touch is left in doubt."
     )
     add_problem(parser)
     parser.add_argument("--plan", required=True, metavar="FILE", help="what casacal plan wrote")
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     finally:
         if line is not None:
             line.close()
-    return DONE if session.tolerance is None or session.done else FAILED
+    return DONE if session.alarm is None and (session.tolerance is None or session.done) else FAILED
 
 
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
@@ -95,6 +96,8 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     )
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
+    file.refuse_others()
+    _refuse_plan_of_another(options.plan, source.name)
     if file.begun():
         touches, cut = file.read()
         if cut:
@@ -105,6 +108,14 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     return session, file
 
 
+def _refuse_plan_of_another(path: str, name: str) -> None:
+    """Raise CasacalError for a plan whose first line names another problem."""
+    first = Path(path).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+    made_for = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
+    if made_for and made_for[1] != name:
+        raise CasacalError(f"{path} was planned for '{made_for[1]}', and the problem is '{name}'", "Name its own plan")
+
+
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
     """The session after its operator ended it, or it was at its end."""
     from casacal.measuring.conversation import answered
@@ -112,7 +123,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
     for sentence in doubt(session):
         say_paragraph(sentence)
-    typed = _lines(line)
+    typed, sizes = _lines(line), file.sizes()
     while True:
         proposed = session.next()
         if session.alarm is None:
@@ -131,11 +142,16 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
             elif file.layout.columns or session.alarm is not None or proposed is None:
                 continue
         answer = answered(session, proposed, entered, meter)
+        if answer.change != "none" and file.sizes() != sizes:
+            raise CasacalError(
+                f"'{file.path}' was changed by somebody else since",
+                "End the other session, and go on with this command",
+            )
         if answer.change == "added":
             file.append(answer.session.touches[-1], len(answer.session))
         elif answer.change == "changed":
             file.rewrite(answer.session.touches)
-        session = answer.session
+        session, sizes = answer.session, file.sizes()
         for sentence in answer.said:
             say_paragraph(sentence)
         if answer.ended:

@@ -102,6 +102,7 @@ def _add_written(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
+    from casacal.planning.enough import rows_needed
     from casacal.planning.words import document, told
     from casacal.problem.problem_file import load_problem
 
@@ -123,6 +124,12 @@ def run(options: argparse.Namespace) -> int:
         return DONE
     for sentence in told(found, compared, where=_where(options), pool=options.pool, after=options.after is not None):
         say_paragraph(sentence)
+    fitted, least = rows_needed(source.problem, found)
+    if fitted < least and options.after is None:
+        say_paragraph(
+            f"warning: {fitted} touches are fitted, and casacal calibrate takes at least {least} for all unknowns; ask "
+            "for more, check fewer, or hold parameters"
+        )
     for place in written:
         say_paragraph(f"Written: {place}")
     return DONE
@@ -133,7 +140,7 @@ def _clearance(options: argparse.Namespace) -> Clearance | None:
 
     if not options.keep_out and options.link_radius is None:
         return None
-    return Clearance(tuple(box_of(text) for text in options.keep_out), options.link_radius)
+    return Clearance(tuple(box_of(text, option="--keep-out") for text in options.keep_out), options.link_radius)
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:

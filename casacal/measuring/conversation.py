@@ -33,7 +33,7 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) 
         if command is not None:
             return _obeyed(session, proposed, command)
         if session.alarm is not None:
-            return Answer(session, (*doubt(session),))
+            return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
         typed = touch_of(line, layout, proposed, gauge)
         after = session.take(
@@ -64,10 +64,19 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
         after = session.correct(_suspect(session, command.number))
     else:
         assert command.word == UNDO
-        after = session.undo(None if command.number is None else command.number - 1)
+        after = session.undo(None if command.number is None else _place(session, command.number))
     stands = (told(after),) if len(after) and after.alarm is None else ()
     done = {KEEP: "kept", CORRECT: "put right", UNDO: "taken back"}[command.word]
     return Answer(after, (done, *stands, *doubt(after)), "changed")
+
+
+def _place(session: Session, number: int) -> int:
+    """Where a touch stands by the number that people know it by; raises CasacalError where there is none."""
+    there = {session.shown(k): k for k in range(len(session))}
+    if number not in there:
+        last = f"the last one is {session.shown(len(session) - 1)}" if there else "there is none yet"
+        raise CasacalError(f"No touch {number} has been made", f"Give the number of one that was; {last}")
+    return there[number]
 
 
 def _suspect(session: Session, number: int | None) -> Suspected | None:

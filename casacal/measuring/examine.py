@@ -73,10 +73,11 @@ class Alarm(Value):
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), both whitened."""
+    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), whitened; noise, mm."""
 
     residual: Array
     slope: Array
+    noise: Array
 
     @staticmethod
     def of(known: Known, belief: Belief, touches: Sequence[Touch]) -> _Rows:
@@ -84,10 +85,10 @@ class _Rows:
         bound, count = known.bound.on(rows_of(touches)), len(touches)
         x = bound.x0 + bound.start_std * belief.mean
         slopes = (bound.jacobian(x) * bound.start_std).reshape(count, -1, bound.unknowns)
-        return _Rows(bound.residual(x).reshape(count, -1), slopes)
+        return _Rows(bound.residual(x).reshape(count, -1), slopes, bound.block.noise)
 
     def without(self, k: int) -> _Rows:
-        return _Rows(np.delete(self.residual, k, axis=0), np.delete(self.slope, k, axis=0))
+        return _Rows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
 
     def evidence(self, mean: Array) -> float:
         """Logarithm, less a constant for each row, with the unit prior about -mean of the shift integrated out."""
@@ -97,21 +98,25 @@ class _Rows:
         return -float(chi_square + np.linalg.slogdet(information)[1]) / 2
 
 
-def examined(known: Known, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], *, new: bool) -> Alarm | None:
+def examined(
+    known: Known, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], *, others: Known | None
+) -> Alarm | None:
     """Look for a touch that the others contradict; None where all agree.
 
     Args:
         known: from all of these touches, in their order.
         touches: those that were taken in.
         slips: what may have been typed wrong in one of them.
-        new: whether the last one has just come.
+        others: what all but the last tell, where that has just come; None where all have been there before.
 
     """
-    m, last = known.per_touch, len(touches) - 1
-    fresh = new and not touches[last].kept and chance(float(known.squares[last]), m) < NEW
-    before = known.before_last() if fresh else known.belief  # a gross one moves the mean far
+    last = len(touches) - 1
+    fresh = others is not None and not touches[last].kept and _chance_alone(others, touches[last]) < NEW
+    if fresh and others is not None:
+        known = others  # about which all is linear: a gross one moves it far
+    before = known.belief
     rows = _Rows.of(known, before, touches)
-    chances = _left_out(rows, before.mean, m)
+    chances = _left_out(rows, before.mean)
     looked = [k for k in range(len(touches)) if not touches[k].kept and not (fresh and k == last)]
     off = [k for k in looked if chances[k] < EARLIER]
     if not fresh and not off:
@@ -119,7 +124,15 @@ def examined(known: Known, touches: Sequence[Touch], slips: Callable[[int], list
     closer = sorted((k for k in looked if chances[k] < CLOSER_LOOK), key=chances.__getitem__)[:MOST]
     raised = last if fresh else min(off, key=chances.__getitem__)
     suspects = _explained(known, before, rows, slips, [*([last] if fresh else []), *closer])
-    return Alarm(raised, *_off_by(known, rows, before, raised), suspects)
+    return Alarm(raised, *_off_by(rows, before, raised), suspects)
+
+
+def _chance_alone(known: Known, touch: Touch) -> float:
+    """Chance of a touch by what others tell."""
+    rows = _Rows.of(known, known.belief, [touch])
+    value, spread = rows.residual[0], rows.slope[0] @ known.belief.root
+    square = float(value @ np.linalg.solve(np.eye(len(value)) + spread @ spread.T, value))
+    return chance(square, len(value))
 
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], number: int) -> Alarm | None:
@@ -127,16 +140,15 @@ def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], nu
     rows = _Rows.of(known, known.belief, [touch])
     value, slope = rows.residual[0], rows.slope[0]
     spread = slope @ known.belief.root
-    square = float(value @ np.linalg.solve(np.eye(len(value)) + spread @ spread.T, value))
-    if touch.kept or chance(square, len(value)) >= NEW:
+    if touch.kept or _chance_alone(known, touch) >= NEW:
         return None
     others = slips()
-    scores: list[tuple[Slip | None, float]] = [(None, STRAY_WEIGHT - _stray(known))]
+    scores: list[tuple[Slip | None, float]] = [(None, STRAY_WEIGHT - _stray(rows))]
     found = _Rows.of(known, known.belief, [slip.touch for slip in others]) if others else None
     for k, slip in enumerate(others):
         assert found is not None
         scores.append((slip, slip.weight + _alone(found.residual[k], found.slope[k] @ known.belief.root)))
-    return Alarm(number, *_off_alone(known, value, spread, touch), _ranked([(number, *each) for each in scores]))
+    return Alarm(number, *_off_alone(rows, value, spread), _ranked([(number, *each) for each in scores]))
 
 
 def _explained(
@@ -148,15 +160,20 @@ def _explained(
 ) -> tuple[Suspected, ...]:
     scores: list[tuple[int, Slip | None, float]] = []
     for k in looked:
-        stray = rows.without(k).evidence(about.mean) + STRAY_WEIGHT - _stray(known)
+        stray = rows.without(k).evidence(about.mean) + STRAY_WEIGHT - _stray(rows)
         scores.append((k, None, stray))
         others = slips(k)
         if not others:
             continue
         changed = _Rows.of(known, about, [slip.touch for slip in others])
         rest = rows.without(k)
-        for slip, residual, slope in zip(others, changed.residual, changed.slope, strict=True):
-            whole = _Rows(np.vstack([rest.residual, residual]), np.vstack([rest.slope, slope[None]]))
+        parts = zip(others, changed.residual, changed.slope, changed.noise, strict=True)
+        for slip, residual, slope, noise in parts:
+            whole = _Rows(
+                np.vstack([rest.residual, residual]),
+                np.vstack([rest.slope, slope[None]]),
+                np.vstack([rest.noise, noise]),
+            )
             scores.append((k, slip, whole.evidence(about.mean) + slip.weight))
     return _ranked(scores)
 
@@ -177,9 +194,9 @@ def _ranked(scores: Sequence[tuple[int, Slip | None, float]]) -> tuple[Suspected
     return tuple(Suspected(touch, slip, math.exp(score - most) / total) for touch, slip, score in shown)
 
 
-def _left_out(rows: _Rows, mean: Array, m: int) -> Array:
+def _left_out(rows: _Rows, mean: Array) -> Array:
     """Chance of each touch (touches,) by all others."""
-    flat = rows.slope.reshape(-1, mean.size)
+    flat, m = rows.slope.reshape(-1, mean.size), rows.residual.shape[1]
     covariance = np.linalg.inv(np.eye(mean.size) + flat.T @ flat)
     shift = -covariance @ (flat.T @ rows.residual.ravel() + mean)
     left = rows.residual + np.einsum("kin,n->ki", rows.slope, shift)
@@ -196,27 +213,27 @@ def _alone(residual: Array, spread: Array) -> float:
     return -float(square + np.linalg.slogdet(covariance)[1]) / 2
 
 
-def _stray(known: Known) -> float:
+def _stray(rows: _Rows) -> float:
     """Logarithm of the range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2."""
-    noise = known.bound.block.noise[0]
+    noise = rows.noise[0]
     return float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
 
 
-def _off_by(known: Known, rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
+def _off_by(rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
     """By how much a touch is off by the others, and the standard deviation of that, mm; of several, their length."""
     rest = rows.without(k)
     flat = rest.slope.reshape(-1, about.mean.size)
     covariance = np.linalg.inv(np.eye(about.mean.size) + flat.T @ flat)
     shift = -covariance @ (flat.T @ rest.residual.ravel() + about.mean)
     value = rows.residual[k] + rows.slope[k] @ shift
-    noise = known.bound.block.noise[k]
+    noise = rows.noise[k]
     spread = np.eye(len(value)) + rows.slope[k] @ covariance @ rows.slope[k].T
     std = math.sqrt(float((np.diagonal(spread) * noise**2).sum()))
     return _signed(value * noise), std
 
 
-def _off_alone(known: Known, value: Array, spread: Array, touch: Touch) -> tuple[float, float]:
-    noise = known.bound.on(rows_of([touch])).block.noise[0]
+def _off_alone(rows: _Rows, value: Array, spread: Array) -> tuple[float, float]:
+    noise = rows.noise[0]
     std = math.sqrt(float(((1 + (spread**2).sum(axis=1)) * noise**2).sum()))
     return _signed(value * noise), std
 

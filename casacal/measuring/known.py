@@ -65,29 +65,28 @@ class Known(Value):
         """Residuals of each touch."""
         return self.bound.rows // len(self.bound.block.samples)
 
-    @property
-    def squares(self) -> Array:
-        """Squared innovation of each touch when it came, over its variance (touches,)."""
-        return np.asarray(((self.innovations / self.stds) ** 2).reshape(-1, self.per_touch).sum(axis=1))
-
-    def before_last(self) -> Belief:
-        """The belief before the last touch came."""
-        samples = self.bound.block.samples
-        if len(samples) == 1:
-            return begun(self.bound)
-        return _filtered(self.bound.on(samples.take(range(len(samples) - 1))))[0]
+    def knows(self, touch: Touch) -> bool:
+        """Whether there are unknowns for the face of a touch."""
+        return _covers(self.bound, self.bound.problem, {name: (label,) for name, label in touch.labels.items()})
 
 
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
-    """Where faces and the like stand by planned rows; raises ProblemError as `bind` does."""
-    return {slot.name: slot.nominal for slot in bind(problem, samples).slots if slot.unknown.nominal is None}
+    """Where faces and the like stand by planned rows; nothing of those that are planned too seldom to say."""
+    told = telling(problem, samples, {})
+    if not told:
+        return {}
+    slots = bind(problem, samples.take(told)).slots
+    return {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
 
 
 def usable(problem: Problem, touches: Sequence[Touch], places: Places) -> list[int]:
     """Which touches tell something: those of faces that are planned or were touched often enough."""
-    if not touches:
-        return []
-    samples, instrument, told = rows_of(touches), problem.instrument, np.ones(len(touches), dtype=bool)
+    return telling(problem, rows_of(touches), places) if touches else []
+
+
+def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
+    """The same of rows."""
+    instrument, told = problem.instrument, np.ones(len(samples), dtype=bool)
     counts = _counts(problem, samples)
     for key, unknown in instrument.unknowns.items():
         if unknown.nominal is not None:
@@ -139,6 +138,12 @@ def known_from(
     if _likelihood(best[2], best[1]) < _likelihood(plain, bound) + TELLING:
         return Known(bound, *plain, 1.0, proposed)
     return Known(best[1], *best[2], best[0], proposed)
+
+
+def known_before(problem: Problem, touch: Touch, places: Places, planned: Samples | None) -> Known:
+    """What is known before a first touch, of a face that is planned."""
+    bound = _bound(problem, rows_of([touch]), places, planned, frozenset())
+    return Known(bound, begun(bound), np.zeros(0), np.zeros(0), 1.0, frozenset())
 
 
 def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:

@@ -53,7 +53,8 @@ class Session(Standing):
         """
         if self.alarm is not None:
             raise CasacalError(
-                f"Touch {self.alarm.touch + 1} is in doubt", "Answer first, by undo(), keep() or correct(suspect)"
+                f"Touch {self.shown(self.alarm.touch)} is in doubt",
+                "Answer first, by undo(), keep() or correct(suspect)",
             )
         planned, layout = self.planned(number), self.problem.layout()
         touch = Touch(
@@ -87,7 +88,7 @@ class Session(Standing):
         chosen = alarm.suspects[0] if suspect is None else suspect
         if chosen.slip is None:
             raise CasacalError(
-                f"Nothing that could be corrected explains touch {chosen.touch + 1}", "Take it back with undo()"
+                f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}", "Take it back with undo()"
             )
         return self._after(self._with(chosen.touch, chosen.slip.touch))
 

@@ -43,7 +43,7 @@ def posture(touch: Touch, layout: Layout) -> str:
 def told(session: Session) -> str:
     """What the last touch said, and where the session stands."""
     state, last = session.state, session.touches[-1]
-    said = [f"{len(session)} made"]
+    said = [f"touch {_name(session, len(session) - 1)} made, {len(session)} in all"]
     if state.off is not None and state.std is not None:
         off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
         sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
@@ -83,8 +83,7 @@ def _percent(chance: float) -> str:
 
 
 def _name(session: Session, k: int) -> str:
-    number = session.touches[k].number
-    return f"{k + 1}" if number is None or number == k + 1 else f"{k + 1} (number {number} of the plan)"
+    return str(session.shown(k))
 
 
 def ended(session: Session) -> list[str]:
@@ -99,6 +98,8 @@ def ended(session: Session) -> list[str]:
             f"{below:.3g} mm{met}, apart from where the base stands, if the priors and the form of the arm's model are "
             "right. casacal calibrate judges that"
         )
+    if session.alarm is not None:
+        said.append(f"warning: touch {_name(session, session.alarm.touch)} is still in doubt; go on, and answer")
     if (checked := session.checked()) is not None:
         off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
         said.append(

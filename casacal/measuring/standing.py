@@ -11,7 +11,7 @@ from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm
 from casacal.measuring.further import Pool, could_be
-from casacal.measuring.known import innovations_at, places_of
+from casacal.measuring.known import innovations_at, places_of, telling
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State
 from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
@@ -83,6 +83,13 @@ class Standing(Value):
         if self.tolerance is None or known is None or self.field is None:
             return None
         return self._pool.needed(known, self.field, self.tolerance)
+
+    def shown(self, k: int) -> int:
+        """The number by which people know a touch: the plan's, and beyond it the numbers that follow."""
+        number = self.touches[k].number
+        if number is not None:
+            return number
+        return len(self._all_planned) + sum(touch.number is None for touch in self.touches[: k + 1])
 
     def planned(self, number: int | None) -> Touch | None:
         """A touch of the plan by its number; raises CasacalError for one that there is not."""
@@ -176,7 +183,10 @@ class Standing(Value):
     def _setting(self) -> Setting:
         if self.plan is None:
             return Setting(self.problem, None, {})
-        return Setting(self.problem, self.plan.samples, places_of(self.problem, self.plan.samples))
+        samples = self.plan.samples
+        told = telling(self.problem, samples, {})
+        placed = samples.take(told) if told else None  # faces that are planned too seldom have no place
+        return Setting(self.problem, placed, places_of(self.problem, samples))
 
     @cached_property
     def _all_planned(self) -> tuple[Touch, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from casacal.array_types import Array
 from casacal.measuring.examine import Alarm, examined, judged_alone
-from casacal.measuring.known import Known, Places, innovations_at, known_from, usable
+from casacal.measuring.known import Known, Places, innovations_at, known_before, known_from, usable
 from casacal.measuring.slips import Slip
 from casacal.measuring.touch import Touch
 from casacal.planning.route import CHECK
@@ -66,15 +66,24 @@ def state_of(
         alarm = judged_alone(known, touches[last], lambda: slips(last), last)
         off, std = (each[0] for each in innovations_at(known, [touches[last]]))
     else:
-        fresh, m = new and last in used, known.per_touch
-        if fresh:
-            noise = known.bound.block.noise[-1]
-            off, std = known.innovations[-m:] * -noise, known.stds[-m:] * noise
-        found = examined(known, [touches[k] for k in used], lambda k: slips(used[k]), new=fresh)
+        others = _others(setting, touches, used, before) if new and last in used else None
+        if others is not None:
+            off, std = (each[0] for each in innovations_at(others, [touches[last]]))
+        found = examined(known, [touches[k] for k in used], lambda k: slips(used[k]), others=others)
         alarm = None if found is None else _numbered(found, used)
     if alarm is not None and alarm.touch in used:
         known = known_by([k for k in used if k != alarm.touch])
     return State(known, alarm, off, std, waiting)
+
+
+def _others(setting: Setting, touches: Sequence[Touch], used: Sequence[int], before: Known | None) -> Known | None:
+    """What all touches but the last tell of its face too; None where they tell nothing of it."""
+    if len(used) == 1:
+        return known_before(setting.problem, touches[used[0]], setting.places, setting.planned)
+    rest = [touches[k] for k in used[:-1]]
+    rest = [rest[k] for k in usable(setting.problem, rest, setting.places)]
+    others = known_from(setting.problem, rest, setting.places, setting.planned, before) if rest else None
+    return others if others is not None and others.knows(touches[used[-1]]) else None
 
 
 def _numbered(alarm: Alarm, used: Sequence[int]) -> Alarm:

@@ -47,6 +47,19 @@ class TouchFile(Value):
         """Whether there is a file already."""
         return self.path.exists() or self.check_path.exists()
 
+    def refuse_others(self) -> None:
+        """Raise CasacalError for a path where no CSV can grow."""
+        if self.path.suffix.lower() in (".xlsx", ".npy", ".npz"):
+            raise CasacalError(f"'{self.path}' would not be a {self.path.suffix} file", "Name one that ends in .csv")
+        for path in (self.path, self.check_path):
+            if path.exists() and not path.is_file():
+                raise CasacalError(f"'{path}' is no file that can grow", "Name a file")
+
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of both files, by which it is seen whether somebody else writes there."""
+        one, two = (path.stat().st_size if path.exists() else 0 for path in (self.path, self.check_path))
+        return one, two
+
     def read(self) -> tuple[list[Touch], bool]:
         """Touches made so far, in their order, and whether a last line was cut off and is left out.
 
@@ -65,7 +78,7 @@ class TouchFile(Value):
         """Add one touch, so that it is on the disk when this returns."""
         path = self.check_path if touch.purpose == CHECK else self.path
         text = _line(self._cells(touch, order))
-        if not path.exists():
+        if not path.exists() or not path.stat().st_size:
             text = self._head() + text
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,7 +124,15 @@ class TouchFile(Value):
     def _touches(self, path: Path) -> list[tuple[int, Touch]]:
         if not path.exists():
             return []
-        lines = [line for line in path.read_text(encoding="utf-8").split("\n") if line.strip()]
+        lines = [line for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+        if not lines:
+            return []
+        if lines[0] != f"# {self.mark}" and self.mark in lines[0]:
+            raise SamplesError(
+                path.as_posix(),
+                "another program has saved this file since, in its own way",
+                "Undo that, or take its rows to calibrate as they are and measure on into another file",
+            )
         if lines[0] != f"# {self.mark}":
             raise SamplesError(
                 path.as_posix(),

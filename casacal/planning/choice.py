@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
@@ -58,11 +59,19 @@ class Choice:
         return error_of(self.rows[chosen], self.known, self.weight)
 
     def best_of(
-        self, count: int, starts: int, rng: np.random.Generator, criterion: Criterion = Criterion.TIP
+        self,
+        count: int,
+        starts: int,
+        rng: np.random.Generator,
+        criterion: Criterion = Criterion.TIP,
+        barred: NDArray[np.bool_] | None = None,
     ) -> Chosen:
-        """So many measurements, the best of some exchanges."""
-        begins = [rng.choice(len(self.rows), count, replace=False) for _ in range(starts)]
-        found = [exchange(self.rows, self.known, self.weight, begin, criterion=criterion) for begin in begins]
+        """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
+        there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
+        begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
+        found = [
+            exchange(self.rows, self.known, self.weight, begin, criterion=criterion, barred=barred) for begin in begins
+        ]
         return min(found, key=lambda each: each.loss).rows
 
     def curve(self, best: Chosen, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:

@@ -52,6 +52,7 @@ def exchange(
     start: Chosen,
     *,
     criterion: Criterion = Criterion.TIP,
+    barred: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Exchanged:
     """Improve a plan until no single exchange does.
@@ -62,11 +63,14 @@ def exchange(
         weight: M (n, n).
         start: the plan to begin with (k,), no row twice.
         criterion: what is made small.
+        barred: which measurements (N,) must not be taken.
         progress: called with the error after each sweep.
 
     """
     plan, free = start.copy(), np.ones(len(rows), dtype=bool)
     free[plan] = False
+    if barred is not None:
+        free[barred] = False
     for _ in range(SWEEPS):
         changed = False
         for place in range(len(plan)):
@@ -78,7 +82,7 @@ def exchange(
             best = int(np.argmax(others))
             left = float(np.trace(covariance @ weight)) - present if criterion is Criterion.TIP else 1.0
             if others[best] > present + BETTER * left:
-                free[plan[place]], free[best] = True, False
+                free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
                 plan[place], changed = best, True
         if progress is not None:
             progress(error_of(rows[plan], known, weight))

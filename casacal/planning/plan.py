@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.planning.choice import Choice
 from casacal.planning.clearance import Clearance
+from casacal.planning.enough import seldom
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.pool import pool_of
 from casacal.planning.route import AGAIN, CHECK, FIT, Route
@@ -112,9 +114,9 @@ def plan(
     choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
     rng = np.random.default_rng([seed, 1])
-    best = choice.best_of(touches - checks - repeats, starts, rng, wanted)
+    best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
-    fresh = rng.choice(np.setdiff1d(np.arange(pool), best), checks, replace=False)
+    fresh = rng.choice(np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best), checks, False)
     way = shortest_way(problem.robot, reachable.joints[np.concatenate([best, fresh])])
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
     purposes = [FIT] * len(best) + [CHECK] * checks
@@ -166,6 +168,28 @@ def touches_for(
         f"{most} touches that were chosen best leave {left:.3g} mm, more than {tolerance:g} mm",
         "Ask for less, measure with less noise, or add a face, a step or another instrument",
     )
+
+
+def _enough_of_each(
+    problem: Problem,
+    pool: Samples,
+    choice: Choice,
+    count: int,
+    starts: int,
+    rng: np.random.Generator,
+    criterion: Criterion,
+) -> tuple[Chosen, NDArray[np.bool_]]:
+    """The best plan that touches each of its faces often enough to say where it is, and what it leaves out (N,).
+
+    Fewer touches of a face tell nothing of the arm, so that an exchange leaves them where they were at random.
+    """
+    best, barred = choice.best_of(count, starts, rng, criterion), np.zeros(len(pool), dtype=bool)
+    while True:
+        few, least = seldom(problem, pool, best)
+        barred = barred | least
+        if not least.any() or (~barred).sum() < 2 * count:
+            return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
+        best = choice.best_of(count, starts, rng, criterion, barred)
 
 
 def _over_arms(
