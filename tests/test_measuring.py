@@ -192,6 +192,15 @@ def test_without_a_plan_it_waits_for_the_faces(hsr, route, world):
     assert rows_of(session.touches).faces().names == tuple(seen)
 
 
+def test_a_plunger_along_a_face_touches_nothing(hsr, route, late):
+    """At zero joint values the plunger points down, along both walls."""
+    for session in (late, Session(hsr.problem, route)):
+        for face in ("wall", "side"):
+            with pytest.raises(CasacalError, match=f"lies along '{face}'"):
+                session.take(np.zeros(6), 3.2, face)
+        assert session.take(np.zeros(6), 3.2, "floor").alarm.touch == len(session)
+
+
 def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
     joints, reading, face = world.touch(41)
     doubtful = late.take(joints, -reading, face, number=41)

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import CasacalError
 from casacal.estimators.sckf import Belief
 from casacal.measuring.known import Known
+from casacal.measuring.linear_rows import LinearRows
 from casacal.measuring.slips import Slip
 from casacal.measuring.touch import Touch, rows_of
 from casacal.uncertainty.fresh_rows import chance
@@ -38,6 +40,9 @@ STRAY = 60.0
 STRAY_WEIGHT = -2.0
 AS_LIKELY = math.log(20.0)
 """Logarithm of evidence by which explanations may differ that are both named."""
+
+ALONG = 0.02
+"""Noise of a touch over that of others below which its plunger lies along the face."""
 
 AS_GOOD = 4
 """Explanations that are named at most."""
@@ -71,33 +76,6 @@ class Alarm(Value):
         return self.suspects[0].touch if self.suspects else self.raised_by
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows linear about a belief, in its units: residuals (touches, m), slopes (touches, m, n), whitened; noise, mm."""
-
-    residual: Array
-    slope: Array
-    noise: Array
-
-    @staticmethod
-    def of(known: Known, belief: Belief, touches: Sequence[Touch]) -> _Rows:
-        """Of touches, about a mean."""
-        bound, count = known.bound.on(rows_of(touches)), len(touches)
-        x = bound.x0 + bound.start_std * belief.mean
-        slopes = (bound.jacobian(x) * bound.start_std).reshape(count, -1, bound.unknowns)
-        return _Rows(bound.residual(x).reshape(count, -1), slopes, bound.block.noise)
-
-    def without(self, k: int) -> _Rows:
-        return _Rows(*(np.delete(part, k, axis=0) for part in (self.residual, self.slope, self.noise)))
-
-    def evidence(self, mean: Array) -> float:
-        """Logarithm, less a constant for each row, with the unit prior about -mean of the shift integrated out."""
-        r, j = self.residual.ravel(), self.slope.reshape(-1, mean.size)
-        information, gradient = np.eye(mean.size) + j.T @ j, j.T @ r + mean
-        chi_square = r @ r + mean @ mean - gradient @ np.linalg.solve(information, gradient)
-        return -float(chi_square + np.linalg.slogdet(information)[1]) / 2
-
-
 def examined(
     known: Known, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], *, others: Known | None
 ) -> Alarm | None:
@@ -115,7 +93,7 @@ def examined(
     if fresh and others is not None:
         known = others  # about which all is linear: a gross one moves it far
     before = known.belief
-    rows = _Rows.of(known, before, touches)
+    rows = LinearRows.of(known, before, touches)
     chances = _left_out(rows, before.mean)
     looked = [k for k in range(len(touches)) if not touches[k].kept and not (fresh and k == last)]
     off = [k for k in looked if chances[k] < EARLIER]
@@ -127,9 +105,20 @@ def examined(
     return Alarm(raised, *_off_by(rows, before, raised), suspects)
 
 
+def refuse_along(known: Known, touch: Touch) -> None:
+    """Raise CasacalError for a touch at which the plunger would lie along its face."""
+    noise = known.bound.on(rows_of([touch])).block.noise
+    if (noise < ALONG * np.median(known.bound.block.noise)).any():
+        where = ", ".join(touch.labels.values()) or "the face"
+        raise CasacalError(
+            f"At these joint values the plunger lies along '{where}', so that it cannot touch it",
+            "Look at the joint values and the face",
+        )
+
+
 def _chance_alone(known: Known, touch: Touch) -> float:
     """Chance of a touch by what others tell."""
-    rows = _Rows.of(known, known.belief, [touch])
+    rows = LinearRows.of(known, known.belief, [touch])
     value, spread = rows.residual[0], rows.slope[0] @ known.belief.root
     square = float(value @ np.linalg.solve(np.eye(len(value)) + spread @ spread.T, value))
     return chance(square, len(value))
@@ -137,16 +126,18 @@ def _chance_alone(known: Known, touch: Touch) -> float:
 
 def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], number: int) -> Alarm | None:
     """Look at a touch that is not taken in, by what is known; None where it agrees."""
-    rows = _Rows.of(known, known.belief, [touch])
+    rows = LinearRows.of(known, known.belief, [touch])
     value, slope = rows.residual[0], rows.slope[0]
     spread = slope @ known.belief.root
     if touch.kept or _chance_alone(known, touch) >= NEW:
         return None
     others = slips()
     scores: list[tuple[Slip | None, float]] = [(None, STRAY_WEIGHT - _stray(rows))]
-    found = _Rows.of(known, known.belief, [slip.touch for slip in others]) if others else None
+    found = LinearRows.of(known, known.belief, [slip.touch for slip in others]) if others else None
     for k, slip in enumerate(others):
         assert found is not None
+        if (found.noise[k] < ALONG * np.median(known.bound.block.noise)).any():
+            continue
         scores.append((slip, slip.weight + _alone(found.residual[k], found.slope[k] @ known.belief.root)))
     return Alarm(number, *_off_alone(rows, value, spread), _ranked([(number, *each) for each in scores]))
 
@@ -154,7 +145,7 @@ def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], nu
 def _explained(
     known: Known,
     about: Belief,
-    rows: _Rows,
+    rows: LinearRows,
     slips: Callable[[int], list[Slip]],
     looked: Sequence[int],
 ) -> tuple[Suspected, ...]:
@@ -165,11 +156,13 @@ def _explained(
         others = slips(k)
         if not others:
             continue
-        changed = _Rows.of(known, about, [slip.touch for slip in others])
+        changed = LinearRows.of(known, about, [slip.touch for slip in others])
         rest = rows.without(k)
         parts = zip(others, changed.residual, changed.slope, changed.noise, strict=True)
         for slip, residual, slope, noise in parts:
-            whole = _Rows(
+            if (noise < ALONG * np.median(rows.noise)).any():  # a plunger along the face touches nothing
+                continue
+            whole = LinearRows(
                 np.vstack([rest.residual, residual]),
                 np.vstack([rest.slope, slope[None]]),
                 np.vstack([rest.noise, noise]),
@@ -194,7 +187,7 @@ def _ranked(scores: Sequence[tuple[int, Slip | None, float]]) -> tuple[Suspected
     return tuple(Suspected(touch, slip, math.exp(score - most) / total) for touch, slip, score in shown)
 
 
-def _left_out(rows: _Rows, mean: Array) -> Array:
+def _left_out(rows: LinearRows, mean: Array) -> Array:
     """Chance of each touch (touches,) by all others."""
     flat, m = rows.slope.reshape(-1, mean.size), rows.residual.shape[1]
     covariance = np.linalg.inv(np.eye(mean.size) + flat.T @ flat)
@@ -213,13 +206,13 @@ def _alone(residual: Array, spread: Array) -> float:
     return -float(square + np.linalg.slogdet(covariance)[1]) / 2
 
 
-def _stray(rows: _Rows) -> float:
+def _stray(rows: LinearRows) -> float:
     """Logarithm of the range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2."""
     noise = rows.noise[0]
     return float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
 
 
-def _off_by(rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
+def _off_by(rows: LinearRows, about: Belief, k: int) -> tuple[float, float]:
     """By how much a touch is off by the others, and the standard deviation of that, mm; of several, their length."""
     rest = rows.without(k)
     flat = rest.slope.reshape(-1, about.mean.size)
@@ -232,7 +225,7 @@ def _off_by(rows: _Rows, about: Belief, k: int) -> tuple[float, float]:
     return _signed(value * noise), std
 
 
-def _off_alone(rows: _Rows, value: Array, spread: Array) -> tuple[float, float]:
+def _off_alone(rows: LinearRows, value: Array, spread: Array) -> tuple[float, float]:
     noise = rows.noise[0]
     std = math.sqrt(float(((1 + (spread**2).sum(axis=1)) * noise**2).sum()))
     return _signed(value * noise), std

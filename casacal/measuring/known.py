@@ -87,13 +87,13 @@ def usable(problem: Problem, touches: Sequence[Touch], places: Places) -> list[i
 def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
     """The same of rows."""
     instrument, told = problem.instrument, np.ones(len(samples), dtype=bool)
-    counts = _counts(problem, samples)
+    enough = counts(problem, samples)
     for key, unknown in instrument.unknowns.items():
         if unknown.nominal is not None:
             continue
         for label, rows in instances(instrument, key, unknown, samples):
             name = key if label is None else f"{key}.{label}"
-            if name not in places and not (counts[name] and _stands(problem, samples.take(rows), places)):
+            if name not in places and not (enough[name] and _stands(problem, samples.take(rows), places)):
                 told[rows] = False
     return [int(k) for k in np.flatnonzero(told)]
 
@@ -119,7 +119,7 @@ def known_from(
     face stands.
     """
     samples = rows_of(touches)
-    proposed = frozenset(name for name, enough in _counts(problem, samples).items() if enough and name not in places)
+    proposed = frozenset(name for name, enough in counts(problem, samples).items() if enough and name not in places)
     labels = {name: column.names for name, column in samples.labels.items()}
     if before is not None and before.proposed == proposed and _covers(before.bound, problem, labels):
         bound = before.bound.with_noise().on(samples)
@@ -140,9 +140,9 @@ def known_from(
     return Known(best[1], *best[2], best[0], proposed)
 
 
-def known_before(problem: Problem, touch: Touch, places: Places, planned: Samples | None) -> Known:
-    """What is known before a first touch, of a face that is planned."""
-    bound = _bound(problem, rows_of([touch]), places, planned, frozenset())
+def known_before(problem: Problem, rows: Samples, places: Places, planned: Samples | None = None) -> Known:
+    """What is known before any touch, bound to some rows of faces that are planned."""
+    bound = _bound(problem, rows, places, planned, frozenset())
     return Known(bound, begun(bound), np.zeros(0), np.zeros(0), 1.0, frozenset())
 
 
@@ -227,7 +227,7 @@ def _bound(
     return BoundProblem(problem, slots, (samples,))
 
 
-def _counts(problem: Problem, samples: Samples) -> dict[str, bool]:
+def counts(problem: Problem, samples: Samples) -> dict[str, bool]:
     """Whether rows are enough to say where each thing stands that was declared without a nominal value, by name."""
     found = {}
     for key, unknown in problem.instrument.unknowns.items():

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError
-from casacal.measuring.examine import Alarm, Suspected
+from casacal.measuring.examine import Alarm, Suspected, refuse_along
 from casacal.measuring.given import columns_of, joints_of, labels_of
 from casacal.measuring.standing import Standing
 from casacal.measuring.state import state_of
@@ -65,6 +65,8 @@ class Session(Standing):
             FIT if planned is None else planned.purpose,
         )
         self._refuse_unplanned(touch)
+        if self.known is not None and self.known.knows(touch):
+            refuse_along(self.known, touch)
         return self._after((*self.touches, touch), new=True)
 
     def undo(self, touch: int | None = None) -> Session:

@@ -98,6 +98,11 @@ def ended(session: Session) -> list[str]:
             f"{below:.3g} mm{met}, apart from where the base stands, if the priors and the form of the arm's model are "
             "right. casacal calibrate judges that"
         )
+    if few := session.too_few:
+        said.append(
+            f"warning: {', '.join(few)} {'was' if len(few) == 1 else 'were'} touched too seldom to say where it stands; "
+            "casacal calibrate asks for more touches there, or leaves them out"
+        )
     if session.alarm is not None:
         said.append(f"warning: touch {_name(session, session.alarm.touch)} is still in doubt; go on, and answer")
     if (checked := session.checked()) is not None:

@@ -11,11 +11,11 @@ from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm
 from casacal.measuring.further import Pool, could_be
-from casacal.measuring.known import innovations_at, places_of, telling
+from casacal.measuring.known import Known, counts, innovations_at, known_before, places_of, telling
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State
 from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
-from casacal.measuring.touch import Touch, planned_touches
+from casacal.measuring.touch import Touch, planned_touches, rows_of
 from casacal.planning.route import CHECK, Route
 from casacal.planning.wanted import wanted_joints
 from casacal.problem.disturbances import Disturbances
@@ -104,6 +104,20 @@ class Standing(Value):
     def alarm(self) -> Alarm | None:
         """Which touch does not agree with the others, and what would explain it; None where all agree."""
         return self.state.alarm
+
+    @cached_property
+    def known(self) -> Known | None:
+        """What the touches tell, or the plan before any; None where there is neither."""
+        setting = self._setting
+        if self.state.known is not None or setting.planned is None:
+            return self.state.known
+        return known_before(self.problem, setting.planned, setting.places)
+
+    @property
+    def too_few(self) -> tuple[str, ...]:
+        """Faces and the like that were touched, but too seldom to say where they stand, by name."""
+        fit = [touch for touch in self.touches if touch.purpose != CHECK]
+        return tuple(name for name, enough in counts(self.problem, rows_of(fit)).items() if not enough) if fit else ()
 
     @property
     def waiting(self) -> tuple[int, ...]:

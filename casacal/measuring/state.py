@@ -9,7 +9,7 @@ from casacal.array_types import Array
 from casacal.measuring.examine import Alarm, examined, judged_alone
 from casacal.measuring.known import Known, Places, innovations_at, known_before, known_from, usable
 from casacal.measuring.slips import Slip
-from casacal.measuring.touch import Touch
+from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.route import CHECK
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -79,7 +79,7 @@ def state_of(
 def _others(setting: Setting, touches: Sequence[Touch], used: Sequence[int], before: Known | None) -> Known | None:
     """What all touches but the last tell of its face too; None where they tell nothing of it."""
     if len(used) == 1:
-        return known_before(setting.problem, touches[used[0]], setting.places, setting.planned)
+        return known_before(setting.problem, rows_of([touches[used[0]]]), setting.places, setting.planned)
     rest = [touches[k] for k in used[:-1]]
     rest = [rest[k] for k in usable(setting.problem, rest, setting.places)]
     others = known_from(setting.problem, rest, setting.places, setting.planned, before) if rest else None
