@@ -100,7 +100,7 @@ def ended(session: Session) -> list[str]:
         )
     if few := session.too_few:
         said.append(
-            f"warning: {', '.join(few)} {'was' if len(few) == 1 else 'were'} touched too seldom to say where it stands; "
+            f"warning: {', '.join(few)} {'was' if len(few) == 1 else 'were'} touched too seldom to say where it is; "
             "casacal calibrate asks for more touches there, or leaves them out"
         )
     if session.alarm is not None:
