@@ -1,5 +1,6 @@
 """Documents tell the truth: what the README shows is run, links lead somewhere, pages list what there is."""
 
+import io
 import re
 import shlex
 from importlib import import_module
@@ -39,7 +40,8 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_commands_run_in_order(workplace, capsys):
+def test_the_commands_run_in_order(workplace, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())  # nobody types
     commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("casacal ")]
     assert len(commands) >= 6
     for command in commands:
