@@ -47,8 +47,6 @@ def test_nodes_are_carried_by_the_joints_before_them(name):
         still = j + 1 if robot.revolute[j] else j  # a place on a turning axis stays where it is
         assert others[:, :still] == pytest.approx(nodes[:, :still], abs=1e-9)
         assert not np.allclose(others[:, -1], nodes[:, -1]) or j == joints.shape[1] - 1
-    parameters = robot.at_nominal() if hasattr(robot, "at_nominal") else None
-    assert parameters is None
 
 
 def test_flange_is_the_last_node(hsr):

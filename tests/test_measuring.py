@@ -259,8 +259,6 @@ def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     assert 1 <= needed <= 30
     touch = session.next()
     assert touch.number is None
-    one = bind(hsr.problem, rows_of([*session.touches, touch]))
-    random = route.samples.take([0])
     for _ in range(needed):
         assert not session.done
         touch = session.next()
@@ -279,8 +277,6 @@ def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     assert session.done
     assert session.next() is None
     assert session.tip_error_below < before
-    assert one.rows == 25
-    assert len(random) == 1
 
 
 def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from casacal.array_types import Array
 from casacal.compensation.programs import in_comments, printable
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.fieldwork.approaches import Approaches
-from casacal.files import write_text
 from casacal.planning.route import Route
 from casacal.problem.problem import Problem
 from casacal.values import FrozenMapping
@@ -117,11 +115,6 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
         lines += [line.format(words=words) for line in form.wait]
         lines += [line.format(*above) for line in form.slow]
     return "\n".join([*lines, *form.end]) + "\n"
-
-
-def write_program(path: str | Path, problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> None:
-    """Write `program_text` to a file, whole or not at all."""
-    write_text(path, program_text(problem, route, ways, language, name))
 
 
 def _written(joints: Array, form: Language) -> list[str]:

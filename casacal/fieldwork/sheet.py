@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.nominal import nominal_tips
 from casacal.calibration.page.markup import Markup, tag, together
 from casacal.errors import ProblemError
-from casacal.files import write_text
 from casacal.planning.clearance import nodes_of
 from casacal.planning.route import Route
 from casacal.planning.written import PLANNED_DECIMALS
@@ -64,11 +61,6 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
     for block in ("tr", "table", "p", "h1", "head", "style", "svg"):
         page = Markup(page.replace(f"</{block}>", f"</{block}>\n"))
     return f"<!DOCTYPE html>\n{page}\n"
-
-
-def write_sheet(path: str | Path, problem: Problem, route: Route, name: str) -> None:
-    """Write `sheet_page` to a file, whole or not at all."""
-    write_text(path, sheet_page(problem, route, name))
 
 
 def _table(route: Route, layout: Layout, pictures: list[Markup] | None, rows: range) -> Markup:

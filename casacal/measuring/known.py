@@ -60,11 +60,6 @@ class Known(Value):
         """The mean (n,), in mm and rad."""
         return np.asarray(self.bound.x0 + self.bound.start_std * self.belief.mean)
 
-    @property
-    def per_touch(self) -> int:
-        """Residuals of each touch."""
-        return self.bound.rows // len(self.bound.block.samples)
-
     def knows(self, touch: Touch) -> bool:
         """Whether there are unknowns for the face of a touch."""
         return _covers(self.bound, self.bound.problem, {name: (label,) for name, label in touch.labels.items()})
