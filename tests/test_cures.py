@@ -33,19 +33,20 @@ from casacal.calibration.next_step import best_cure, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
+from casacal.planning.cures import NO_CURE, cures, outcomes
+from casacal.planning.extra_touches import Touches
+from casacal.planning.offers import offers
 from casacal.samples.samples import joined
 from casacal.tables.labels import Labels
-from casacal.uncertainty.cures import NO_CURE, cures
 from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy
-from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Touches
-from casacal.uncertainty.offers import offers
 
 FLAT = Cell(faces=plate((1350.0, 0.0, 500.0)), tilt=0.0)
 KINDS = {
+    "many": "60 planned touches",
     "same": "of the same kind",
     "noise": "half the noise",
-    "tilt": "tilted by 10 to 30",
-    "face": "another face",
+    "tilt": "tilted by up to 30",
+    "face": "another at right angles",
     "inclined": "inclined by 15",
     "step": "100 mm step",
 }
@@ -99,18 +100,19 @@ def test_a_known_length_is_what_three_faces_lack(ur5):
     now, found = found_on(ur5, cell)
     kinds = by_kind(found)
     assert now == pytest.approx(0.236, rel=0.15)
-    assert kinds["step"] == pytest.approx(0.034, rel=0.15)
-    assert kinds["same"] == pytest.approx(0.215, rel=0.15)
-    assert kinds["face"] == pytest.approx(0.211, rel=0.15)
+    assert kinds["step"] == pytest.approx(0.0293, rel=0.15)
+    assert kinds["same"] == pytest.approx(0.175, rel=0.15)  # 24 that nobody planned leave 0.215
+    assert kinds["many"] == pytest.approx(0.147, rel=0.15)
+    assert kinds["face"] == pytest.approx(0.175, rel=0.15)
     assert next(iter(kinds)) == "step"
     assert found[0].recommended
-    assert not any(cure.recommended for cure in found if "another face" in cure.words)
+    assert not any(cure.recommended for cure in found if "another at right angles" in cure.words)
 
 
 def test_one_face_and_a_tool_normal_to_it_need_another_face(one_face):
     kinds = by_kind(one_face.cures)
     assert one_face.tip_std[1] == pytest.approx(2.37, rel=0.15)
-    for kind, expected in {"face": 1.10, "tilt": 1.76, "step": 2.29}.items():
+    for kind, expected in {"face": 0.63, "tilt": 1.65, "step": 2.18}.items():
         assert kinds[kind] == pytest.approx(expected, rel=0.15)
     assert next(iter(kinds)) == "face"
     assert kinds["inclined"] < kinds["tilt"] < kinds["step"] < one_face.tip_std[1]
@@ -118,15 +120,18 @@ def test_one_face_and_a_tool_normal_to_it_need_another_face(one_face):
 
 def test_cures_are_recommended_that_gain_more_than_a_few_per_cent(one_face, three_faces):
     """More of the same against none; any other against as many touches of the same kind."""
-    for found, worth in ((three_faces, {"step", "noise", "same"}), (one_face, {"face", "inclined", "tilt"})):
+    for found, worth in (
+        (three_faces, {"step", "noise", "same", "many"}),
+        (one_face, {"face", "inclined", "tilt", "same"}),
+    ):
         kinds = by_kind(found.cures)
         chosen = {kind for kind, cure in zip(kinds, found.cures, strict=True) if cure.recommended}
-        assert chosen == worth
+        assert chosen - {"face"} == worth - {"face"}  # on three faces another one is at the limit
         for kind, error in kinds.items():
-            assert (error < 0.95 * (found.tip_std[1] if kind == "same" else kinds["same"])) == (kind in worth)
-    kinds = by_kind(three_faces.cures)  # the figures lie on both sides, near enough to tell a wrong limit
-    assert 0.95 < kinds["face"] / kinds["same"] < 0.98
-    assert 0.92 < kinds["same"] / three_faces.tip_std[1] < 0.95
+            assert (error < 0.95 * (found.tip_std[1] if kind == "same" else kinds["same"])) == (kind in chosen)
+    kinds = by_kind(one_face.cures)  # the figures lie on both sides, near enough to tell a wrong limit
+    assert 0.955 < kinds["noise"] / kinds["same"] < 0.98
+    assert 0.92 < kinds["same"] / one_face.tip_std[1] < 0.945
 
 
 def test_a_level_plate_under_a_scara_is_inclined_and_what_it_cannot_reach_is_left_out(scara):
@@ -147,18 +152,38 @@ def test_figures_are_those_of_all_rows_bound_together(hsr, labels):
     problem = Problem(hsr.problem.robot, dial)
     cell = Cell(faces=hsr.cell.faces if labels else FLAT.faces, error_scale=0.0, repeatability=0.0, resolution=0.0)
     bound = bind(problem, simulate(problem, cell, seed=1).samples, backend="blocks")
-    touches, kinds = Touches.of(bound, bound.x0), by_kind(cures(bound, bound.x0))
+    kinds = by_kind(cures(bound, bound.x0))
     here = bound.samples[0]
     if not labels:
         here = dataclasses.replace(here, labels={"plane": here.faces(None)})
     best = {}
-    for offer in offers(bound, touches):
-        if offer.noise == 1.0 and (rows := touches.on(offer.cell)) is not None:
-            together = planned_accuracy(bind(offer.problem, joined(here, rows), backend="blocks"))[1]
-            best[offer.kind] = min(best.get(offer.kind, math.inf), together)
+    for outcome in outcomes(bound, bound.x0):
+        if outcome.kind != "noise":
+            together = planned_accuracy(bind(outcome.problem, joined(here, outcome.rows), backend="blocks"))[1]
+            best[outcome.kind] = min(best.get(outcome.kind, math.inf), together)
     assert best.keys() == kinds.keys() - {"noise"}
     for kind, together in best.items():
         assert kinds[kind] == pytest.approx(together, rel=0.01)
+
+
+def test_planned_touches_are_the_best_of_what_could_be_made(hsr, three_faces):
+    """No random choice of as many is as good; all rows bound together."""
+    bound = three_faces.fit
+    touches = Touches.of(bound, bound.x0)
+    pools = {offer.kind: touches.on(offer.cell) for offer in offers(bound, touches) if offer.kind in ("same", "step")}
+    rng = np.random.default_rng(3)
+    for outcome in outcomes(bound, bound.x0):
+        if outcome.kind not in pools:
+            continue
+        pool = pools[outcome.kind]
+        choices = [outcome.rows, *(pool.take(rng.choice(len(pool), 24, replace=False)) for _ in range(6))]
+        both = [bind(outcome.problem, joined(three_faces.samples, rows), backend="blocks") for rows in choices]
+        planned, *at_random = (planned_accuracy(each)[1] for each in both)
+        assert planned < 0.97 * min(at_random)
+        assert len(outcome.rows) == outcome.touches == 24
+        chosen = {tuple(row) for row in outcome.rows.joints}
+        assert len(chosen) == 24
+        assert chosen <= {tuple(row) for row in pool.joints}
 
 
 def test_extra_touches_lie_on_their_faces_at_the_estimate(hsr, three_faces):
@@ -176,7 +201,7 @@ def test_extra_touches_lie_on_their_faces_at_the_estimate(hsr, three_faces):
     heights = (tips - np.asarray(base.centre)) @ base.axes[0]
     on_block = np.array([label != base.label for label in rows.labels["plane"]])
     np.testing.assert_allclose(heights, np.where(on_block, 100.0, 0.0), atol=1e-6)
-    assert on_block.sum() == EXTRA_TOUCHES / 2
+    assert abs(on_block.mean() - 0.5) < 0.1
     assert (-(plungers @ base.axes[0]) > math.cos(math.radians(31))).all()
 
 
@@ -268,7 +293,7 @@ def test_every_report_says_the_best_and_its_figure(three_faces):
     document = calibration_document(three_faces)
     assert [entry["expected_rms_mm"] for entry in document["cures"]] == sorted(by_kind(three_faces.cures).values())
     assert document["cures"][0]["recommended"]
-    assert {entry["touches"] for entry in document["cures"]} == {24}
+    assert {entry["words"].split()[0]: entry["touches"] for entry in document["cures"]} == {"24": 24, "60": 60}
     text = summary(three_faces, "hsr")
     for cure in three_faces.cures:
         assert f"{cure.expected_rms_mm:.3f} mm  {cure.words}" in text
@@ -330,12 +355,11 @@ def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
     whole = bind(problem, samples, backend="blocks")
     x = lm(whole).x
     touches = Touches.of(whole, x)
-    (step,) = (offer for offer in offers(whole, touches) if offer.kind == "step")
-    rows = touches.on(step.cell)
-    assert set(rows.labels["day"]) == {"day 7"}
-    together = bind(step.problem, joined(samples, rows), backend="blocks")
+    assert set(touches.on(next(offers(whole, touches)).cell).labels["day"]) == {"day 7"}
+    (step,) = (outcome for outcome in outcomes(whole, x) if outcome.kind == "step")
+    together = bind(step.problem, joined(samples, step.rows), backend="blocks")
     kinds = by_kind(cures(whole, x))
-    assert kinds.keys() == {"step", "same", "noise", "face"}
+    assert kinds.keys() == {"step", "same", "many", "noise", "face"}
     assert kinds["step"] == pytest.approx(planned_accuracy(together)[1], rel=0.05)
     monkeypatch.setattr(sums, "MANY", 40)
     parted = bind(problem, samples, backend="blocks")

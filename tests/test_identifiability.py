@@ -10,8 +10,8 @@ from conftest import ROOT
 from casacal import Cell, DialOnPlane, Face, Problem, bind, calibrate, corner, load_problem, plate, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
+from casacal.planning.cures import cure_for, cures
 from casacal.samples.write import write_samples
-from casacal.uncertainty.cures import cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy
 from casacal.uncertainty.identifiability import correlated_pairs, identifiability, prior_scale, sparse_basis, verdict
 from casacal.uncertainty.workspace import workspace_joints
@@ -140,7 +140,7 @@ def test_tilt_is_the_cure_for_a_normal_tool_and_does_what_it_says(hsr):
     joints = workspace_joints(contact.robot)
     found = identifiability(bound, bound.tip_jacobian(bound.x0, joints), bound.tips(bound.x0, joints))
     offers, now = cures(bound, bound.x0), posterior_covariance(bound.information(bound.x0), bound.prior_std)
-    (tilted,) = (cure for cure in offers if "tilted by 10 to 30 degrees" in cure.words)
+    (tilted,) = (cure for cure in offers if "tilted by up to 30 degrees" in cure.words)
     assert tilted.recommended
     blind = [d for d in found.null if d.kind == "blind" and d.tip_mm > 0.1]
     assert blind

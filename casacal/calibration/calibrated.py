@@ -24,7 +24,7 @@ from casacal.calibration.withheld import without_motion, without_predictions, wi
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
-from casacal.uncertainty.cures import Cure
+from casacal.planning.cures import Cure
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.left_out import LeftOut

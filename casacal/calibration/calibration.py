@@ -12,7 +12,7 @@ from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.calibration.motion import Motion, among, used_arm
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.uncertainty.cures import Cure, cure_for, cures
+from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.flange import flange_accuracy
 from casacal.uncertainty.identifiability import (

@@ -8,7 +8,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.verdict import Verdict, wrong_with_samples
 from casacal.calibration.warnings import VERIFY, doubts, suspicious
-from casacal.uncertainty.cures import Cure
+from casacal.planning.cures import Cure
 
 
 def next_step(

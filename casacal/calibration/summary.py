@@ -21,6 +21,10 @@ from casacal.version import __version__
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
+PLANNED = (
+    "Planned touches are the best of those that were drawn. casacal plan PROBLEM --after SAMPLES chooses such ones; a "
+    "new face or step goes into the problem file first."
+)
 
 
 def summary(calibration: Calibration, name: str) -> str:
@@ -186,6 +190,8 @@ def _cures(calibration: Calibration) -> str:
         said = f"{_mm(cure.expected_rms_mm):>11}  {cure.words}"
         lines.append(said if cure.recommended else f"{said} (not recommended)")
     lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
+    if any("planned" in cure.words for cure in calibration.cures):
+        lines.append(PLANNED)
     if none := nothing_helps(calibration):
         lines.append(none)
     return "\n".join(lines)

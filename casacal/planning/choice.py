@@ -16,6 +16,9 @@ from casacal.uncertainty.workspace import up_to_base, workspace_joints
 UNKNOWN = 1e-9
 """Information, in units of what filters start from, of what nobody knows beforehand."""
 
+ROUNDING = 1e-12
+"""The same as part of all that there is, where rows have told much of some unknowns and nothing of others."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -53,6 +56,22 @@ class Choice:
         if loose:
             known = _loosened(known, bound, loose)
         return Choice(rows, np.asarray(known), field.T @ field / len(joints))
+
+    @staticmethod
+    def on_top(extra: BoundProblem, x: Array, known: Array, field: Array) -> Choice:
+        """Of extra rows, bound, where they stand at x (n,), on top of information (n, n), priors not in it.
+
+        field: slopes (3M, s) of a tip that is wanted at M postures, by the first unknowns; the others move none.
+        """
+        units = extra.start_std
+        rows = (extra.jacobian(x) * units).reshape(len(extra.measured), -1, extra.unknowns)
+        held = known + np.diag(extra.prior_information)
+        held = held * np.outer(units, units)
+        held += max(UNKNOWN, ROUNDING * float(np.trace(held))) * np.eye(units.size)
+        slopes = field.reshape(-1, field.shape[-1]) * units[: field.shape[-1]]
+        weight = np.zeros_like(held)
+        weight[: slopes.shape[1], : slopes.shape[1]] = slopes.T @ slopes / (len(slopes) / 3)
+        return Choice(rows, np.asarray(held), weight)
 
     def error(self, chosen: Chosen) -> float:
         """Tip error (mm RMS) that some measurements leave."""

@@ -12,6 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import bind
 from casacal.errors import CasacalError
 from casacal.planning.choice import Choice
+from casacal.planning.more_faces import STEP, block_on, fresh, raised, rising
 from casacal.planning.pool import cell_of, pool_of
 from casacal.planning.wanted import wanted_joints
 from casacal.problem.cell import Cell, Face
@@ -26,14 +27,11 @@ POOL = 600
 FEW = 3
 """Touches of each face that show whether it is in reach."""
 
-HIGHER, STEP, BLOCK = 300.0, 100.0, (35.0, 35.0)
-"""By how much a plate is raised, a gauge block's height, and its top, mm."""
+HIGHER = 300.0
+"""By how much a plate is raised, mm."""
 
 TILTS = (10.0, 30.0, 45.0)
 """Largest angles between plunger and face that are compared, degrees."""
-
-ALIKE = math.cos(math.radians(5.0))
-"""Cosine between normals of faces that are as good as one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,23 +99,16 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
     if count > 1:
         yield f"one plate, '{first.label}'", problem, replace(cell, faces=(first,))
     if several is not None:
-        up = np.asarray(first.centre) + HIGHER * first.axes[0]
-        yield (
-            f"one plate, '{first.label}', and it again {HIGHER:g} mm higher",
-            labelled,
-            replace(cell, faces=(first, Face("higher", _triple(up), first.normal, first.size))),
-        )
+        higher = raised(first, HIGHER, fresh("higher", cell.faces))
+        words = f"one plate, '{first.label}', and it again {HIGHER:g} mm higher"
+        yield words, labelled, replace(cell, faces=(first, higher))
         if not _right_angles(cell):
             yield "three faces at right angles", labelled, replace(cell, faces=_corner_on(first))
-        label = "gauge block"
+        label = fresh("gauge block", cell.faces)
         stepped = several.with_step(label, first.label, STEP)
         if stepped is not None:
-            top = np.asarray(first.centre) + STEP * first.axes[0]
-            yield (
-                f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'",
-                Problem(problem.robot, stepped),
-                replace(cell, faces=(*cell.faces, Face(label, _triple(top), first.normal, BLOCK))),
-            )
+            words = f"as it is, and a gauge block of {STEP:g} mm on '{first.label}'"
+            yield words, Problem(problem.robot, stepped), replace(cell, faces=(*cell.faces, block_on(first, label)))
     for other in TILTS:
         if abs(other - tilt) > 1:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
@@ -136,15 +127,5 @@ def _right_angles(cell: Cell) -> bool:
 
 def _corner_on(first: Face) -> tuple[Face, ...]:
     """A face and two that rise at right angles from two of its edges."""
-    normal, aside, across = first.axes
-    centre, half = np.asarray(first.centre), 0.5 * first.size[0]
-    rising = [
-        Face(name, _triple(centre + half * (normal - way)), _triple(way), first.size)
-        for name, way in (("wall", aside), ("side", across))
-    ]
-    return (first, *rising)
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+    _, aside, across = first.axes
+    return (first, rising(first, aside, fresh("wall", (first,))), rising(first, across, fresh("side", (first,))))

@@ -66,11 +66,13 @@ def try_touches(
     rng: np.random.Generator,
     waiting: NDArray[np.intp] | None = None,
     growth: Array | None = None,
+    *,
+    starts: int = STARTS,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
     What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
-    they are.
+    they are. starts: random poses among which each finds where to begin.
     """
     count = len(which)
     growth = np.ones(count) if growth is None else growth
@@ -82,14 +84,14 @@ def try_touches(
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
     directions = _tilted(axes, cell.tilt, rng)
-    starts = random_joints(touch.robot, count * STARTS, rng).reshape(count, STARTS, -1)
+    poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
     if waiting is not None:
         which, lift, readings, uv = which[waiting], lift[waiting], readings[waiting], uv[waiting]
         growth = growth[waiting]
-        axes, centres, half, targets, directions, starts = (
-            each[waiting] for each in (axes, centres, half, targets, directions, starts)
+        axes, centres, half, targets, directions, poses = (
+            each[waiting] for each in (axes, centres, half, targets, directions, poses)
         )
-    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, starts))
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
     joints, inside = touch.within_limits(joints)
     heights = lift + (axes[:, 0] * centres).sum(axis=1)
     for i, form_seed in enumerate(form_seeds):

@@ -46,9 +46,11 @@ def _next(document: Mapping[str, Any]) -> Markup:
     return together(
         tag("h3", "What to do next"),
         paragraph(
-            "Each was simulated with the arm as calibrated, put on top of the samples there are, and fitted with them; "
-            "the arm’s size may be known better than its prior and still be most of what remains. Not recommended "
-            "is what gains little, or hardly more than as many touches of the same kind."
+            "Each was simulated with the arm as calibrated, put on top of the samples there are, and fitted with them. "
+            "Planned touches are the best of those that were drawn; casacal plan --after chooses such ones, with new "
+            "faces once they are in the problem file. The arm’s size may be known better than its prior and still be "
+            "most of what remains. Not recommended is what gains little, or hardly more than 24 planned touches of the "
+            "same kind."
         ),
         table("cures", "What to do next, best first, and the tip error to expect after it", columns, rows),
         None

@@ -1,7 +1,8 @@
-"""What to do next, best first: extra touches, simulated, put on top of the samples there are, and judged at the tip.
+"""What to do next, best first: extra touches, planned, put on top of the samples there are, and judged at the tip.
 
-Every figure is worked out at the estimate, as the tip error to expect is: the arm as calibrated touches its faces as
-they were found, and the linearised touches are added to what the samples know, everything free.
+Every figure is worked out at the estimate, as the tip error to expect is: the arm as calibrated can touch its faces as
+they were found in many postures, those that leave the least error are chosen of them by exchange, as `plan` does, and
+the linearised touches are added to what the samples know, everything free.
 """
 
 from __future__ import annotations
@@ -17,9 +18,14 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen, seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Known, Touches
+from casacal.planning.choice import Choice
+from casacal.planning.extra_touches import Touches
+from casacal.planning.known import Known
+from casacal.planning.offers import EXTRA_TOUCHES, Offer, offers
+from casacal.problem.cell import Cell
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
-from casacal.uncertainty.offers import offers
 from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 
 GAIN = 0.95
@@ -47,35 +53,49 @@ class Cure:
     """Of the unknowns that the samples share (s, s), after it."""
 
 
-def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
-    """What to do next at x (n,), best first, each from 24 extra touches.
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What there would be after a cure."""
 
-    More of the same; more tilt; another face at right angles; a plate that stands alone, inclined; a known length; half
-    the noise. What this arm cannot reach is left out. An instrument that touches no faces has two: more of the same,
-    and half the noise.
+    kind: str
+    words: str
+    touches: int
+    information: Array
+    """All there would be (m, m); of the first unknowns, those that the samples share."""
+    prior_std: Array
+    rows: Samples | None = None
+    """The touches that were chosen, where they were."""
+    problem: Problem | None = None
+    """Whose rows these are: the problem, with a new face or step."""
+
+
+def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
+    """What to do next at x (n,), best first, each from 24 planned touches.
+
+    More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
+    known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has two:
+    as many more of the same as nobody planned, and half the noise.
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
     arm, at = seen(bound, x)
-    joints = workspace_joints(bound.problem.robot)
-    tips, told = arm.tips(at, joints), arm.information(at)
-    field = without_rigid(arm.tip_jacobian(at, joints), tips)
+    told, field = arm.information(at), _field(arm, at)
 
     def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
         covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
         return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean())), covariance
 
-    found: dict[str, tuple[float, Array, str]] = {}
-    for kind, words, information, prior_std in _outcomes(bound, arm, x, told):
-        if np.isfinite(information).all():
-            error, covariance = judged(information, prior_std)
-            if kind not in found or error < found[kind][0]:  # of the same at several places, the best
-                found[kind] = error, covariance, words
+    found: dict[str, tuple[float, Array, Outcome]] = {}
+    for outcome in outcomes(bound, x):
+        if np.isfinite(outcome.information).all():
+            error, covariance = judged(outcome.information, outcome.prior_std)
+            if outcome.kind not in found or error < found[outcome.kind][0]:  # of the same at several places, the best
+                found[outcome.kind] = error, covariance, outcome
     now, _ = judged(told, arm.prior_std)
     same = min(now, found["same"][0]) if "same" in found else now
     made = [
-        Cure(words, EXTRA_TOUCHES, error, error < GAIN * (now if kind == "same" else same), covariance)
-        for kind, (error, covariance, words) in found.items()
+        Cure(outcome.words, outcome.touches, error, error < GAIN * (now if kind == "same" else same), covariance)
+        for kind, (error, covariance, outcome) in found.items()
     ]
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
@@ -103,39 +123,67 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
     return NO_CURE if best is None or best[1] > LOWERS else f"{best[0].words} (in part)"
 
 
-def _outcomes(bound: BoundProblem, arm: Seen, x: Array, told: Array) -> Iterator[tuple[str, str, Array, Array]]:
-    """Kind, words, information (m, m) and prior (m,) after each cure.
-
-    The first unknowns are those of `arm`, of which the samples told (s, s).
-    """
-    touches = _touches(bound, x)
+def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
+    """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
+    arm, at = seen(bound, x)
+    told, touches = arm.information(at), _touches(bound, x)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
     if touches is None:
-        more = EXTRA_TOUCHES / len(bound.samples[0])
-        yield "same", f"{EXTRA_TOUCHES} more samples of the same kind", (1 + more) * told, arm.prior_std
-        yield "noise", f"{EXTRA_TOUCHES} samples with half the noise", (1 + 4 * more) * told, arm.prior_std
+        for kind, how, weight in (
+            ("same", "more samples of the same kind", 1),
+            ("noise", "samples with half the noise", 4),
+        ):
+            more = weight * EXTRA_TOUCHES / len(bound.samples[0])
+            yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    known = Known.of(bound, x, told, touches.labels)
+    known, field = Known.of(bound, x, told, touches.labels), _field(arm, at)
+    pools: dict[Cell, Samples | None] = {}
     for offer in offers(bound, touches):
-        if (rows := touches.on(offer.cell)) is None:
+        if offer.cell not in pools:
+            pools[offer.cell] = touches.on(offer.cell)
+        pool = pools[offer.cell]
+        if pool is None:
             continue
         try:
-            information, prior_std = known.plus(offer.problem, offer.cell, rows, offer.noise)
+            yield _planned(known, offer, pool, field)
         except CasacalError:  # such as a plunger that would lie in the face
             continue
-        yield offer.kind, offer.words, information, prior_std
 
 
-def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[tuple[str, str, Array, Array]]:
+def _planned(known: Known, offer: Offer, pool: Samples, field: Array) -> Outcome:
+    """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
+    extra, x, told = known.with_rows(offer.problem, offer.cell, pool, offer.noise)
+    choice = Choice.on_top(extra, x, told, field)
+    best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
+    rows = extra.take(best)
+    return Outcome(
+        offer.kind,
+        offer.words,
+        offer.touches,
+        told + rows.information(x),
+        extra.prior_std,
+        pool.take(best),
+        offer.problem,
+    )
+
+
+def _field(arm: Seen, at: Array) -> Array:
+    """Slopes of the tip over the workspace, apart from where the base stands (3M, s)."""
+    joints = workspace_joints(arm.problem.robot)
+    return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
+
+
+def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcome]:
     """More of what each of several instruments has measured: as much as its rows tell of the shared unknowns now."""
     for i, name in enumerate(bound.problem.names):
         others = np.flatnonzero(bound.measured.instruments != i)
         arm, at = seen(bound.take(others), x)
         more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
         words = f"{EXTRA_TOUCHES} more samples of the {name}"
-        yield f"same as {name}", words, told + more * (told - arm.information(at)), arm.prior_std
+        information = told + more * (told - arm.information(at))
+        yield Outcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
 
 
 def _touches(bound: BoundProblem, x: Array) -> Touches | None:

@@ -11,20 +11,21 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import by_face
+from casacal.planning.extra_touches import Touches
+from casacal.planning.more_faces import STEP, block_on, fresh, inclined, rising
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
-from casacal.uncertainty.extra_touches import EXTRA_TOUCHES, Touches
 
+EXTRA_TOUCHES = 24
+"""Touches that are added: a quarter of an hour of work."""
+PLENTY = 60
+"""The same for who has an hour."""
 TILT = math.radians(30.0)
 """Largest tilt of the tool that is offered."""
 NEARLY = math.radians(25.0)
 """Tilt from which more is none."""
 MARGIN = math.radians(0.1)
 """By which a tool may lean more than it has: as much as arms err."""
-STEP = 100.0
-"""Known length that is offered, mm."""
-BLOCK = (35.0, 35.0)
-"""Top of the gauge block, mm."""
 INCLINED = math.radians(15.0)
 """By which a plate that stands alone is inclined."""
 ALIKE = math.cos(math.radians(5.0))
@@ -41,18 +42,22 @@ class Offer:
     cell: Cell
     noise: float = 1.0
     """Factor of the noise."""
+    touches: int = EXTRA_TOUCHES
+    """How many are chosen of those that can be made in the cell."""
 
 
 def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     """Every way to go on that makes sense here, whether or not this arm can reach it."""
-    faces, problem, count = touches.faces, touches.problem, EXTRA_TOUCHES
+    faces, problem = touches.faces, touches.problem
     now = touches.tilt + MARGIN
     same = _cell(faces, now)
-    yield Offer("same", f"{count} more touches of the same kind", problem, same)
+    for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
+        yield Offer(kind, f"{count} planned touches of the same kind", problem, same, touches=count)
     how = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
-    yield Offer("noise", f"{count} touches with half the noise ({how})", problem, same, 0.5)
+    yield Offer("noise", f"{EXTRA_TOUCHES} planned touches with half the noise ({how})", problem, same, 0.5)
     if now < NEARLY:
-        yield Offer("tilt", f"{count} touches with the tool tilted by 10 to 30 degrees", problem, _cell(faces, TILT))
+        words = f"{EXTRA_TOUCHES} planned touches with the tool tilted by up to 30 degrees"
+        yield Offer("tilt", words, problem, _cell(faces, TILT))
     if not touches.held:
         yield from _other_faces(touches, now)
     yield from _step(touches, now)
@@ -60,29 +65,28 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
 
 def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:
     """A face at right angles to the first; where all are as good as one, that one inclined."""
-    faces, problem, count, first = touches.faces, touches.problem, EXTRA_TOUCHES, touches.faces[0]
+    faces, problem, first = touches.faces, touches.problem, touches.faces[0]
     leaning = max(tilt, TILT)
     for aside in _across(first):
-        second = Face(_new("second", faces), _beside(first, aside), _triple(aside), first.size)
-        words = f"{count} touches, tool tilted, half of them on another face at right angles, facing {_named(aside)}"
+        second = rising(first, aside, fresh("second", faces))
+        where = f"on the first face and another at right angles, facing {_named(aside)}"
+        words = f"{EXTRA_TOUCHES} planned touches, tool tilted, {where}"
         yield Offer("face", words, problem, _cell((first, second), leaning))
     if all(abs(face.axes[0] @ first.axes[0]) > ALIKE for face in faces):
         for aside in _across(first):
-            normal = math.cos(INCLINED) * first.axes[0] + math.sin(INCLINED) * aside
-            inclined = Face(_new("inclined", faces), first.centre, _triple(normal), first.size)
-            words = f"{count} touches on the plate inclined by 15 degrees towards {_named(aside)}"
-            yield Offer("inclined", words, problem, _cell((inclined,), max(tilt, INCLINED + 10 * MARGIN)))
+            leaned = inclined(first, INCLINED, aside, fresh("inclined", faces))
+            words = f"{EXTRA_TOUCHES} planned touches on the plate inclined by 15 degrees towards {_named(aside)}"
+            yield Offer("inclined", words, problem, _cell((leaned,), max(tilt, INCLINED + 10 * MARGIN)))
 
 
 def _step(touches: Touches, tilt: float) -> Iterator[Offer]:
-    """A gauge block that stands on the first face: half of the touches on it, half beside it."""
-    first, label = touches.faces[0], _new("known step", touches.faces)
+    """A gauge block that stands on the first face: touches on it and beside it."""
+    first, label = touches.faces[0], fresh("known step", touches.faces)
     stepped = touches.problem.instrument.with_step(label, first.label, touches.senses[0] * STEP)
     if stepped is None:
         return
-    top = np.asarray(first.centre) + STEP * first.axes[0]
-    cell = _cell((first, Face(label, _triple(top), first.normal, BLOCK)), tilt)
-    words = f"{EXTRA_TOUCHES} touches on a {STEP:g} mm step, half on the gauge block and half beside it"
+    cell = _cell((first, block_on(first, label)), tilt)
+    words = f"{EXTRA_TOUCHES} planned touches on a {STEP:g} mm step, on the gauge block and beside it"
     yield Offer("step", words, Problem(touches.problem.robot, stepped), cell)
 
 
@@ -101,26 +105,9 @@ def _across(face: Face) -> tuple[Array, ...]:
     return aside, -aside, across, -across
 
 
-def _beside(first: Face, normal: Array) -> tuple[float, float, float]:
-    """Centre of a face at right angles that rises from the edge of another one."""
-    return _triple(np.asarray(first.centre) + 0.5 * first.size[0] * (first.axes[0] - normal))
-
-
 def _named(normal: Array) -> str:
     """A direction in the base frame, as people say it."""
     largest = int(np.argmax(np.abs(normal)))
     if abs(normal[largest]) > ALIKE:
         return f"{'-' if normal[largest] < 0 else '+'}{'xyz'[largest]}"
     return f"({', '.join(f'{value:.1f}' for value in np.round(normal, 1) + 0.0)})"
-
-
-def _new(label: str, faces: tuple[Face, ...]) -> str:
-    """A label that no face has."""
-    while any(face.label == label for face in faces):
-        label += "'"
-    return label
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
