@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casacal.planning.clearance import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.setups import SetUp
+    from casacal.problem.problem import Problem
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "which touches to make, and what they will bring"
@@ -83,6 +84,11 @@ def _add_cell(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="how thick the links are; they keep off boxes, faces, each other",
     )
+    parser.add_argument(
+        "--ignore-shapes",
+        action="store_true",
+        help="do not look at the boxes, cylinders and spheres that a URDF has for its links",
+    )
     parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
 
 
@@ -115,15 +121,17 @@ def run(options: argparse.Namespace) -> int:
         outs = [options.out, *([] if options.sheet is None else [options.sheet])]
         inputs = (source.samples, options.targets, options.after)
         spare(outs, *(file.path for file in source.files), *inputs)
-    clearance = _clearance(options)
+    clearance = _clearance(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
     compared = _compared(source, options, found) if options.setups else ()
     if options.json:
-        say_json(document(found, compared, written))
+        say_json(document(found, compared, written, clearance))
         return DONE
     for sentence in told(found, compared, where=_where(options), pool=options.pool, after=options.after is not None):
         say_paragraph(sentence)
+    if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
+        say_paragraph(clearance.shapes.words)
     fitted, least = rows_needed(source.problem, found)
     if fitted < least and options.after is None:
         say_paragraph(
@@ -135,12 +143,18 @@ def run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _clearance(options: argparse.Namespace) -> Clearance | None:
+def _clearance(options: argparse.Namespace, problem: Problem) -> Clearance | None:
     from casacal.planning.clearance import Clearance
+    from casacal.planning.link_shapes import LinkShapes
+    from casacal.robots.urdf_chain import UrdfChain
 
-    if not options.keep_out and options.link_radius is None:
+    shapes = None
+    if isinstance(problem.robot.arm, UrdfChain) and not options.ignore_shapes:
+        shapes = LinkShapes.of(problem.robot)
+    if not options.keep_out and options.link_radius is None and shapes is None:
         return None
-    return Clearance(tuple(box_of(text, option="--keep-out") for text in options.keep_out), options.link_radius)
+    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
+    return Clearance(boxes, options.link_radius, shapes)
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:

@@ -2,6 +2,7 @@
 
 The arm is a chain of rods between its axes, as thick as is said; see `casacal.robots.links`. Points along the rods are
 looked at, so that what is closer than half a spacing may pass unseen: give the links a little more than they measure.
+Where its URDF has shapes for its links, these are looked at as they are.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
+from casacal.planning.bodies import Body
+from casacal.planning.link_shapes import LinkShapes
 from casacal.problem.cell import Cell
 from casacal.robots.links import Links
 from casacal.robots.robot import Robot
@@ -31,11 +34,13 @@ class Clearance(Value):
     """What an arm must keep clear of.
 
     boxes: ranges of x, y, z (mm, base frame) where neither arm nor tool may be. link_radius: how thick its links are,
-    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face.
+    mm, or None where only its tip and flange are looked at. The last link and the tool may come near a face. shapes: of
+    its links, which keep 5 mm off boxes, faces and each other; the one that holds the tip may come near a face.
     """
 
     boxes: tuple[Box, ...] = ()
     link_radius: float | None = None
+    shapes: LinkShapes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", tuple(self.boxes))
@@ -53,15 +58,19 @@ class Clearance(Value):
 
     def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> NDArray[np.bool_]:
         """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
+        good = np.ones(len(joints), dtype=bool)
+        if self.shapes is not None:
+            boxes = tuple(_body(box) for box in self.boxes)
+            good &= self.shapes.clear(boxes, () if cell is None else cell.faces, joints, tips)
         if not self.boxes and self.link_radius is None:
-            return np.ones(len(joints), dtype=bool)
+            return good
         nodes = nodes_of(robot, joints)
         rods = np.concatenate([nodes, tips[:, None]], axis=1)
         if self.link_radius is None:
-            return ~_inside(rods[:, -2:], self.boxes, 0.0)
+            return good & ~_inside(rods[:, -2:], self.boxes, 0.0)
         points = _along(rods)  # (N, rods, ALONG, 3)
         count, radius = len(joints), self.link_radius
-        good = ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
+        good &= ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
         if cell is not None:
             arm = points[:, :-2].reshape(count, -1, 3)  # the last link holds the tool, which is what touches
             for face in cell.faces:
@@ -76,6 +85,13 @@ def nodes_of(robot: Robot, joints: Array) -> Array:
     places = ca.Function("places", [q], [ca.horzcat(*links.carried(model))])
     found = np.array(places.map(len(joints))(joints.T)).reshape(3, -1, order="F").T.reshape(len(joints), -1, 3)
     return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
+
+
+def _body(box: Box) -> Body:
+    low, high = np.array(box, dtype=np.float64).T
+    pose = np.eye(4)
+    pose[:3, 3] = (low + high) / 2
+    return Body.box(pose, high - low)
 
 
 def _along(rods: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT
 from casacal.planning.setups import SetUp
@@ -39,7 +40,9 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     return said
 
 
-def document(plan: Plan, compared: Sequence[SetUp], written: Sequence[str]) -> dict[str, Any]:
+def document(
+    plan: Plan, compared: Sequence[SetUp], written: Sequence[str], clearance: Clearance | None = None
+) -> dict[str, Any]:
     """The same for another program."""
     counts = {purpose: plan.purposes.count(purpose) for purpose in dict.fromkeys(plan.purposes)}
     errors = {
@@ -52,6 +55,9 @@ def document(plan: Plan, compared: Sequence[SetUp], written: Sequence[str]) -> d
     }
     curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
     found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
+    if clearance is not None and clearance.shapes is not None:
+        shapes = clearance.shapes
+        found["shapes"] = {"looked_at": [each.link for each in shapes.shapes], "not_looked_at": list(shapes.unread)}
     if compared:
         found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
     return found

@@ -65,11 +65,17 @@ class Links:
 
     def carried(self, q: Expression) -> list[Expression]:
         """The place of each link (3, mm) in the base frame, at joint values q of the model (n; rad, mm)."""
+        return [
+            transform_point(motion, ca.DM(place)) for motion, place in zip(self.motions(q), self.places, strict=True)
+        ]
+
+    def motions(self, q: Expression) -> list[Expression]:
+        """How each link has moved (4x4, mm) from where it is at zero, at joint values q of the model (n; rad, mm)."""
         found, steps = [], list[Expression]()
         for j, turns in enumerate(self.turns):
             axis = ca.DM(self.axes[j])
             steps.append(screw(axis, ca.DM(self.points[j]), q[j]) if turns else slide(axis, q[j]))
-            found.append(transform_point(chain(*steps), ca.DM(self.places[j])))
+            found.append(chain(*steps))
         return found
 
     def levers(self, down: Array) -> ca.Function:

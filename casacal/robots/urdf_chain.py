@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, rotate, rotate_x, rotate_y, rotate_z, slide
 from casacal.robots.conventions import Conventions
-from casacal.robots.files.urdf import UrdfJoint, check_joint
+from casacal.robots.files.urdf import Triple, UrdfFile, UrdfJoint, check_joint
 from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.joints import Joint
 from casacal.unknowns import Parameter, Unknown
@@ -117,10 +117,32 @@ class UrdfChain:
 
 def origin_matrix(joint: UrdfJoint) -> Array:
     """Nominal <origin> (4x4, mm): RotZ(yaw) RotY(pitch) RotX(roll), as the URDF's fixed-axis roll, pitch, yaw mean."""
-    roll, pitch, yaw = joint.rpy
+    return placed(joint.xyz, joint.rpy)
+
+
+def placed(xyz: Triple, rpy: Triple) -> Array:
+    """Pose (4x4, mm) of what a URDF places at xyz (m), turned by roll, pitch and yaw (rad) about fixed axes."""
+    roll, pitch, yaw = rpy
     matrix = np.array(chain(rotate_z(yaw), rotate_y(pitch), rotate_x(roll)), dtype=np.float64)
-    matrix[:3, 3] = np.array(joint.xyz) * MM
+    matrix[:3, 3] = np.array(xyz) * MM
     return matrix
+
+
+def hangs(found: UrdfFile, link: str, root: str, moving: list[str]) -> tuple[int, Array] | None:
+    """The last moving joint of the chain above a link (-1 for none), and the link's pose at zero; None elsewhere."""
+    above = {joint.child: joint for joint in found.joints}
+    pose, last = np.eye(4), -1
+    for _ in range(len(found.joints) + 1):
+        if link == root:
+            return last, pose
+        if link not in above:
+            return None
+        joint = above[link]
+        pose = origin_matrix(joint) @ pose
+        if last < 0 and joint.name in moving:
+            last = moving.index(joint.name)
+        link = joint.parent
+    return None
 
 
 def _limits(joint: UrdfJoint) -> tuple[float, float]:

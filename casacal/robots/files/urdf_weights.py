@@ -10,9 +10,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.robots.files.urdf import UrdfFile
 from casacal.robots.files.urdf_reader import read_urdf
-from casacal.robots.urdf_chain import MM, origin_matrix
+from casacal.robots.urdf_chain import MM, hangs
 
 Triple = tuple[float, float, float]
 
@@ -38,32 +37,15 @@ def weights_of(
     if payload:
         weighs.append((chain[-1].child, payload, np.zeros(3)))
     for link, mass, centre in weighs:
-        hangs = _hangs(found, link, root, moving)
-        if hangs is not None and hangs[0] >= 0:
-            k, pose = hangs
+        hung = hangs(found, link, root, moving)
+        if hung is not None and hung[0] >= 0:
+            k, pose = hung
             masses[k] += mass
             moments[k] += mass * (pose @ [*centre, 1.0])[:3]
     if not masses.sum() > 0:
         raise ProblemError(f"{path}: no link of the arm has a mass", "Add <inertial>, or give masses= yourself")
     places = moments / np.where(masses > 0, masses, 1.0)[:, None]
     return tuple(map(float, masses)), tuple((float(x), float(y), float(z)) for x, y, z in places)
-
-
-def _hangs(found: UrdfFile, link: str, root: str, moving: list[str]) -> tuple[int, Array] | None:
-    """The last moving joint of the chain above a link (-1 for none), and the link's pose at zero; None elsewhere."""
-    above = {joint.child: joint for joint in found.joints}
-    pose, last = np.eye(4), -1
-    for _ in range(len(found.joints) + 1):
-        if link == root:
-            return last, pose
-        if link not in above:
-            return None
-        joint = above[link]
-        pose = origin_matrix(joint) @ pose
-        if last < 0 and joint.name in moving:
-            last = moving.index(joint.name)
-        link = joint.parent
-    return None
 
 
 def _inertials(path: str | Path) -> list[tuple[str, float, Array]]:

@@ -1,0 +1,138 @@
+"""The shapes of an arm's links, as its URDF has them, where they are in each posture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.planning.bodies import Body, gap
+from casacal.problem.cell import Face
+from casacal.robots.files.urdf_shapes import LinkShape, shapes_of
+from casacal.robots.joint_space import random_joints
+from casacal.robots.links import Links
+from casacal.robots.robot import Robot
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.values import Value
+
+FREE = 5.0
+"""Distance that shapes keep, mm: arms err by some, and drawings of their shapes by more."""
+
+THICK = 40.0
+"""Thickness of what carries a face, mm."""
+
+TOOL = 20.0
+"""Distance from the tip, mm, within which a shape is the tool's, which may come near a face."""
+
+POSTURES, MOSTLY = 200, 0.9
+"""Random postures, and the part of them in which two shapes meet that belong to neighbours in all but name."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShapes(Value):
+    """Boxes, cylinders and spheres that the links of an arm carry.
+
+    shapes: of all links. unread: links of which the file has other shapes too, such as meshes, that are not looked at.
+    """
+
+    robot: Robot
+    shapes: tuple[LinkShape, ...]
+    unread: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(robot: Robot) -> LinkShapes:
+        """Of a robot that was read from a URDF.
+
+        Raises ProblemError for any other, for a file that is there no more, and for shapes that are none.
+        """
+        arm = robot.arm
+        if not isinstance(arm, UrdfChain):
+            raise ProblemError(
+                f"'{robot.name}' does not come from a URDF, so nothing is known of the shapes of its links",
+                "Give a link_radius",
+            )
+        shapes, unread = shapes_of(arm.path, arm.chain[0].parent, arm.chain[-1].child)
+        return LinkShapes(robot, shapes, unread)
+
+    @property
+    def words(self) -> str:
+        """What was looked at and what not, as a sentence; empty where the file has no shapes at all."""
+        said = []
+        if self.shapes:
+            links = len({shape.link for shape in self.shapes})
+            said.append(f"Kept {FREE:g} mm clear: {len(self.shapes)} shapes of {links} links, as the URDF has them.")
+        if self.unread:
+            said.append(
+                f"Not looked at: {', '.join(self.unread)}, whose shapes are meshes or the like; --link-radius does for "
+                "all links."
+            )
+        return " ".join(said)
+
+    def clear(self, boxes: tuple[Body, ...], faces: tuple[Face, ...], joints: Array, tips: Array) -> NDArray[np.bool_]:
+        """Which postures (N, n; rad, mm), whose tips are at (N, 3), keep off boxes, faces and each other."""
+        placed = self.at(joints)
+        good = np.ones(len(joints), dtype=bool)
+        plates = [_plate(face) for face in faces]
+        last = len(self.robot.axes) - 1
+        for shape, body in zip(self.shapes, placed, strict=True):
+            if shape.carrier < 0:  # where the base stands nobody can change
+                continue
+            for box in boxes:
+                good &= gap(body, box) > FREE
+            tool = gap(body, Body.ball(tips, TOOL)) <= 0 if shape.carrier == last else np.zeros(len(joints), dtype=bool)
+            for plate in plates:
+                good &= tool | (gap(body, plate) > FREE)
+        for one, other in self.pairs:
+            good &= gap(placed[one], placed[other]) > FREE
+        return good
+
+    def at(self, joints: Array) -> list[Body]:
+        """Each shape in postures (N, n; rad, mm), in the base frame."""
+        flat = np.array(self._motions.map(len(joints))(joints.T))  # (4, 4 n N): of each posture, of each link
+        motions = flat.reshape(4, len(joints), -1, 4).transpose(1, 2, 0, 3)
+        bodies = [_body(shape) for shape in self.shapes]
+        return [
+            body if shape.carrier < 0 else body.moved(motions[:, shape.carrier])
+            for shape, body in zip(self.shapes, bodies, strict=True)
+        ]
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Shapes that could meet: not those of one link or of neighbours, nor those that meet wherever the arm is."""
+        joints = random_joints(self.robot, POSTURES, np.random.default_rng(0))
+        placed = self.at(joints)
+        return tuple(
+            (k, other)
+            for k, one in enumerate(self.shapes)
+            for other in range(k + 1, len(self.shapes))
+            if abs(one.carrier - self.shapes[other].carrier) > 1
+            and float((gap(placed[k], placed[other]) <= FREE).mean()) < MOSTLY
+        )
+
+    @cached_property
+    def _motions(self) -> ca.Function:
+        """q (n; rad, mm) -> how each link has moved (4, 4 n) from where it is at zero."""
+        links, q = Links.of(self.robot), ca.SX.sym("q", len(self.robot.axes))
+        model = q if links.conventions is None else links.conventions.to_model(q)
+        return ca.Function("motions", [q], [ca.densify(ca.horzcat(*(ca.SX(each) for each in links.motions(model))))])
+
+
+def _body(shape: LinkShape) -> Body:
+    if shape.kind == "sphere":
+        return Body.ball(shape.pose[None, :3, 3], shape.size[0])
+    if shape.kind == "cylinder":
+        return Body.cylinder(shape.pose, shape.size[0], shape.size[1])
+    return Body.box(shape.pose, np.array(shape.size))
+
+
+def _plate(face: Face) -> Body:
+    """What carries a face: a plate whose top it is."""
+    pose = np.eye(4)
+    pose[:3, :3] = face.axes.T
+    pose[:3, 3] = np.asarray(face.centre) - THICK / 2 * face.axes[0]
+    return Body.box(pose, np.array([THICK, *face.size]))
