@@ -59,5 +59,5 @@ def pool_of(
     assert found is not None
     raise CasacalError(
         f"Of {tried} touches that the arm reaches {len(found)} keep clear of boxes, faces and itself",
-        "Make the boxes or --link-radius smaller, move the faces, or --ignore-shapes of a URDF that are drawn too large",
+        "Make the boxes or --link-radius smaller, move the faces, or --ignore-shapes that a URDF draws too large",
     )
