@@ -79,8 +79,13 @@ def dense(arm, rows, free=None):
             np.full(int(free is not None), 1e-3),
         ]
     )
+
+    def slopes(z):  # by steps of a size of their own: SciPy's are parts of z, which may be nothing
+        steps = 1e-3 * np.eye(z.size)
+        return np.stack([(misses((z + h) * scale) - misses((z - h) * scale)) / 2e-3 for h in steps], axis=1)
+
     found = least_squares(
-        lambda z: misses(z * scale), start / scale, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14, diff_step=1e-5
+        lambda z: misses(z * scale), start / scale, slopes, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
     )
     spread = np.linalg.inv(found.jac.T @ found.jac) * np.outer(scale, scale)
     return dict(zip(keys, (found.x * scale)[:count], strict=True)), spread[:count, :count]
