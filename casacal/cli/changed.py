@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of, numbers_of
-from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result, made_from, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -22,27 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Look by fresh rows whether a joint's zero, the tool, the base or a face has changed since the calibration, "
         "name it and by how much, or which touches would tell. Exit 1 when something changed or cannot be told."
     )
-    add_result(parser)
-    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
-    parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
-    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
-    parser.add_argument(
-        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
-    )
+    add_fresh_rows(parser, "faces that still stand where they were calibrated, unless they are what moved")
     parser.add_argument(
         "--alarm", type=float, default=0.01, metavar="RATE", help="rate of false alarms, 0.001 to 0.5; default: 0.01"
-    )
-    parser.add_argument(
-        "--problem",
-        metavar="PROBLEM",
-        help="the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
-    )
-    parser.add_argument(
-        "--standing",
-        action="append",
-        default=[],
-        metavar="NAMES",
-        help="faces that still stand where they were calibrated, unless they are what moved: floor,wall,...",
     )
     parser.add_argument(
         "--drift",
@@ -67,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
     from casacal.problem.problem_file import load_problem
-    from casacal.verification.verify import measured_by
+    from casacal.verification.opened import measured_by
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")

@@ -35,6 +35,23 @@ def add_instrument(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--instrument", metavar="NAME", help=f"{what}, where a problem has several instruments")
 
 
+def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
+    """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
+    add_result(parser)
+    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
+    parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
+    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
+    parser.add_argument(
+        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
+    )
+    parser.add_argument(
+        "--problem",
+        metavar="PROBLEM",
+        help="the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
+    )
+    parser.add_argument("--standing", action="append", default=[], metavar="NAMES", help=f"{standing}: floor,wall,...")
+
+
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Whether a result counts whose verdict is not to use it."""
     parser.add_argument(

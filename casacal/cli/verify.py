@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add_instrument, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -23,13 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "or the tracker and its reflector, is estimated from them. Exit 1 when the residuals are larger than the "
         "calibration promised, or where the arm is not accepted by the tolerance: rejected or undecided."
     )
-    add_result(parser)
-    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
-    parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
-    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
-    parser.add_argument(
-        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
-    )
+    add_fresh_rows(parser, "faces that still stand where they were calibrated, and are not fitted again")
     parser.add_argument(
         "--tolerance",
         type=float,
@@ -43,18 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="chance of a wrong decision of an arm at the tolerance; default: 0.05",
     )
     parser.add_argument("--report", metavar="FILE", help="write a page about it there: HTML that needs no other file")
-    parser.add_argument(
-        "--problem",
-        metavar="PROBLEM",
-        help="the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
-    )
-    parser.add_argument(
-        "--standing",
-        action="append",
-        default=[],
-        metavar="NAMES",
-        help="faces that still stand where they were calibrated, and are not fitted again: floor,wall,...",
-    )
     add_json(parser)
 
 
@@ -65,7 +47,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
     from casacal.problem.problem_file import load_problem
     from casacal.verification.decision import RISK
-    from casacal.verification.verify import measured_by, verify
+    from casacal.verification.opened import measured_by
+    from casacal.verification.verify import verify
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")

@@ -37,7 +37,7 @@ def judged(
     before, after = (lengths(bound.plain_residual(x), per_row) for x in (drawn, fresh.x))
     predicted = lengths(found.std[: bound.rows] * bound.noise, per_row)
     noise, most, stated = seen_rows.noises_mm()
-    freedom = _noise_freedom(document)
+    freedom = noise_freedom(document)
     promised, hidden = _tips(fresh)
     verdict = document.get("verdict") or {}
     return Verification(
@@ -116,7 +116,7 @@ def _rms(values: Array) -> float:
     return math.sqrt(float((values**2).mean()))
 
 
-def _noise_freedom(document: Any) -> float:
+def noise_freedom(document: Any) -> float:
     """Degrees of freedom of the noise where the calibration found it itself, infinite where it used what was stated.
 
     The logarithm of a standard deviation from nu degrees of freedom has the variance 1 / (2 nu).

@@ -7,19 +7,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.given import samples_of
 from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
-from casacal.errors import CasacalError, SamplesError
+from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile
+from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.robots.joint_space import random_joints
+from casacal.robots.robot import Robot
+from casacal.samples.copies import copies, fitted_among
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
-from casacal.verification.judged import _noise_freedom
-from casacal.verification.verify import _arm, _fresh_among, _with_instrument, measured_by
+from casacal.verification.judged import noise_freedom
+
+SAME = 1e-6
+"""Difference (mm; of a rotation's elements) of two poses below which arms are one."""
+
+COMPARED = 8
+"""Random joint values at which they are compared."""
+
+SPENT = 0.5
+"""Part of the rows that are those of the calibration, from which on they verify nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +61,7 @@ class Opened:
     @property
     def noise_freedom(self) -> float:
         """Degrees of freedom of the noise where the calibration found it itself, infinite where it was stated."""
-        return _noise_freedom(self.arm.document)
+        return noise_freedom(self.arm.document)
 
 
 def opened(
@@ -67,3 +81,110 @@ def opened(
     rows = samples_of(samples, source, 0)
     rows, copied, fitted = _fresh_among(arm, rows, source.problem)
     return Opened(arm, source, rows, copied, fitted, problem is not None)
+
+
+def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
+    """Which instrument of a calibration took some rows: the one that is named, else the one that reads most of them.
+
+    Raises CasacalError where none could have, or several as well.
+    """
+    problem, fits = arm.source.problem, dict[str, int]()
+    if instrument is not None or len(problem.instruments) == 1:
+        return instrument
+    if isinstance(samples, (str, Path)) and not Path(samples).is_file():
+        raise CasacalError(f"There is no file '{samples}' of fresh rows", "Name one that is there")
+    reasons = []
+    for i, name in enumerate(problem.names):
+        try:
+            rows = samples_of(samples, arm.source, i)
+            labelled = [column for column, labels in rows.labels.items() if labels.names != (column,)]
+            fits[name] = len(rows.columns) + len(labelled)
+        except CasacalError as error:
+            reasons.append(f"for the {name}: {error.what}")
+    best = [name for name, count in fits.items() if count == max(fits.values())]
+    if len(best) == 1:
+        return best[0]
+    if best:
+        fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
+        raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
+    raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
+
+
+def _arm(result: Any) -> CalibratedArm:
+    if isinstance(result, CalibratedArm):
+        return result
+    if isinstance(result, AsArm):
+        return result.arm
+    if isinstance(result, (str, Path)):
+        return read_result(result)
+    raise CasacalError(f"{came(result)} came as the result", "Give a calibration, or the path of its result.json")
+
+
+def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
+    """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
+    if isinstance(given, (str, Path)):
+        given = load_problem(given)
+    other = given.problem if isinstance(given, ProblemFile) else given
+    if not isinstance(other, Problem):
+        raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
+    robot = arm.source.problem.robot
+    if not _same_arm(robot, other.robot):
+        raise CasacalError(
+            f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",
+            "Give a problem whose robot is that of the calibration, parameter by parameter",
+        )
+    return Problem(robot, other.instrument)
+
+
+def _same_arm(one: Robot, two: Robot) -> bool:
+    """Whether two arms have the same parameters, and the same poses wherever these move a little."""
+    if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
+        two.parameters
+    ):
+        return False
+    rng = np.random.default_rng(0)
+    for q in random_joints(one, COMPARED, rng):
+        poses = []
+        moved = {key: rng.normal(size=u.nominal_size) * 1e-3 for key, u in one.parameters.items()}
+        for robot in (one, two):
+            values = []
+            for key, unknown in robot.traced.unknowns.items():
+                if unknown.nominal is None or np.size(unknown.nominal) != moved[key].size:
+                    return False
+                value = unknown.at(ca.DM(np.ravel(unknown.nominal) + moved[key]), ca.DM.zeros(unknown.size))
+                values.append(unknown.packed(value))
+            pose = ca.DM.eye(4)
+            for factor in robot.traced.graph.call([*values, ca.DM(q)]):
+                pose = pose @ factor
+            poses.append(np.array(pose))
+        if not np.abs(poses[0] - poses[1]).max() < SAME:
+            return False
+    return True
+
+
+def _fresh_among(
+    arm: CalibratedArm, rows: Samples, problem: Problem
+) -> tuple[Samples, tuple[int, ...], tuple[int, ...]]:
+    """Rows that count, and the lines of those that do not: copies of others, and rows that the arm was calibrated from.
+
+    Raises SamplesError where half of the rows or more are those that were fitted.
+    """
+    again = copies(rows)
+    once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
+    seen, part = np.zeros(len(once), dtype=bool), 0.0
+    if data.get("fitted_rows") is not None:
+        seen, part = fitted_among(once, problem.layout(), data["fitted_rows"])
+    elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
+        part = 1.0  # a result from before results held their rows
+    if part >= SPENT:
+        said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
+        raise SamplesError(
+            rows.file,
+            f"{said} that the arm was calibrated from, which verifies nothing",
+            "Take fresh rows, in other postures",
+        )
+    return once.take(np.flatnonzero(~seen)), _lines(rows, again), _lines(once, seen)
+
+
+def _lines(rows: Samples, which: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(int(rows.lines[k]) for k in np.flatnonzero(which).tolist())
