@@ -15,7 +15,7 @@ import pytest
 from conftest import ROOT
 from measured_world import World
 
-from casacal import CasacalError, plan, read_route
+from casacal import CasacalError, load_problem, plan, read_route
 from casacal.cli.main import main
 from casacal.measuring.conversation import answered
 from casacal.measuring.gauges import gauge
@@ -396,3 +396,25 @@ def test_a_gauge_at_a_serial_line(planned, tmp_path):
     both += readings(tmp_path / "s_check.csv") if (tmp_path / "s_check.csv").exists() else []
     assert sorted(both) == sorted([world.readings[0], 4.5])
     os.close(ours)
+
+
+def test_one_of_several_instruments_is_planned_for_and_read(tmp_path, monkeypatch, capsys):
+    several = str(ROOT / "problems" / "ur5_three_instruments")
+    route, out = tmp_path / "plan.csv", tmp_path / "spiked.csv"
+    common = ["plan", several, "--out", str(route), "--touches", "12", "--pool", "60"]
+    assert main(common) == 2
+    assert "there are dial, tracker, spike. Name it: --instrument dial" in capsys.readouterr().err
+    assert main([*common, "--instrument", "wire"]) == 2
+    assert "Known: dial, tracker, spike" in capsys.readouterr().err
+    assert not route.exists()
+    assert main([*common, "--instrument", "spike"]) == 0
+    assert main(["measure", several, "--plan", str(route), "--out", str(out)]) == 2
+    assert "--instrument dial" in capsys.readouterr().err
+    touches = read_route(route, load_problem(several).problem.measured_by("spike").layout())
+    joints = [" ".join(f"{value:.4f}" for value in np.degrees(row)) for row in touches.samples.joints[:2]]
+    feed(monkeypatch, [*joints, "e"])
+    assert main(["measure", several, "--instrument", "spike", "--plan", str(route), "--out", str(out)]) == 0
+    problem = load_problem(several).problem.measured_by("spike")
+    there = [path for path in (out, out.with_name("spiked_check.csv")) if path.exists()]
+    rows = np.concatenate([problem.read(path).joints for path in there])
+    assert sorted(map(tuple, rows.round(6))) == sorted(map(tuple, touches.samples.joints[:2].round(6)))

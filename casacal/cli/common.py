@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,17 @@ def add_result(parser: argparse.ArgumentParser) -> None:
 def add_instrument(parser: argparse.ArgumentParser, what: str) -> None:
     """Which of several instruments is meant."""
     parser.add_argument("--instrument", metavar="NAME", help=f"{what}, where a problem has several instruments")
+
+
+def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
+    """The same arm measured by one of its instruments; CasacalError where there are several and none is named."""
+    problem = source.problem
+    if name is None and len(problem.instruments) > 1:
+        raise CasacalError(
+            f"This is for one instrument, and there are {', '.join(problem.names)}",
+            f"Name it: --instrument {problem.names[0]}",
+        )
+    return source if name is None else replace(source, problem=problem.measured_by(name))
 
 
 def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_problem, box_of, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "was. Exit 1 when a tolerance was asked for and is not met, or a touch is left in doubt."
     )
     add_problem(parser)
+    add_instrument(parser, "which one takes the readings")
     parser.add_argument("--plan", required=True, metavar="FILE", help="what casacal plan wrote")
     parser.add_argument(
         "--out", required=True, metavar="FILE", help="samples to write; those to check with go to FILE_check"
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.measuring.serial_line import SerialLine
     from casacal.problem.problem_file import load_problem
 
-    source = load_problem(options.problem)
+    source = of_instrument(load_problem(options.problem), options.instrument)
     spare([options.out], *(file.path for file in source.files), options.plan, options.targets)
     meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
     session, file = _begun(source, options)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import stds_of
-from casacal.cli.common import DONE, add_json, add_problem, box_of, spare, whole_number
+from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "problem's cell, and write them in the order of a short way. Some repeat others, some are kept to verify."
     )
     add_problem(parser)
+    add_instrument(parser, "for which one")
     parser.add_argument("--out", required=True, metavar="FILE", help="plan to write, such as plan.csv")
     parser.add_argument("--touches", type=whole_number, metavar="N", help=f"how many in all; default: {TOUCHES}")
     parser.add_argument(
@@ -116,11 +117,9 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError("--touches and --tolerance came", "Give one of them")
     if not 0 < options.retreat < 1000:
         raise CasacalError(f"--retreat is {options.retreat:g}", "Give a number of mm from 1 to 999")
-    source = load_problem(options.problem)
-    if len(source.problem.instruments) == 1:
-        outs = [options.out, *([] if options.sheet is None else [options.sheet])]
-        inputs = (source.samples, options.targets, options.after)
-        spare(outs, *(file.path for file in source.files), *inputs)
+    source = of_instrument(load_problem(options.problem), options.instrument)
+    outs = [options.out, *([] if options.sheet is None else [options.sheet])]
+    spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
     clearance = _clearance(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
