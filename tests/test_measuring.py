@@ -14,6 +14,7 @@ from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.estimators.sckf import Belief
 from casacal.measuring.tip_error import error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
+from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
 
 UR5, SCARA = (ROOT / "problems" / name for name in ("ur5", "adept_cobra600"))
@@ -381,3 +382,46 @@ def test_the_very_first_touch_may_be_wrong(hsr, route, world):
             assert len(session.undo()) == 0
             named += 1
     assert named > 3
+
+
+def test_the_best_of_the_plan_comes_first_where_that_is_asked(hsr, route, world):
+    """Each row's part in the tip error by an inverse of its own; fewer touches then leave less."""
+    wished, plain = Session(hsr.problem, route, best_first=True), Session(hsr.problem, route)
+    order = []
+    for count in range(1, 21):
+        touch = wished.next()
+        order.append(touch.number)
+        if count == 15:
+            known, left = wished.state.known, [k for k in range(1, 51) if k not in order[:-1]]
+            fit = [k for k in left if route.purposes[k - 1] == "fit"]
+            bound = known.bound.on(route.samples.take(np.array(fit) - 1))
+            slopes = bound.jacobian(known.x) * bound.start_std
+            information = np.linalg.inv(known.belief.root @ known.belief.root.T)
+            moves = wished.field.reshape(-1, slopes.shape[1])
+            errors = [np.trace(moves @ np.linalg.inv(information + np.outer(a, a)) @ moves.T) for a in slopes]
+            assert touch.number == fit[int(np.argmin(errors))]
+        wished = wished.take(*world.touch(touch.number), number=touch.number)
+        plain = plain.take(*world.touch(count), number=count)
+        assert wished.alarm is None
+    assert len(set(order)) == 20
+    assert order != list(range(1, 21))
+    assert wished.tip_error < 0.9 * plain.tip_error
+    assert all(route.purposes[number - 1] == "fit" for number in order)
+    while (touch := wished.next()) is not None:
+        assert touch.number is not None
+        wished = wished.skip(touch.number)
+
+
+def test_touches_beyond_the_plan_keep_clear(hsr, route, world):
+    made = taken(Session(hsr.problem, route, tolerance=0.05, cell=hsr.cell), world, range(1, 26))
+    for number in range(26, 51):
+        made = made.skip(number)
+    free = made.next()
+    wrist = nodes_of(hsr.problem.robot, free.joints[None])[0, -1]
+    box = tuple((float(value) - 60.0, float(value) + 60.0) for value in wrist)
+    kept = Session(hsr.problem, route, tolerance=0.05, cell=hsr.cell, clearance=Clearance((box,))).resumed(made.touches)
+    for number in range(26, 51):
+        kept = kept.skip(number)
+    there = nodes_of(hsr.problem.robot, kept.next().joints[None])[0, -1]
+    assert free.number is None
+    assert any(not low <= value <= high for value, (low, high) in zip(there, box, strict=True))

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casacal.cli.clear_of import add_clearance, clearance_of
 from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
@@ -48,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="where the tip is wanted, mm, base frame")
     parser.add_argument("--targets", metavar="FILE", help="joint values at which it is wanted, in place of a box")
+    parser.add_argument(
+        "--best-first",
+        action="store_true",
+        help="go to the touch of the plan that lowers the tip error most, not to the next on its way, which was short",
+    )
+    add_clearance(parser)
     parser.add_argument("--serial", metavar="PORT", help="where a gauge is connected, such as COM3 or /dev/ttyUSB0")
     parser.add_argument("--gauge", default="plain", metavar="NAME", help="digimatic, sylvac or plain; default: plain")
     parser.add_argument("--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) round the number")
@@ -94,6 +101,8 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
         None if options.box is None else box_of(options.box),
         None if options.targets is None else read_joints(options.targets, source).joints,
         source.cell,
+        clearance_of(options, source.problem),
+        options.best_first,
     )
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import stds_of
+from casacal.cli.clear_of import add_clearance, clearance_of
 from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from casacal.planning.clearance import Clearance
     from casacal.planning.plan import Plan
     from casacal.planning.setups import SetUp
-    from casacal.problem.problem import Problem
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "which touches to make, and what they will bring"
@@ -72,24 +72,7 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_cell(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--keep-out",
-        action="append",
-        default=[],
-        metavar="X0:X1,Y0:Y1,Z0:Z1",
-        help="a box, mm, base frame, where neither arm nor tool may be; may be given several times",
-    )
-    parser.add_argument(
-        "--link-radius",
-        type=float,
-        metavar="MM",
-        help="how thick the links are; they keep off boxes, faces, each other",
-    )
-    parser.add_argument(
-        "--ignore-shapes",
-        action="store_true",
-        help="do not look at the boxes, cylinders and spheres that a URDF has for its links",
-    )
+    add_clearance(parser)
     parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
 
 
@@ -120,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     source = of_instrument(load_problem(options.problem), options.instrument)
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
-    clearance = _clearance(options, source.problem)
+    clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
     compared = _compared(source, options, found) if options.setups else ()
@@ -140,20 +123,6 @@ def run(options: argparse.Namespace) -> int:
     for place in written:
         say_paragraph(f"Written: {place}")
     return DONE
-
-
-def _clearance(options: argparse.Namespace, problem: Problem) -> Clearance | None:
-    from casacal.planning.clearance import Clearance
-    from casacal.planning.link_shapes import LinkShapes
-    from casacal.robots.urdf_chain import UrdfChain
-
-    shapes = None
-    if isinstance(problem.robot.arm, UrdfChain) and not options.ignore_shapes:
-        shapes = LinkShapes.of(problem.robot)
-    if not options.keep_out and options.link_radius is None and shapes is None:
-        return None
-    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
-    return Clearance(boxes, options.link_radius, shapes)
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:

@@ -12,6 +12,7 @@ from casacal.estimators.sckf import Belief
 from casacal.measuring.known import Known
 from casacal.measuring.tip_error import error_below, spectrum
 from casacal.measuring.touch import Touch
+from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import gains
 from casacal.planning.pool import pool_of
 from casacal.problem.disturbances import Disturbances
@@ -46,10 +47,14 @@ class Pool(Value):
         rows = samples.take(np.flatnonzero(there))
         return Pool(rows, _slopes(bound.on(rows), known))
 
+    def most_telling(self, known: Known, field: Array) -> int:
+        """The number of the touch that lowers the tip error most."""
+        covariance = known.belief.root @ known.belief.root.T
+        return int(np.argmax(gains(self.slopes, covariance, field.T @ field)))
+
     def best(self, known: Known, field: Array) -> Touch:
         """The touch that lowers the tip error most."""
-        covariance = known.belief.root @ known.belief.root.T
-        k = int(np.argmax(gains(self.slopes, covariance, field.T @ field)))
+        k = self.most_telling(known, field)
         columns = {name: float(values[k]) for name, values in self.samples.columns.items()}
         labels = {name: values[k] for name, values in self.samples.labels.items()}
         return Touch(self.samples.joints[k], columns, labels)
@@ -70,9 +75,9 @@ class Pool(Value):
         return None
 
 
-def could_be(problem: Problem, cell: Disturbances | None) -> Samples:
+def could_be(problem: Problem, cell: Disturbances | None, clearance: Clearance | None) -> Samples:
     """Touches that the arm as drawn can make; raises SimulationError where faces are out of reach."""
-    return pool_of(problem, cell, POOL, 7)
+    return pool_of(problem, cell, POOL, 7, clearance)
 
 
 def _slopes(bound: BoundProblem, known: Known) -> Array:

@@ -24,6 +24,8 @@ class Session(Standing):
         tolerance: RMS tip error (mm) at which enough has been measured, or None.
         box, targets: where the tip is wanted, as for `plan`; by default over the workspace.
         cell: where faces are and how far the tool may tilt, for touches beyond the plan; by default as `plan` has it.
+        clearance: what the arm must keep clear of in touches beyond the plan.
+        best_first: whether the touch of the plan is next that lowers the tip error most, not the next on the way.
         touches, state, skipped: of a session that goes on; see `resumed`.
 
     Every step gives another session. An `alarm` stands until `undo`, `keep` or `correct` answers it.

@@ -16,7 +16,8 @@ from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State
 from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.touch import Touch, planned_touches, rows_of
-from casacal.planning.route import CHECK, Route
+from casacal.planning.clearance import Clearance
+from casacal.planning.route import CHECK, FIT, Route
 from casacal.planning.wanted import wanted_joints
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
@@ -35,6 +36,8 @@ class Standing(Value):
     box: Box | None = None
     targets: Array | None = None
     cell: Disturbances | None = None
+    clearance: Clearance | None = None
+    best_first: bool = False
     touches: tuple[Touch, ...] = ()
     state: State = field(default_factory=State)
     skipped: frozenset[int] = frozenset()
@@ -67,14 +70,19 @@ class Standing(Value):
     def next(self) -> Touch | None:
         """The next touch of the plan, with the readings to expect; after the last one the best that could be made.
 
-        None where enough has been touched, and where all that was planned is and no tolerance asks for more. Raises
-        SimulationError where no further touch is found.
+        Where the best is to come first, it is the one of the plan that lowers the tip error most. None where enough has
+        been touched, and where all that was planned is and no tolerance asks for more. Raises SimulationError where no
+        further touch is found.
         """
         done = {touch.number for touch in self.touches} | self.skipped
-        planned = next((touch for touch in self._all_planned if touch.number not in done), None)
+        left = [touch for touch in self._all_planned if touch.number not in done]
         known = self.state.known
-        if self.done or planned is not None or self.tolerance is None or known is None or self.field is None:
-            return None if self.done else planned
+        if self.done:
+            return None
+        if left:
+            return self._most_telling(left) if self.best_first else left[0]
+        if self.tolerance is None or known is None or self.field is None:
+            return None
         return self._pool.best(known, self.field)
 
     def needed(self) -> int | None:
@@ -176,6 +184,14 @@ class Standing(Value):
         known = self.state.known
         return None if known is None or self.field is None else spectrum(known.belief, self.field)
 
+    def _most_telling(self, left: Sequence[Touch]) -> Touch:
+        """Which of these planned touches to make next: those to fit by what they tell, then the others in order."""
+        known = self.state.known
+        told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
+        if known is None or self.field is None or not told:
+            return left[0]
+        return told[Pool.of(known, rows_of(told)).most_telling(known, self.field)]
+
     def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
         known: dict[str, list[str]] = {}
         for each in (*touches, *self._all_planned):
@@ -191,7 +207,7 @@ class Standing(Value):
 
     @cached_property
     def _could(self) -> Samples:
-        return could_be(self.problem, self.cell)
+        return could_be(self.problem, self.cell, self.clearance)
 
     @cached_property
     def _setting(self) -> Setting:
