@@ -37,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="chance of a wrong decision of an arm at the tolerance; default: 0.05",
     )
     parser.add_argument("--report", metavar="FILE", help="write a page about it there: HTML that needs no other file")
+    parser.add_argument(
+        "--into-report",
+        action="store_true",
+        help="write it into the report.html beside RESULT, after its verdict; an earlier one there is replaced",
+    )
     add_json(parser)
 
 
@@ -47,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
     from casacal.problem.problem_file import load_problem
     from casacal.verification.decision import RISK
+    from casacal.verification.into_report import REPORT, with_section
     from casacal.verification.opened import measured_by
     from casacal.verification.verify import verify
 
@@ -76,6 +82,9 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.report is not None:
         write_text(options.report, found.page())
+    if options.into_report:
+        beside = Path(result.file).with_name(REPORT)
+        write_text(beside, with_section(beside, result.document, found))
     if options.json:
         say_json(found.to_dict())
     else:

@@ -23,6 +23,23 @@ def verification_page(found: Figures) -> str:
     return whole_page(f"Verification of {found.robot} ({found.samples})", main)
 
 
+def section_of_report(found: Figures) -> Markup:
+    """The same as one section of the calibration's report."""
+    answer, *more = told(found)
+    told_so = [paragraph(words) for words in (*decision_told(found), *more)]
+    rows = facts("verified-rows", _of_the_rows(found))
+    errors = [error_picture(found), _errors(found), _faces(found)] if found.overall is not None else []
+    return section(
+        "verified",
+        "Verified by fresh rows",
+        paragraph(answer, style=f"verdict {_look(found)}"),
+        rows,
+        *told_so,
+        _boxes(found),
+        *errors,
+    )
+
+
 def verified_section(found: Figures) -> Markup | None:
     """The arm's error before and after, by face and region: picture and table; None where rows say nothing of it."""
     if found.overall is None:
@@ -43,32 +60,37 @@ def verified_section(found: Figures) -> Markup | None:
 
 
 def _heading(found: Figures) -> Markup:
-    pairs: list[tuple[str, object]] = [
-        ("Calibration", found.result),
-        ("Fresh rows", f"{found.samples}: {found.rows:,}"),
-        ("SHA-256 of the rows", tag("code", found.sha256)),
-        ("Fitted to these rows", shortened(", ".join(found.own), 200) or "nothing"),
-        ("Taken to stand", ", ".join(found.standing) or "nothing"),
-    ]
+    pairs: list[tuple[str, object]] = [("Calibration", found.result), *_of_the_rows(found)]
     return tag(
         "header", paragraph("Verification report", style="kind"), tag("h1", found.robot), facts("subject", pairs)
     )
 
 
+def _of_the_rows(found: Figures) -> list[tuple[str, object]]:
+    return [
+        ("Fresh rows", f"{found.samples}: {found.rows:,}"),
+        ("SHA-256 of the rows", tag("code", found.sha256)),
+        ("Fitted to these rows", shortened(", ".join(found.own), 200) or "nothing"),
+        ("Taken to stand", ", ".join(found.standing) or "nothing"),
+    ]
+
+
 def _verdict(found: Figures) -> Markup:
     """The answer, the decision and the figures behind them."""
     answer, *_ = told(found)
-    undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
-    look = "good" if found.passed else "care" if undecided else "bad"
-    # a result whose own verdict denies it looks no better for rows that agree with it
-    look = "bad" if found.denied else look
     return section(
         "verdict",
         "Verdict",
-        paragraph(answer, style=f"verdict {look}"),
+        paragraph(answer, style=f"verdict {_look(found)}"),
         *(paragraph(words) for words in decision_told(found)),
         _boxes(found),
     )
+
+
+def _look(found: Figures) -> str:
+    """A result whose own verdict denies it looks no better for rows that agree with it."""
+    undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
+    return "bad" if found.denied else "good" if found.passed else "care" if undecided else "bad"
 
 
 def _boxes(found: Figures) -> Markup | None:
@@ -99,7 +121,7 @@ def _between(error: ErrorInterval) -> str:
 def _errors(found: Figures) -> Markup:
     columns = [("Rows", WORDS), ("Count", NUMBER), ("As drawn, mm", NUMBER), ("95 %", NUMBER)]
     columns += [("As calibrated, mm", NUMBER), ("95 %", NUMBER), ("Promised, mm", NUMBER)]
-    return table("errors", f"Arm's error, RMS ({found.sees})", columns, [_row(part) for part in found.errors])
+    return table("verified-errors", f"Arm's error, RMS ({found.sees})", columns, [_row(part) for part in found.errors])
 
 
 def _row(part: PartError) -> list[object]:
@@ -129,7 +151,7 @@ def _faces(found: Figures) -> Markup | None:
         for face in found.faces
     ]
     caption = f"Residuals with their noise, {found.unit} RMS"
-    return table("residuals", caption, [*columns, ("Chance of so much", NUMBER)], rows)
+    return table("verified-residuals", caption, [*columns, ("Chance of so much", NUMBER)], rows)
 
 
 def _words(found: Figures) -> Markup:
