@@ -118,9 +118,9 @@ class Calibration(Fitted):
 
     @cached_property
     def cures(self) -> tuple[Cure, ...]:
-        """What to do next, best first: 24 extra touches each, simulated at the estimate, with the tip error after them.
+        """What to do next, best first: 24 planned touches each (60 of the same kind too), and the tip error after them.
 
-        Worked out when asked for, in less than a second. Figures compare with `tip_std`, and mean as little where the
+        Worked out when asked for, in about a second. Figures compare with `tip_std`, and mean as little where the
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
         stays.
         """

@@ -105,12 +105,16 @@ def _information(rows: Array, known: Array) -> Array:
 
 def gains(rows: Array, covariance: Array, weight: Array, criterion: Criterion = Criterion.TIP) -> Array:
     """By how much each measurement (N, m, n) lowers trace(C M), or the logarithm of the determinant of C: (N,)."""
-    count, size, unknowns = rows.shape
-    seen = (rows.reshape(-1, unknowns) @ covariance).reshape(count, size, unknowns)
+    size, unknowns = rows.shape[1:]
+    flat = rows.reshape(-1, unknowns)
+    seen = flat @ covariance
+    moved = seen @ weight  # in one product: a stack of small ones takes many times as long
+    if size == 1:
+        spread = 1 + np.einsum("kn,kn->k", seen, flat)
+        return np.asarray(np.log(spread) if criterion is Criterion.PARAMETERS else (moved * seen).sum(axis=1) / spread)
+    seen, moved = seen.reshape(rows.shape), moved.reshape(rows.shape)
     spread = np.einsum("kin,kjn->kij", seen, rows) + np.eye(size)
     if criterion is Criterion.PARAMETERS:
         return np.asarray(np.linalg.slogdet(spread)[1])
-    told = np.einsum("kin,kjn->kij", seen @ weight, seen)
-    if size == 1:
-        return np.asarray(told[:, 0, 0] / spread[:, 0, 0])
+    told = np.einsum("kin,kjn->kij", moved, seen)
     return np.asarray(np.trace(np.linalg.solve(spread, told), axis1=1, axis2=2))

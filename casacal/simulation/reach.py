@@ -79,20 +79,23 @@ class Touch:
         error, slope = self._error(joints, readings, targets, axes)
         size = (error**2).sum(axis=1)
         for _ in range(steps):
-            information = np.einsum("kai,kaj->kij", slope, slope)
+            # once there, a row rests: steps that only rounding judges would turn the tool at random about its plunger
+            k = np.flatnonzero(size > ARRIVED)
+            if not k.size:
+                break
+            information = np.einsum("kai,kaj->kij", slope[k], slope[k])
             diagonal = np.einsum("kii->ki", information)
             floor = RIDGE * diagonal.max(axis=1, keepdims=True)
-            lifted = information + np.einsum("ki,ij->kij", damping[:, None] * diagonal + floor, np.eye(joints.shape[1]))
-            step = -np.linalg.solve(lifted, np.einsum("kai,ka->ki", slope, error)[..., None])[..., 0]
-            trial_error, trial_slope = self._error(joints + step, readings, targets, axes)
+            lift = damping[k, None] * diagonal + floor
+            lifted = information + np.einsum("ki,ij->kij", lift, np.eye(joints.shape[1]))
+            step = -np.linalg.solve(lifted, np.einsum("kai,ka->ki", slope[k], error[k])[..., None])[..., 0]
+            trial_error, trial_slope = self._error(joints[k] + step, readings[k], targets[k], axes[k])
             trial_size = (trial_error**2).sum(axis=1)
-            # once there, a row rests: steps that only rounding judges would turn the tool at random about its plunger
-            better = (trial_size < size) & (size > ARRIVED)
-            joints[better] += step[better]
-            error[better], slope[better], size[better] = trial_error[better], trial_slope[better], trial_size[better]
-            damping = np.clip(np.where(better, damping * 0.2, damping * 5), 1e-12, 1e6)
-            if (size <= ARRIVED).all():
-                break
+            better = trial_size < size[k]
+            there = k[better]
+            joints[there] += step[better]
+            error[there], slope[there], size[there] = trial_error[better], trial_slope[better], trial_size[better]
+            damping[k] = np.clip(np.where(better, damping[k] * 0.2, damping[k] * 5), 1e-12, 1e6)
         return joints
 
     def nearest(self, targets: Array, axes: Array, poses: Array) -> Array:
