@@ -201,6 +201,48 @@ def test_what_meets_wherever_the_arm_is_counts_as_a_neighbour(tmp_path):
     assert ("shoulder", "fore") not in pairs
     assert ("upper", "w1") in pairs
     assert ("upper", "fore") not in pairs
+    assert ("shoulder", "fore") in shapes.let_be
+    assert "Not held against each other, for they meet wherever the arm is: shoulder and fore" in shapes.words
+
+
+def test_shapes_that_are_seldom_apart_are_held_against_each_other(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(with_shapes({**SHAPES, "shoulder": '<sphere radius="0.43"/>|0 0 0|0 0 0'}))
+    robot = Robot.from_urdf(path, tip="tool0")
+    shapes = LinkShapes.of(robot)
+    joints = np.random.default_rng(7).uniform(-3, 3, (300, 6))
+    names = [shape.link for shape in shapes.shapes]
+    one, other = (shapes.at(joints)[names.index(name)] for name in ("shoulder", "fore"))
+    apart = gap(one, other)
+    assert 0.8 < (apart <= 0).mean() < 1
+    clear = shapes.clear((), (), joints, np.full((300, 3), 1e5))
+    assert not clear[apart <= 0].any()
+    assert clear.any()
+
+
+def test_what_stands_with_the_base_counts_though_the_arm_begins_above_it(tmp_path):
+    """A table at the root, the arm's base fixed to it; and with a rail between, which is no joint of the arm."""
+    path = tmp_path / "arm.urdf"
+    table = (
+        '<link name="floor"><collision><origin xyz="0.5 0 0.1"/><geometry><box size="0.6 0.8 0.1"/></geometry>'
+        '</collision></link><joint name="stand" type="fixed"><origin xyz="0 0 -0.3" rpy="0 0 0.5"/>'
+        '<parent link="floor"/><child link="base_link"/></joint>'
+    )
+    text = with_shapes(SHAPES)
+    path.write_text(text.replace("</robot>", f"{table}</robot>"))
+    shapes = LinkShapes.of(Robot.from_urdf(path, tip="tool0", base="base_link"))
+    (k,) = (k for k, shape in enumerate(shapes.shapes) if shape.link == "floor")
+    assert shapes.shapes[k].carrier == -1
+    back = Rotation.from_euler("z", -0.5).as_matrix()
+    np.testing.assert_allclose(shapes.shapes[k].pose[:3, 3], back @ [500.0, 0, 400.0], atol=1e-9)
+    assert {(shapes.shapes[i].link, shapes.shapes[j].link) for i, j in shapes.pairs} >= {("fore", "floor")}
+    moving = table.replace('type="fixed"', 'type="prismatic"').replace(
+        "<parent", '<axis xyz="1 0 0"/><limit lower="0" upper="1"/><parent'
+    )
+    path.write_text(text.replace("</robot>", f"{moving}</robot>"))
+    shapes = LinkShapes.of(Robot.from_urdf(path, tip="tool0", base="base_link"))
+    assert "floor" not in [shape.link for shape in shapes.shapes]
+    assert shapes.unread == ("floor",)
 
 
 def cell_of_ur5():
@@ -293,9 +335,7 @@ def test_meshes_are_named_and_other_arms_have_no_shapes(tmp_path):
     path.write_text(with_shapes({**SHAPES, "fore": '<mesh filename="package://ur/fore.stl"/>|0 0 0|0 0 0'}))
     shapes = LinkShapes.of(Robot.from_urdf(path, tip="tool0"))
     assert shapes.unread == ("fore",)
-    assert shapes.words.endswith(
-        "Not looked at: fore, whose shapes are meshes or the like; --link-radius does for all links."
-    )
+    assert "Not looked at: shapes of fore that are no boxes, cylinders or spheres" in shapes.words
     path.write_text(with_shapes({}))
     assert LinkShapes.of(Robot.from_urdf(path, tip="tool0")).words == ""
     with pytest.raises(ProblemError, match="does not come from a URDF"):
@@ -323,4 +363,8 @@ def test_the_command_line_looks_at_shapes(tmp_path, urdf, capsys):
     assert "shapes" not in capsys.readouterr().out
     assert out.read_text() != looked
     assert main([*common, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["shapes"] == {"looked_at": list(SHAPES), "not_looked_at": []}
+    assert json.loads(capsys.readouterr().out)["shapes"] == {
+        "looked_at": list(SHAPES),
+        "not_looked_at": [],
+        "let_be": [],
+    }

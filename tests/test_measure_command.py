@@ -418,3 +418,15 @@ def test_one_of_several_instruments_is_planned_for_and_read(tmp_path, monkeypatc
     there = [path for path in (out, out.with_name("spiked_check.csv")) if path.exists()]
     rows = np.concatenate([problem.read(path).joints for path in there])
     assert sorted(map(tuple, rows.round(6))) == sorted(map(tuple, touches.samples.joints[:2].round(6)))
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="there is no /proc")
+def test_a_file_that_cannot_be_made_is_refused_before_any_touch(planned, tmp_path, monkeypatch, capsys):
+    feed(monkeypatch, ["5.0", "e"])
+    assert main(["measure", str(HSR), "--plan", str(planned[0]), "--out", "/proc/touched.csv"]) == 2
+    said = capsys.readouterr()
+    assert "'/proc/touched.csv' cannot be written" in said.err
+    assert "touch 1" not in said.out
+    feed(monkeypatch, [])
+    assert main(["measure", str(HSR), "--plan", str(planned[0]), "--out", str(tmp_path / "fine.csv")]) == 0
+    assert list(tmp_path.glob("fine*")) == []

@@ -269,3 +269,11 @@ def test_the_command_line_refuses(tmp_path, capsys):
 def test_errors_of_no_rows_are_those_of_the_prior():
     known, weight = np.diag([4.0, 1.0]), np.diag([1.0, 9.0])
     assert error_of(np.zeros((0, 1, 2)), known, weight) == pytest.approx(np.sqrt(0.25 + 9.0))
+
+
+def test_ranges_below_zero_need_no_equals_sign(tmp_path, capsys):
+    out, common = tmp_path / "plan.csv", ["--pool", "120", "--touches", "12"]
+    for option in (["--keep-out", "-100:100,-100:100,0:1"], ["--keep-out=-100:100,-100:100,0:1"]):
+        assert main(["plan", str(HSR), "--out", str(out), *common, *option]) == 0
+    assert main(["plan", str(HSR), "--out", str(out), *common, "--box", "-1:2"]) == 2
+    assert "is not X0:X1,Y0:Y1,Z0:Z1" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from casacal.array_types import Array
@@ -124,10 +124,9 @@ class Calibration(Fitted):
         verdict is not to use this result. Touches tell geometry; what else errs, and an estimate's way to the minimum,
         stays.
         """
-        found = cures(self.weighed, self.bare_x)
         geometry, x = seen(self.weighed, self.bare_x)
-        stays = max(self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2, 0.0)
-        return tuple(replace(cure, expected_rms_mm=math.sqrt(cure.expected_rms_mm**2 + stays)) for cure in found)
+        stays = self.tip_std[1] ** 2 - expected_accuracy(geometry, x)[1] ** 2
+        return cures(self.weighed, self.bare_x, stays=max(stays, 0.0) if math.isfinite(stays) else 0.0)
 
     @cached_property
     def advice(self) -> tuple[str, ...]:

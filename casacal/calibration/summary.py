@@ -23,7 +23,8 @@ SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
 PLANNED = (
     "Planned touches are the best of those that were drawn. casacal plan PROBLEM --after SAMPLES chooses such ones; a "
-    "new face or step goes into the problem file first."
+    "new face or step goes into the problem file first. Figures here count noise and effects as they were "
+    "found; those of plan trust what is stated."
 )
 
 

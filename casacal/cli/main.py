@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 import sys
 import warnings
@@ -68,6 +69,10 @@ class _Parser(argparse.ArgumentParser):
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
+NEGATIVE_RANGE = re.compile(r"-[\d.]+:")
+"""How a box begins whose first range is below zero."""
+
+
 def build_parser() -> _Parser:
     """Parser whose `run` is one command's; it raises CasacalError in place of printing usage."""
     description = "Calibrate a robot arm with a dial indicator and a flat face."
@@ -100,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _caught(typed: list[str]) -> int:
     try:
-        parser = build_parser()
+        parser, typed = build_parser(), _ranges_joined(typed)
         if not typed:
             parser.print_help()
             return DONE
@@ -125,6 +130,17 @@ def _caught(typed: list[str]) -> int:
         return INTERRUPTED
     except SystemExit as end:  # argparse's, after --help and --version
         return DONE if end.code is None else int(end.code)
+
+
+def _ranges_joined(typed: list[str]) -> list[str]:
+    """--box -100:100,... as --box=-100:100,...: argparse takes what begins with a minus for an option."""
+    found = list[str]()
+    for each in typed:
+        if found and found[-1].startswith("--") and "=" not in found[-1] and NEGATIVE_RANGE.match(each):
+            found[-1] += f"={each}"
+        else:
+            found.append(each)
+    return found
 
 
 def _answer(options: argparse.Namespace) -> int:

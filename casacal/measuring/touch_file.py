@@ -54,6 +54,19 @@ class TouchFile(Value):
         for path in (self.path, self.check_path):
             if path.exists() and not path.is_file():
                 raise CasacalError(f"'{path}' is no file that can grow", "Name a file")
+            self._try(path)
+
+    @staticmethod
+    def _try(path: Path) -> None:
+        """Raise CasacalError where a file cannot be made, before anybody makes a touch for it."""
+        there = path.exists()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            os.close(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666))
+            if not there:
+                path.unlink()
+        except OSError as error:
+            raise CasacalError(f"'{path}' cannot be written ({error.strerror})", "Choose another place") from error
 
     def sizes(self) -> tuple[int, int]:
         """Bytes of both files, by which it is seen whether somebody else writes there."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError
 from casacal.planning.bodies import Body
 from casacal.planning.link_shapes import LinkShapes
 from casacal.problem.cell import Cell
@@ -54,7 +54,7 @@ class Clearance(Value):
                 raise CasacalError(f"The box to keep out of is {box!r}", "Give ranges of x, y and z in mm, each rising")
         radius = self.link_radius
         if radius is not None and not (is_real(radius) and 0 < radius < math.inf):
-            raise CasacalError(f"{came(radius)} came as the links' radius", "Give a positive number of mm")
+            raise CasacalError(f"The links' radius is {radius!r}", "Give a positive number of mm")
 
     def clear(self, robot: Robot, cell: Cell | None, joints: Array, tips: Array) -> NDArray[np.bool_]:
         """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""

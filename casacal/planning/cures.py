@@ -69,12 +69,12 @@ class Outcome:
     """Whose rows these are: the problem, with a new face or step."""
 
 
-def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
+def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, ...]:
     """What to do next at x (n,), best first, each from 24 planned touches.
 
     More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
     known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has two:
-    as many more of the same as nobody planned, and half the noise.
+    as many more of the same as nobody planned, and half the noise. stays: squared tip error, mm^2, that stays.
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
@@ -83,7 +83,7 @@ def cures(bound: BoundProblem, x: Array) -> tuple[Cure, ...]:
 
     def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
         covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
-        return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean())), covariance
+        return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
 
     found: dict[str, tuple[float, Array, Outcome]] = {}
     for outcome in outcomes(bound, x):

@@ -29,8 +29,8 @@ THICK = 40.0
 TOOL = 20.0
 """Distance from the tip, mm, within which a shape is the tool's, which may come near a face."""
 
-POSTURES, MOSTLY = 200, 0.9
-"""Random postures, and the part of them in which two shapes meet that belong to neighbours in all but name."""
+POSTURES = 400
+"""Random postures; two shapes that meet in all of them are drawn too large, or belong together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,13 @@ class LinkShapes(Value):
         if self.shapes:
             links = len({shape.link for shape in self.shapes})
             said.append(f"Kept {FREE:g} mm clear: {len(self.shapes)} shapes of {links} links, as the URDF has them.")
+        if self.let_be:
+            pairs = ", ".join(f"{one} and {other}" for one, other in self.let_be)
+            said.append(f"Not held against each other, for they meet wherever the arm is: {pairs}.")
         if self.unread:
             said.append(
-                f"Not looked at: {', '.join(self.unread)}, whose shapes are meshes or the like; --link-radius does for "
-                "all links."
+                f"Not looked at: shapes of {', '.join(self.unread)} that are no boxes, cylinders or spheres, or move "
+                "by other joints; --link-radius does for all links of the arm."
             )
         return " ".join(said)
 
@@ -101,18 +104,27 @@ class LinkShapes(Value):
             for shape, body in zip(self.shapes, bodies, strict=True)
         ]
 
-    @cached_property
+    @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Shapes that could meet: not those of one link or of neighbours, nor those that meet wherever the arm is."""
+        return self._pairs[0]
+
+    @property
+    def let_be(self) -> tuple[tuple[str, str], ...]:
+        """Links, not neighbours, whose shapes meet wherever the arm is, and are not held against one another."""
+        names = ((self.shapes[one].link, self.shapes[other].link) for one, other in self._pairs[1])
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def _pairs(self) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]:
         joints = random_joints(self.robot, POSTURES, np.random.default_rng(0))
-        placed = self.at(joints)
-        return tuple(
-            (k, other)
-            for k, one in enumerate(self.shapes)
-            for other in range(k + 1, len(self.shapes))
-            if abs(one.carrier - self.shapes[other].carrier) > 1
-            and float((gap(placed[k], placed[other]) <= FREE).mean()) < MOSTLY
-        )
+        placed, meet, always = self.at(joints), list[tuple[int, int]](), list[tuple[int, int]]()
+        for k, one in enumerate(self.shapes):
+            for other in range(k + 1, len(self.shapes)):
+                if abs(one.carrier - self.shapes[other].carrier) > 1:
+                    apart = (gap(placed[k], placed[other]) > FREE).any()
+                    (meet if apart else always).append((k, other))
+        return tuple(meet), tuple(always)
 
     @cached_property
     def _motions(self) -> ca.Function:

@@ -57,7 +57,11 @@ def document(
     found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
     if clearance is not None and clearance.shapes is not None:
         shapes = clearance.shapes
-        found["shapes"] = {"looked_at": [each.link for each in shapes.shapes], "not_looked_at": list(shapes.unread)}
+        found["shapes"] = {
+            "looked_at": [each.link for each in shapes.shapes],
+            "not_looked_at": list(shapes.unread),
+            "let_be": [list(pair) for pair in shapes.let_be],
+        }
     if compared:
         found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -162,3 +163,19 @@ def _motion(joint: UrdfJoint, q: Expression) -> Expression:
         if abs(axis[k]) > 1 - 1e-15:
             return turn(q if axis[k] > 0 else -q)
     return rotate(axis, q)
+
+
+def beside_base(found: UrdfFile, link: str, base: str) -> Array | None:
+    """Pose (4x4, mm) in the base link of one that does not hang on it; None where a joint moves between the two."""
+    above = {joint.child: joint for joint in found.joints}
+    ways = []
+    for end in (link, base):
+        way = list[UrdfJoint]()
+        while end in above and len(way) <= len(found.joints):
+            way.append(above[end])
+            end = above[end].parent
+        ways.append(way[::-1])
+    if {joint.name for joint in ways[0] if joint.kind != "fixed"} != {j.name for j in ways[1] if j.kind != "fixed"}:
+        return None
+    there, here = (reduce(np.matmul, map(origin_matrix, way), np.eye(4)) for way in ways)
+    return np.asarray(np.linalg.solve(here, there))

@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.robots.files.urdf import ZERO, Triple
 from casacal.robots.files.urdf_reader import read_urdf
-from casacal.robots.urdf_chain import MM, hangs, placed
+from casacal.robots.urdf_chain import MM, beside_base, hangs, placed
 from casacal.values import Value
 
 SIZES = {"box": ("size", 3), "cylinder": ("radius length", 1), "sphere": ("radius", 1)}
@@ -39,9 +39,10 @@ class LinkShape(Value):
 
 
 def shapes_of(path: str | Path, base: str | None, tip: str | None) -> tuple[tuple[LinkShape, ...], tuple[str, ...]]:
-    """Shapes of the links from a base link to a tip link and of what hangs on them; links with others, such as meshes.
+    """Shapes of the links from a base link to a tip link, of what hangs on them, and of what stands with the base.
 
-    Raises ProblemError for sizes and places that are no numbers, or not in metres.
+    Also named: links of which shapes are not looked at: of other kinds, such as meshes, and what moves against the base
+    by joints that are not the arm's. Raises ProblemError for sizes and places that are no numbers, or not in metres.
     """
     found = read_urdf(path)
     chain = found.chain(base, tip)
@@ -50,6 +51,11 @@ def shapes_of(path: str | Path, base: str | None, tip: str | None) -> tuple[tupl
     for link in ElementTree.parse(path).getroot().findall("link"):
         name = link.get("name", "")
         hung = hangs(found, name, root, moving)
+        if hung is None and link.find("collision") is not None:
+            place = beside_base(found, name, root)
+            hung = None if place is None else (-1, place)
+            if place is None:
+                unread.append(name)
         if hung is None:
             continue
         for collision in link.findall("collision"):
