@@ -448,14 +448,10 @@ def test_the_arm_of_several_is_that_of_one_where_the_others_say_nothing():
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-4)
 
 
-def test_whose_noise_is_too_small_is_said():
-    """The tracker stated ten times too good: it alone is named, with its own factor.
-
-    Of these rows, in which the others' noise came out as stated: one in three draws finds the spike's a little larger.
-    """
-    rows = simulate(problem, CELL, samples=COUNTS, seed=5).measured
+def test_whose_noise_is_too_small_is_said(simulated):
+    """The tracker stated ten times too good: it alone is named, with its own factor."""
     bold = dict(INSTRUMENTS, tracker=TrackedPoint(noise_std=0.003, tool=INSTRUMENTS["tracker"].tool))
-    found = calibrate(Problem(problem.robot, bold, shared=problem.shared), rows, reference=False)
+    found = calibrate(Problem(problem.robot, bold, shared=problem.shared), simulated.measured, reference=False)
     reasons = " ".join(verdict_of(found).reasons)
     assert re.search(r"Times the stated noise: tracker (7|8|9|1\d)(\.\d)?, dial and spike as stated", reasons)
 

@@ -5,18 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from conftest import ROOT
 from oracles import dh_chain
 
-from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, load_problem, plate, simulate
+from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
 from casacal.errors import SimulationError
 from casacal.problem.cell import flatness_din_876
-from casacal.simulation import fitting
 from casacal.simulation.face_form import form_error
-from casacal.simulation.fitting import Bench
 from casacal.simulation.places import default_cell
-
-EXAMPLES = sorted(path.parent for path in (ROOT / "problems" / "instruments").glob("*/problem.py"))
 
 
 def true_tips(simulation, joints, readings, sign=1):
@@ -149,30 +144,3 @@ def test_form_errors_are_smooth_and_of_the_asked_height():
     # DIN 876: 4, 10 and 20 micrometres times (1 + L / m)
     for grade, micrometres in (("0", 4.0), ("I", 10.0), ("II", 20.0)):
         assert flatness_din_876(grade, 630) == pytest.approx(micrometres * 1.63e-3)
-
-
-@pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
-def test_rounding_does_not_decide_where_rows_that_fit_end(folder, monkeypatch):
-    """Residuals and slopes off by far more than machines differ: the same postures, row by row."""
-    problem, exactly, rng = load_problem(folder).problem, Bench.residual, np.random.default_rng(1)
-    plain = simulate(problem, samples=120, seed=5).samples
-
-    def roughly(bench, free, rows):
-        return tuple(part * (1 + 1e-11 * rng.normal(size=part.shape)) for part in exactly(bench, free, rows))
-
-    monkeypatch.setattr(Bench, "residual", roughly)
-    np.testing.assert_allclose(simulate(problem, samples=120, seed=5).samples.joints, plain.joints, rtol=0, atol=1e-6)
-
-
-def test_a_row_that_fails_leaves_the_others_as_they_are(monkeypatch):
-    problem, arrived, tries = load_problem(ROOT / "problems" / "instruments" / "plate").problem, fitting._met, []
-    plain = simulate(problem, samples=40, seed=1).samples
-
-    def unlucky(*what):
-        free, met = arrived(*what)
-        tries.append(met)
-        return free, met & ((len(tries) > 1) | (np.arange(len(met)) != 7))
-
-    monkeypatch.setattr(fitting, "_met", unlucky)
-    other = simulate(problem, samples=40, seed=1).samples
-    np.testing.assert_array_equal(np.flatnonzero((other.joints != plain.joints).any(axis=1)), [7])

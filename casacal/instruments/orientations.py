@@ -67,14 +67,8 @@ class Orientation:
 
     @property
     def begins_at(self) -> Mapping[str, float]:
-        """No turn; for quaternions that is not zeros.
-
-        Of three turns the first and the last may be about one axis, as in "ZYZ": these begin where they differ.
-        """
-        if self.name == "quaternion":
-            return {"quat_w": 1.0}
-        same = len(self.name) == 3 and self.name[0] == self.name[2]
-        return {"turn_2": math.pi / 2} if same else {}
+        """No turn; for quaternions that is not zeros."""
+        return {"quat_w": 1.0} if self.name == "quaternion" else {}
 
     def turn(self, row: Any) -> Expression:
         """Rotation matrix (3x3) of a row."""

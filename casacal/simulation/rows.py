@@ -3,25 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
+from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
 from casacal.problem.cell import Cell, Face
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
+from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.arm_errors import ArmErrors
 from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
-from casacal.simulation.fitting import Bench, found
 from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.places import random_tips, spot, stands
 from casacal.simulation.true_arm import Draw, Truth, plane_coordinates
 from casacal.tables.labels import Labels
 from casacal.unknowns import Frame, Unknown
+
+CANDIDATES = 80
+"""Random postures for each row; the one that fits best is where its search begins."""
+ROUNDS, STEPS = 30, 40
+"""Times that rows are tried afresh, and Gauss-Newton steps of each."""
+FITS = 1e-9
+"""Residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits."""
+SLOW = 1e-3
+"""What a reading costs in the step that is sought, where a radian costs one: readings move before joints do."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings."""
+
+    problem: Problem
+    evaluate: Batch
+    z: Array
+    """True local coordinates by row (N, nz)."""
+    c: Array
+    """Nominals that differ by label by row (N, nc)."""
+    known: Array
+    """Columns known from labels by row (N, k)."""
+    faces: tuple[Face, ...]
+    """The face of each row (N,); none where nothing flat is touched."""
+
+    @property
+    def read(self) -> int:
+        """How many columns are read."""
+        return len(self.problem.instrument.columns)
+
+    def residual(self, free: Array, rows: Index) -> tuple[Array, Array]:
+        """Residuals (k, m) of some rows at joints and readings (k, n), and their slopes (k, m, n)."""
+        data = np.hstack([free, self.known[rows]])
+        e, slopes = self.evaluate(self.z[rows], self.c[rows], data)
+        return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
+
+    def beyond(self, free: Array, rows: Index) -> Array:
+        """How far (k,; mm) the tips of some rows lie outside their faces."""
+        if not self.faces:
+            return np.zeros(len(rows))
+        (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
+        axes, centres, sizes = (
+            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
+        )
+        along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
+        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
 def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Truth, ArmErrors]:
@@ -38,7 +87,7 @@ def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw)
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
     own = own_noise(problem) if cell.repeatability is None else cell.repeatability
     target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
-    free = found(bench, target, pose_rng)
+    free = _found(bench, target, pose_rng)
     joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
     scatter, lag = noise_rng.normal(size=joints.shape) * cell.joint_std, last_moves(joints) * cell.backlash / 2
     arm = ArmErrors(drawn_waves(robot, cell.waves, gear_rng))
@@ -128,3 +177,67 @@ def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], s
 
 def _is_flat(unknown: Unknown) -> bool:
     return unknown.nominal_plane(np.zeros(unknown.nominal_size)) is not None
+
+
+def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits."""
+    robot, count = bench.problem.robot, len(target)
+    n = len(robot.axes)
+    free = np.full((count, n + bench.read), np.nan)
+    waiting = np.arange(count)
+    for _ in range(ROUNDS):
+        start = _starts(bench, target, waiting, rng)
+        found, met = _met(bench, start, target[waiting], waiting)
+        lower, upper = robot.limits
+        inside = ((found[:, :n] >= lower) & (found[:, :n] <= upper)).all(axis=1)
+        inside &= bench.beyond(found, waiting) < 1e-6
+        free[waiting[met & inside]] = found[met & inside]
+        waiting = waiting[~(met & inside)]
+        if not waiting.size:
+            return free
+    raise SimulationError(
+        f"No posture inside the joint limits of '{robot.name}' makes the residual of "
+        f"{type(bench.problem.instrument).__name__} vanish in {len(waiting)} of {count} rows",
+        "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
+    )
+
+
+def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
+    """For each row the random posture, readings at zero, that comes nearest."""
+    robot = bench.problem.robot
+    tried = random_joints(robot, len(rows) * CANDIDATES, rng)
+    instrument = bench.problem.instrument
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    free = np.hstack([tried, np.tile(readings, (len(tried), 1))])
+    if bench.read:  # readings follow from any posture
+        return free[::CANDIDATES]
+    e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))
+    miss = ((e - np.repeat(target[rows], CANDIDATES, axis=0)) ** 2).sum(axis=1)
+    miss = (miss + bench.beyond(free, np.repeat(rows, CANDIDATES)) ** 2).reshape(len(rows), CANDIDATES)
+    # one of the nearest few, so that touches do not crowd where the random postures do
+    order = np.argsort(miss, axis=1)[:, : CANDIDATES // 8]
+    pick = order[np.arange(len(rows)), rng.integers(order.shape[1], size=len(rows))]
+    return np.asarray(free.reshape(len(rows), CANDIDATES, -1)[np.arange(len(rows)), pick])
+
+
+def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array, Rows]:
+    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive."""
+    free = start.copy()
+    n = len(bench.problem.robot.axes)
+    ease = np.concatenate([np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW), np.full(bench.read, 1.0 / SLOW)])
+    size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
+    e, slopes = bench.residual(free, rows)
+    for _ in range(STEPS):
+        miss = e - target
+        if (np.abs(miss) <= FITS * size).all():
+            break
+        eased = slopes * ease
+        gram = eased @ eased.transpose(0, 2, 1)
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * np.eye(gram.shape[1]) + 1e-300 * np.eye(
+            gram.shape[1]
+        )
+        step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
+        largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
+        free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]
+        e, slopes = bench.residual(free, rows)
+    return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))
