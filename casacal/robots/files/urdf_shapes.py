@@ -74,13 +74,21 @@ def _shapes(
     place: list[Triple] = [ZERO, ZERO]
     for k, key in enumerate(("xyz", "rpy")):
         if origin is not None and key in origin.attrib:
-            x, y, z = _numbers(path, link, key, origin.attrib[key], 3)
+            x, y, z = _numbers(
+                path, f"{key} of a collision of link '{link}'", origin.attrib[key], 3, ", metres or radians"
+            )
             place[k] = (x, y, z)
     for part in [] if geometry is None else geometry:
         if part.tag not in SIZES:
             continue
         keys, count = SIZES[part.tag]
-        size = [value for key in keys.split() for value in _numbers(path, link, key, part.get(key, ""), count)]
+        size = [
+            value
+            for key in keys.split()
+            for value in _numbers(
+                path, f"{key} of a collision of link '{link}'", part.get(key, ""), count, ", metres or radians"
+            )
+        ]
         if min(size) <= 0 or max(size) > LARGEST:
             raise ProblemError(
                 f"{path}: the collision {part.tag} of link '{link}' measures {' '.join(f'{s:g}' for s in size)}",
@@ -89,14 +97,11 @@ def _shapes(
         yield part.tag, tuple(value * MM for value in size), placed(place[0], place[1])
 
 
-def _numbers(path: str | Path, link: str, what: str, text: str, count: int) -> list[float]:
+def _numbers(path: str | Path, what: str, text: str, count: int, units: str = "") -> list[float]:
     try:
         values = [float(part) for part in text.split()]
     except ValueError:
         values = []
     if len(values) != count or not np.isfinite(values).all():
-        raise ProblemError(
-            f"{path}: the {what} of a collision of link '{link}' is '{text}'",
-            f"Give {count} number{'s' if count > 1 else ''}, metres or radians",
-        )
+        raise ProblemError(f"{path}: the {what} is '{text}'", f"Give {count} number{'s' if count > 1 else ''}{units}")
     return values

@@ -56,21 +56,10 @@ def _inertials(path: str | Path) -> list[tuple[str, float, Array]]:
         mass, origin = (inertial.find(tag) if inertial is not None else None for tag in ("mass", "origin"))
         if mass is None:
             continue
-        kg = _numbers(path, name, "mass", mass.get("value", ""), 1)[0]
-        place = _numbers(path, name, "centre of mass", "0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3)
+        kg = _numbers(path, f"mass of link '{name}'", mass.get("value", ""), 1)[0]
+        xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
+        place = np.array(_numbers(path, f"centre of mass of link '{name}'", xyz, 3))
         if kg < 0:
             raise ProblemError(f"{path}: the mass of link '{name}' is {kg:g}", "Give kilograms, zero or more")
         weighs.append((name, float(kg), place * MM))
     return weighs
-
-
-def _numbers(path: str | Path, link: str, what: str, text: str, count: int) -> Array:
-    try:
-        values = np.array([float(part) for part in text.split()])
-    except ValueError:
-        values = np.zeros(0)
-    if len(values) != count or not np.isfinite(values).all():
-        raise ProblemError(
-            f"{path}: the {what} of link '{link}' is '{text}'", f"Give {count} number{'s' if count > 1 else ''}"
-        )
-    return values
