@@ -16,7 +16,6 @@ ORDER = [
     "values",
     "user_code",
     "files",
-    "file_sets",
     "kinematics",
     "graphs",
     "unknowns",
@@ -52,7 +51,7 @@ PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
     "study.executors": {"dask", "distributed"},
     "tables.workbooks": {"openpyxl"},
-    "measuring.serial_line": {"serial"},
+    "measuring.gauges": {"serial"},
 }
 """Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}

@@ -24,16 +24,14 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.changes.drift import with_drift
 from casacal.changes.explain import contenders, explanations
-from casacal.changes.look import Look
-from casacal.changes.memory import with_memory
-from casacal.changes.null import AllTests, row_bases
+from casacal.changes.look import AllTests, Look, row_bases
+from casacal.changes.memory import with_drift, with_memory
 from casacal.changes.whitened import Whitened, chances, likelihood, occam, seen_basis
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.places import default_cell
-from casacal.simulation.single import simulate_one
+from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
 from casacal.verification.opened import opened
 

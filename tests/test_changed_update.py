@@ -27,11 +27,10 @@ from casacal import (
     updated,
     verify,
 )
-from casacal.changes.directions import joint_direction
-from casacal.changes.shifts import JOINTS, shift_columns, with_shifts
+from casacal.changes.causes import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
-from casacal.simulation.single import simulate_one
+from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 

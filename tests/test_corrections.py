@@ -31,11 +31,11 @@ from casacal.calibration.corrected_words import became
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.compensation.seal import sealed
+from casacal.compensation.result_file import sealed
 from casacal.discrepancy import Backlash, Drift, GearWaves, GravityGive, kit
 from casacal.export.forms import export
 from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
-from casacal.uncertainty.marginal_likelihood import Told, evidence
+from casacal.uncertainty.effect_sizes import Told, evidence
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints

@@ -28,8 +28,7 @@ from casacal import (
     simulate,
 )
 from casacal.binding import sums
-from casacal.calibration.brief import brief
-from casacal.calibration.next_step import best_cure, fall, nothing_helps
+from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of

@@ -14,12 +14,11 @@ from scipy.stats import chi2
 from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf, sckf_lm, simulate, verify
 from casacal.binding.marginal import moving, seen
 from casacal.cli.main import main
-from casacal.compensation.seal import sealed
+from casacal.compensation.result_file import sealed
 from casacal.discrepancy import Backlash, Effect, FaceForm, GearWaves, JointField, ThermalGrowth, kit
 from casacal.discrepancy.effect import weighted
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.effect_sizes import _objective, effect_sizes
-from casacal.uncertainty.marginal_likelihood import told
+from casacal.uncertainty.effect_sizes import _objective, effect_sizes, told
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent

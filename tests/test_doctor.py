@@ -10,13 +10,13 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
-from casacal.checks.dial_sign import tells_a_wrong_sign
+from casacal.checks.dial import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.labels import Labels
-from casacal.uncertainty.leverage import leverages
+from casacal.uncertainty.figures import leverages
 
 REPLACE = dataclasses.replace
 
@@ -126,7 +126,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     samples = plant(hsr, corner_simulation.samples)
     expected = check(hsr.problem, samples)
     monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
-    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
+    monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
     monkeypatch.setattr("casacal.checks.outliers.JUDGES", 30)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
@@ -135,7 +135,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
 
 
 def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monkeypatch):
-    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
+    monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
     bound = bind(hsr.problem, corner_simulation.samples)
     result = lm(bound)
     stacked = np.vstack([bound.jacobian(result.x) * bound.start_std, np.diag(bound.start_std / bound.prior_std)])

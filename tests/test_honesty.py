@@ -15,10 +15,16 @@ from casacal.calibration.warnings import warnings
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
 from casacal.least_squares.losses import huber, tukey
-from casacal.uncertainty.bounds import classical_bound
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
-from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.workspace import (
+    classical_bound,
+    tip_rms,
+    tip_stds,
+    up_to_base,
+    without_rigid,
+    workspace_joints,
+)
 
 
 def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):

@@ -30,9 +30,8 @@ from casacal import (
 from casacal.cli.main import main
 from casacal.problem.as_data import problem_from
 from casacal.tables.labels import Labels
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
 from casacal.unknowns.fits import rigid_fit
 
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)

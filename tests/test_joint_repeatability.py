@@ -17,8 +17,8 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty import discrepancy
 from casacal.uncertainty.discrepancy import _Linear
+from casacal.uncertainty.effect_sizes import told
 from casacal.uncertainty.joint_repeatability import joints_err
-from casacal.uncertainty.marginal_likelihood import told
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent

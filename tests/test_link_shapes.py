@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 from casacal import Cell, Face, Problem, Robot, load_problem, plan
 from casacal.cli.main import main
 from casacal.errors import ProblemError
-from casacal.planning.bodies import Body, gap
 from casacal.planning.clearance import Clearance
-from casacal.planning.link_shapes import FREE, LinkShapes
+from casacal.planning.link_shapes import FREE, Body, LinkShapes, gap
 
 SHAPES = {
     "base_link": '<box size="0.12 0.14 0.02"/>|0 0 0.01|0 0 0',

@@ -36,9 +36,8 @@ from casacal.least_squares.groups import Groups
 from casacal.least_squares.information import determined
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.leverage import leverages
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.figures import leverages, noise_interval
+from casacal.uncertainty.prior_moves import prior_scatter
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,11 @@ from measured_world import World
 
 from casacal import CasacalError, load_problem, plan, read_route
 from casacal.cli.main import main
-from casacal.measuring.conversation import answered
+from casacal.measuring.conversation import answered, command_of, touch_of
 from casacal.measuring.gauges import gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.measuring.touch_file import TouchFile
-from casacal.measuring.typed import command_of, touch_of
 from casacal.planning.written import write_plan
 
 pty = pytest.importorskip("pty")

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
-from casacal.calibration.next_step import next_step
+from casacal.calibration.brief import next_step
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
@@ -18,8 +18,7 @@ from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.samples.write import write_samples
 from casacal.tables.labels import Labels
-from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.leverage import effective_unknowns, leverages
+from casacal.uncertainty.figures import effective_unknowns, leverages, noise_interval
 from casacal.uncertainty.noise import found_noise
 
 HSR = ROOT / "problems" / "hsr_jr680"

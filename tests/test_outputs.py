@@ -19,8 +19,7 @@ from hears_signals import hears_signals
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
 from casacal.cli.main import main
-from casacal.file_sets import PREFIX, side_by_side, together
-from casacal.files import mark_of_this_run, write_text
+from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 KILLS = int(os.environ.get("CASACAL_KILLS", "2"))

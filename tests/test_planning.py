@@ -14,8 +14,7 @@ from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.plan import plan, touches_for
-from casacal.planning.route import AGAIN, CHECK, FIT
-from casacal.planning.way import length_of, shortest_way
+from casacal.planning.route import AGAIN, CHECK, FIT, length_of, shortest_way
 from casacal.planning.written import plan_text
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
 from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints

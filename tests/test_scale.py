@@ -8,9 +8,7 @@ import pytest
 from casacal import Face, Problem, Step, bind, gauge_block, ipopt, lm, simulate
 from casacal.errors import ProblemError
 from casacal.instruments import DialOnBody
-from casacal.uncertainty.bounds import bayesian_bound
-from casacal.uncertainty.scale import conditional_scale_std, marginal_scale_std
-from casacal.uncertainty.workspace import workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, conditional_scale_std, marginal_scale_std, workspace_joints
 
 
 def exact(hsr, instrument, faces, travel, samples):

@@ -40,10 +40,9 @@ from casacal.compensation.seen_by import seen_by
 from casacal.errors import UnknownNameError
 from casacal.export.remark import remark
 from casacal.problem.as_data import problem_data, problem_from
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 SOURCE = "from three_instruments import problem, CELL\n\ncell = CELL\n"
 

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, load_problem, simulate
 from casacal.cli.main import main
 from casacal.errors import SimulationError
-from casacal.simulation.face_form import form_error
+from casacal.simulation.faults import form_error
 
 WAVES = {1: 1e-4, 2: 5e-5, 100: 2e-5}
 

@@ -24,8 +24,8 @@ from casacal.errors import StudyError
 from casacal.study.records import LIMIT, merged, read_records, to_line
 from casacal.study.runs import RECORDS, open_run, run
 from casacal.study.study_file import load_study
-from casacal.study.task import Task
 from casacal.study.tasks import perform
+from casacal.study.trial import Task
 
 HOSTILE = ROOT / "tests" / "hostile_study.py"
 ENDED = "Ended: the process of the trial "

@@ -33,7 +33,7 @@ from casacal.discrepancy import Drift
 from casacal.instruments.orientations import QUATERNION, Orientation
 from casacal.instruments.tracked_pose import chord
 from casacal.kinematics import position
-from casacal.unknowns.hand_eye import hand_eye
+from casacal.unknowns.fits import hand_eye
 
 problem = PROBLEMS["TrackedPose"]
 SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))

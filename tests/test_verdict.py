@@ -14,9 +14,8 @@ from test_doctor import PLANTED
 
 import casacal
 from casacal import DialOnPlane, Problem, bind, calibrate, check, ipopt, lm, simulate
-from casacal.calibration.brief import MOST_LINES, brief
-from casacal.calibration.next_step import best_cure, next_step
-from casacal.calibration.reference import Reference
+from casacal.calibration.brief import MOST_LINES, best_cure, brief, next_step
+from casacal.calibration.methods import Reference
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import moves, warnings
 from casacal.checks import Finding, set_aside
@@ -24,7 +23,7 @@ from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.samples.write import write_samples
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.uncertainty.workspace import tip_rms, without_rigid
 
 ACCURACY = re.compile(r"tip error of|Inside .* mm RMS|expected to be wrong")
@@ -168,7 +167,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("the data check, which was asked, names no cause" in said) is asked
     assert step in said
     assert len(calls) == asked
-    monkeypatch.setattr("casacal.calibration.next_step.doubts", lambda _: [])  # one that says no step of its own
+    monkeypatch.setattr("casacal.calibration.brief.doubts", lambda _: [])  # one that says no step of its own
     assert ("casacal check" in next_step(found, verdict)) is not asked
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casacal.bench.stated_split import checked_split
+from casacal.bench.splits import checked_split
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import load_problem

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.further import bind_further, extended
+from casacal.binding.marginal import bind_further, extended
 from casacal.calibration.calibrate import calibrate
 from casacal.calibration.verdict import verdict_of
 from casacal.discrepancy import GearWaves, LinkGive

@@ -11,12 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.further import bind_further
+from casacal.binding.marginal import bind_further
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.corrections import tried_corrections
 from casacal.calibration.given import problem_from, samples_from
-from casacal.calibration.methods import RANDOM, Method, Progress, chosen, estimate
-from casacal.calibration.reference import Reference
+from casacal.calibration.methods import RANDOM, Method, Progress, Reference, chosen, estimate
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, ProblemError, SamplesError, came

@@ -14,7 +14,6 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.flange import flange_accuracy
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -22,8 +21,8 @@ from casacal.uncertainty.identifiability import (
     identifiability,
 )
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
-from casacal.uncertainty.score_test import ScoreTest
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""

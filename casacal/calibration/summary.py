@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.brief import together
+from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.corrected_words import corrected_words, tried_words
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.measurements import Measurements

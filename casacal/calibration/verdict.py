@@ -8,13 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from casacal.calibration.beside_doubts import larger_than_any
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import Doubt
+from casacal.calibration.doubts import Doubt, larger_than_any
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, doubts, moves, suspicious
 from casacal.checks import Finding
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
 
 Level = Literal["calibrated", "use with care", "do not use"]
 

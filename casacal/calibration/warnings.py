@@ -7,17 +7,16 @@ import math
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.calibration.beside_doubts import dial_is_off, larger_than_any
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import Doubt
+from casacal.calibration.doubts import Doubt, dial_is_off, larger_than_any
 from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.noise import noise_over_stated
-from casacal.uncertainty.prior_scatter import prior_scatter
-from casacal.uncertainty.score_test import sized
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.uncertainty.scores import sized
 
 FAR = 4.0
 """Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.changes.change import Change
-from casacal.changes.drift import with_drift
 from casacal.changes.explain import SURE, Explanation, contenders, explanations
 from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown
 from casacal.changes.look import Look
-from casacal.changes.memory import with_memory
+from casacal.changes.memory import with_drift, with_memory
 from casacal.changes.tell import telling
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came

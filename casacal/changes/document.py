@@ -18,7 +18,7 @@ from casacal.changes.state import State
 from casacal.changes.words import amount, name_of
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.predict import predict
-from casacal.compensation.seal import sealed
+from casacal.compensation.result_file import sealed
 from casacal.errors import counted
 from casacal.files import jsonable
 from casacal.samples.copies import listing

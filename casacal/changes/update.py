@@ -11,19 +11,17 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.saved import SavedCalibration
+from casacal.changes.causes import JOINTS, joint_direction, shift_columns
 from casacal.changes.change import Change
 from casacal.changes.changed import changed_by
-from casacal.changes.directions import joint_direction
 from casacal.changes.document import updated_document
-from casacal.changes.drift import with_drift
 from casacal.changes.figures import ROWS, UNDECIDED, CauseFound
 from casacal.changes.look import Look
-from casacal.changes.shifts import JOINTS, shift_columns
+from casacal.changes.memory import with_drift
 from casacal.changes.state import updated_state
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
-from casacal.file_sets import together
-from casacal.files import write_json
+from casacal.files import together, write_json
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh
 from casacal.verification.opened import Opened

@@ -8,7 +8,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.score_test import CLEAR
+from casacal.uncertainty.scores import CLEAR
 
 COUNTED = "Calibrate all the same: its kit of effects takes this into account"
 

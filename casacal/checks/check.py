@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.beside import beside_geometry
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
-from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
+from casacal.checks.dial import WRONG_SIGN, sign_before_fit
 from casacal.checks.finding import Finding, times
+from casacal.checks.fitted_faults import tool_moved
 from casacal.checks.labels import absent_labels, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
@@ -19,7 +20,6 @@ from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
 from casacal.checks.several import check_several
 from casacal.checks.suspects import flips
-from casacal.checks.tool import tool_moved
 from casacal.checks.undone import misfit
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
@@ -27,7 +27,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
 
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""

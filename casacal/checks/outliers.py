@@ -13,14 +13,14 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_tips
+from casacal.checks.dial import lost_turns
 from casacal.checks.finding import Finding, counted
-from casacal.checks.revolutions import lost_turns
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.leverage import leverages
+from casacal.uncertainty.figures import leverages
 from casacal.unknowns.fits import fitted_plane
 
 SUBSETS = 300

@@ -51,11 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
-    from casacal.compensation.caution import verdict_part
     from casacal.compensation.compensate import compensate
     from casacal.compensation.outcome import Outcome
     from casacal.compensation.programs import notes, rounding_of, text_of
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
     from casacal.compensation.targets import read_targets
     from casacal.errors import CasacalError

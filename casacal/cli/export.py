@@ -43,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.compensation.caution import verdict_part
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export

@@ -13,14 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.clear_of import add_clearance, clearance_of
+from casacal.cli.adjust import add_clearance, clearance_of
 from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.measuring.gauges import Gauge
-    from casacal.measuring.serial_line import SerialLine
+    from casacal.measuring.gauges import Gauge, SerialLine
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
     from casacal.problem.problem_file import ProblemFile
@@ -66,8 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
-    from casacal.measuring.gauges import gauge
-    from casacal.measuring.serial_line import SerialLine
+    from casacal.measuring.gauges import SerialLine, gauge
     from casacal.problem.problem_file import load_problem
 
     source = of_instrument(load_problem(options.problem), options.instrument)

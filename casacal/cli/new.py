@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.problem.new import new_from_dh, new_from_urdf
-    from casacal.problem.new_dial import Given
+    from casacal.problem.problem_text import Given
 
     sign = None if options.sign is None else int(options.sign)
     given = Given(tool=None if options.tool is None else _triple(options.tool), sign=sign, accuracy=options.accuracy)

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import stds_of
-from casacal.cli.clear_of import add_clearance, clearance_of
+from casacal.cli.adjust import add_clearance, clearance_of, stds_of
 from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
@@ -93,7 +92,7 @@ def _add_written(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.enough import rows_needed
-    from casacal.planning.words import document, told
+    from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:

@@ -36,9 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.arm import denial
-    from casacal.compensation.caution import caution, verdict_part
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import caution, read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
 
     spare([options.out], options.result, options.joints)

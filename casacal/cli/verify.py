@@ -52,8 +52,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
     from casacal.problem.problem_file import load_problem
     from casacal.verification.decision import RISK
-    from casacal.verification.into_report import REPORT, with_section
     from casacal.verification.opened import measured_by
+    from casacal.verification.page import REPORT, with_section
     from casacal.verification.verify import verify
 
     if not options.samples.strip():

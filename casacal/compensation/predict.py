@@ -10,8 +10,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates, row_constants
-from casacal.compensation.given import arm_from
 from casacal.compensation.motion import moved_arm
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.over_time import OverTime
+from casacal.discrepancy.smooth import OverTime
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.columns_of import read_columns_of
+from casacal.discrepancy.compliance import read_columns_of
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.survey import Rows
 from casacal.errors import ProblemError

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
-from casacal.doctor.rotations import MEANINGS
+from casacal.doctor.pendant_rows import MEANINGS
 from casacal.doctor.same_arm import Meaning
 from casacal.robots.conventions import Conventions
-from casacal.robots.files.dh_toml import conventions_toml
+from casacal.robots.files.dh_text import conventions_toml
 from casacal.robots.joints import Joint
 
 SHOWN = 4

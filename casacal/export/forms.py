@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, check_usable, corrections, denial
-from casacal.compensation.caution import caution
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from, caution
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.c_code import c_text
 from casacal.export.dh import dh_text

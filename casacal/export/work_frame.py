@@ -19,10 +19,10 @@ from casacal.compensation.arm import (
     named_covariance,
     row_constants,
 )
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.remark import remark
-from casacal.robots.two_arms import Facing
+from casacal.robots.carriers import Facing
 from casacal.uncertainty.workspace import rigid_fields, workspace_joints
 from casacal.unknowns import Plane
 from casacal.values import Value

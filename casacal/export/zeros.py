@@ -10,9 +10,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.export.remark import MARK, remark
-from casacal.robots.files.decimals import plain
+from casacal.robots.files.dh_fields import plain
 from casacal.uncertainty.workspace import workspace_joints
 
 LEVER = 100.0

@@ -18,7 +18,7 @@ from casacal.instruments.residual_block import ResidualBlock
 from casacal.instruments.suspect import Suspect
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame, Unknown
-from casacal.unknowns.hand_eye import hand_eye
+from casacal.unknowns.fits import hand_eye
 from casacal.values import is_real
 
 POSITION = ("x", "y", "z")

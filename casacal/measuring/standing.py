@@ -9,16 +9,16 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
+from casacal.measuring.belief import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.examine import Alarm
 from casacal.measuring.further import Pool, could_be
 from casacal.measuring.known import Known, counts, innovations_at, known_before, places_of, telling
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State
-from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.touch import Touch, planned_touches, rows_of
+from casacal.planning.choice import wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
-from casacal.planning.wanted import wanted_joints
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
-from casacal.problem.new_dial import Given
 from casacal.problem.problem_file import load_problem
-from casacal.problem.python_text import angles, conventions, imported, lengths, listed, quoted, tuple_of, word
+from casacal.problem.problem_text import Given, angles, conventions, imported, lengths, listed, quoted, tuple_of, word
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.decimals import degrees, plain
+from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.urdf_chain import UrdfChain
 

@@ -15,9 +15,8 @@ from casacal.least_squares.result import Result
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.simulation.simulate import simulate
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees, residual_figures
-from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
 Z95 = 1.959963984540054
 """Half width of a 95 % interval in standard deviations."""

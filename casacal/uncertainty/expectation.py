@@ -11,9 +11,15 @@ from casacal.binding.marginal import Seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.joint_space import random_joints
-from casacal.uncertainty.bounds import bayesian_bound, classical_bound
 from casacal.uncertainty.identifiability import natural_scale
-from casacal.uncertainty.workspace import WORKSPACE_POSES, tip_stds, up_to_base, workspace_joints
+from casacal.uncertainty.workspace import (
+    WORKSPACE_POSES,
+    bayesian_bound,
+    classical_bound,
+    tip_stds,
+    up_to_base,
+    workspace_joints,
+)
 
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """Ranges of x, y and z in the base frame, mm."""

@@ -16,8 +16,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.least_squares.linalg import correlation
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.bounds import FIELD_TOLERANCE, seen_space
-from casacal.uncertainty.workspace import tip_rms, without_rigid
+from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 

@@ -1,11 +1,29 @@
-"""Doubts about what errs beside the geometry: a dial whose gain nobody declared, effects larger than any arm has."""
+"""Doubts that a figure of accuracy must not be without, and what a verdict that denies a result takes away."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import Doubt
 from casacal.uncertainty.discrepancy import at_most
-from casacal.uncertainty.score_test import CLEAR
+from casacal.uncertainty.identifiability import Identifiability
+from casacal.uncertainty.scores import CLEAR, ScoreTest
+from casacal.uncertainty.transfer import LeftOut
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A clause to put after "but", and a sentence.
+
+    step: what settles it; empty where the data check, which has not been asked, may tell the cause.
+    """
+
+    clause: str
+    sentence: str
+    step: str = ""
+
 
 OF_THE_DIAL = ("gain", "cycle")
 """Keys of the tests of a dial's own errors; they are made where these are no unknowns."""
@@ -45,3 +63,20 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
         "else, errs as well, and figures count only a part of it. What it is, casacal check may tell; touches in other "
         "postures and on other faces tell it apart.",
     )
+
+
+def without_tips(found: Identifiability) -> Identifiability:
+    """The same directions, without what they do to the tip: NaN."""
+    null = tuple(replace(each, tip_mm=math.nan) for each in found.null)
+    weak = tuple(replace(each, tip_mm=math.nan) for each in found.weak)
+    return replace(found, null=null, weak=weak)
+
+
+def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
+    """The same faces, without what the others predict of them: NaN, and so their ratio."""
+    return tuple(replace(each, predicted_mm=math.nan) for each in faces)
+
+
+def without_motion(tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """The same tests, without what the effects do to the tip: NaN."""
+    return tuple(replace(each, tip_mm=math.nan) for each in tests)

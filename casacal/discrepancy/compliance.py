@@ -1,8 +1,8 @@
-"""Joints that give under the weight of the links beyond them, link by link."""
+"""Joints that give: under the weight of the links beyond them, or under torques that were measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,97 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Rows
+from casacal.array_types import Array
+from casacal.array_types import Rows as Chosen
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.survey import Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
-from casacal.robots.files.urdf_weights import weights_of
+from casacal.robots.files.urdf_links import weights_of
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
+from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
+
+NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
+
+
+def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
+    """Raise ProblemError unless there is a column for each joint."""
+    if len(columns) != joints:
+        raise ProblemError(f"{len(columns)} columns of {what} came for {joints} joints", "Name one for each")
+
+
+def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
+    """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
+
+    Raises ProblemError where one is missing, or holds no numbers; `fix` says which to give.
+    """
+    check_columns_of(columns, joints, what)
+    found = []
+    for column in columns:
+        if column not in samples.extra:
+            known = ", ".join(samples.extra)
+            fix = f"Give it; further columns there are: {known}" if known else NOT_KEPT
+            raise ProblemError(f"{samples.file} has no column '{column}' of {what}", fix)
+        try:
+            values = np.array([float(text) for text in samples.extra[column]])
+        except ValueError:
+            values = np.array([np.nan])
+        if not np.isfinite(values).all():
+            raise ProblemError(f"{samples.file}: the column '{column}' holds no {what}", f"Give {fix}")
+        found.append(values)
+    return np.column_stack(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredGive(Effect):
+    """Every joint stands off by its own give times the torque that stands in a column of the samples.
+
+    Away from the rows no torque is known, so that `predict` and `compensate` count it as an error.
+
+    Args:
+        columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
+        size: of a joint's give, rad/Nm (mm/N of a sliding one).
+        doubt: times by which that may be off.
+
+    """
+
+    columns_of: tuple[str, ...]
+    size: float = 1e-4
+    doubt: float = 10.0
+
+    moves = True
+    elastic = True
+    most = 100.0
+    key = "yield"
+    words = "giving under measured torque"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """The give of each joint, rad/Nm."""
+        check_columns_of(self.columns_of, len(site.robot.axes), "torques")
+        return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The torque about each joint."""
+        del site
+        return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
+
+    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+        """As the samples say; raises ProblemError where they do not."""
+        told = read_columns_of(rows.samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+        return dict(zip(self.columns(site), told.T, strict=True))
+
+    def joints(self, here: Here) -> Expression:
+        """The give times the torque."""
+        u = getattr(here.p, self.key)
+        return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))
+
 
 HEAVIEST = 1e5
 """Kilograms of a link; more is another unit."""
@@ -130,7 +211,7 @@ class LinkGive(Effect):
         slopes = self._links(site).levers(np.array(self.down))(q).T
         return ca.mtimes(slopes, ca.DM(self.masses)) if self.masses else slopes
 
-    def _pull(self, site: Site) -> tuple[Rows, float]:
+    def _pull(self, site: Site) -> tuple[Chosen, float]:
         """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
         links, count = self._links(site), len(site.robot.axes)
         q, down = ca.SX.sym("q", count), np.array(self.down)
@@ -140,5 +221,5 @@ class LinkGive(Effect):
         about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
         about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T
         found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
-        feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
+        feels: Chosen = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
         return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))
