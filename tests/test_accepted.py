@@ -74,6 +74,7 @@ def estimate(arm):
     return {row["name"]: row["estimate"] - row["nominal"] for row in rows}
 
 
+@pytest.mark.long_unless("hsr_jr680-length")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5"])
 def test_what_other_instruments_see_of_the_arm(name, kind):

@@ -61,6 +61,7 @@ def test_a_turntable_turns_the_arm_or_the_work():
     np.testing.assert_allclose(seen, np.linalg.inv(table) @ flanges(joints[:, 1:]), atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_rail_that_points_elsewhere_and_is_long_is_found():
     """A metre of 1.0003 m, 1.5 mrad aside; the arm as drawn, by hand."""
     still = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
@@ -103,6 +104,7 @@ def test_a_carrier_may_be_carried_either_way():
     assert "carrier_carrier_direction" in up.parameters
 
 
+@pytest.mark.long
 def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
     (tmp_path / "problem.py").write_text(
         "from casacal import Problem, TrackedPoint, carried, load_problem, rail, tool_point\n"

@@ -155,6 +155,7 @@ def test_the_level_is_the_same_for_the_same_seed_and_lower_than_the_rate():
 # ------------------------------------------------------------------------------------------------ arms of problems/
 
 
+@pytest.mark.long_unless("adept_cobra600-True")
 @pytest.mark.parametrize(("name", "stands"), [("hsr_jr680", False), ("ur5", True), ("adept_cobra600", True)])
 def test_an_arm_that_did_not_change_is_not_called_changed(name, stands):
     standing, arm, alarms = STOOD.get(name, ("plane",)) if stands else (), robot(name)[2], 0
@@ -237,6 +238,7 @@ def test_drift_adds_its_variance():
     np.testing.assert_allclose(more, np.diag(wanted), rtol=1e-6, atol=1e-15)
 
 
+@pytest.mark.long
 def test_effects_that_go_with_the_arm_are_as_the_fit_left_them():
     """Gears and give with their covariance with the geometry; warmth begins anew."""
     source, cell, _ = robot("hsr_jr680")
@@ -371,6 +373,7 @@ def test_drift_that_is_allowed_for_is_no_change():
         changed(arm, rows, drift={"theta4": -1.0})
 
 
+@pytest.mark.long
 def test_a_tracker_tells_joints_and_its_own_rows_apart():
     """Three residuals a row: the joint that shifted, the station that stands, one row that is off."""
     arm = Problem(robot("hsr_jr680")[0].problem.robot, TrackedPoint(noise_std=0.02, tool=tool_point(10, 20, 30)))

@@ -123,6 +123,7 @@ def true_error(name, arm, joint, shift):
     return tip_rms(without_rigid((arm.predict(joints, frame="tip").positions - tips).ravel(), tips))
 
 
+@pytest.mark.long_unless("ur5-1-0.008")
 @pytest.mark.parametrize(("name", "joint", "shift"), [("hsr_jr680", 2, 8e-3), ("ur5", 1, 8e-3)])
 def test_an_update_brings_the_true_tip_back(name, joint, shift, tmp_path):
     rows = touched(name, 40, session=3, joint=joint, shift=shift)
@@ -227,6 +228,7 @@ def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
     source, cell, _ = robot("hsr_jr680")
     rows = simulate(source.problem, cell, samples=120, seed=3).samples
@@ -259,6 +261,7 @@ def test_a_joint_shifts_along_its_own_offset(name):
             assert way[np.flatnonzero(way)] == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_a_joint_that_counts_backwards_or_moves_another_shifts_them():
     """Signs, and a third joint that is measured against the ground: two offsets for one shift."""
     lengths = {"a": (250.0, 900.0, -206.0, 0, 0, 0), "d": (653.0, 0, 0, 1030.0, 0, 200.0)}
@@ -340,6 +343,7 @@ def test_touches_are_not_written_where_none_are_needed(place, capsys):
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_touches_that_tell_are_written_as_a_plan(place, capsys):
     source, _, arm = robot("hsr_jr680")
     for session in range(1, 40):
@@ -396,6 +400,7 @@ def test_bad_input_is_one_sentence(place, words, said, capsys, monkeypatch):
 # ------------------------------------------------------------------------------------------------ beside the geometry
 
 
+@pytest.mark.long
 def test_what_is_corrected_is_updated_too(tmp_path):
     """A small arm that sags, whose give is corrected: its value and its covariance follow the rows."""
     source = load_problem(ROOT / "problems" / "ur5")

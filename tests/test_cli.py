@@ -117,6 +117,7 @@ def test_every_method_runs_and_its_exit_code_is_that_of_the_verdict(run, method)
     assert ("expect a tip error" in out) != far
 
 
+@pytest.mark.long
 def test_fixing_and_priors(run, tmp_path):
     options = ("--fix", "alpha,a3", "--prior", "d=0.1", "--no-reference", "--verbose")
     code, out, _ = run("calibrate", HSR, *options, "--out", tmp_path)

@@ -138,6 +138,7 @@ def largest_gap(table, truth, conventions, rng):
     return np.abs(apart).max()
 
 
+@pytest.mark.long
 def test_a_hundred_arms_from_three_rows_each():
     verdicts = Counter()
     for seed in range(100):

@@ -121,6 +121,7 @@ def test_regions_hold_like_postures_and_every_row_once(sagging):
     assert apart < 0.8 * np.var(joints, axis=0).sum()
 
 
+@pytest.mark.long
 def test_a_sag_that_transfers_is_corrected_and_the_tip_follows(sagging):
     made, found = sagging
     joints = workspace_joints(found.fit.problem.robot)
@@ -194,6 +195,7 @@ def test_compensated_targets_are_reached_by_the_arm_that_sags(sagging):
     assert done.all()
 
 
+@pytest.mark.long
 def test_tables_of_lengths_and_angles_hold_the_arm_for_those_who_cannot_correct(sagging, tmp_path):
     found = sagging[1]
     joints = workspace_joints(found.fit.problem.robot)
@@ -256,6 +258,7 @@ def test_a_wave_that_transfers_is_corrected_and_one_that_is_nowhere_is_not():
     assert better < 0.8 * plain
 
 
+@pytest.mark.long
 def test_ones_own_kit_without_the_effect_corrects_nothing(sagging):
     made = sagging[0]
     source = load_problem(UR5)
@@ -311,6 +314,7 @@ def test_a_gross_row_that_hides_in_smooth_errors_is_set_aside(sagging):
     assert calibrate(source, spoilt, reference=False, outliers="keep").aside_lines == ()
 
 
+@pytest.mark.long_unless("2.0-False")
 @pytest.mark.parametrize(("stated", "shared"), [(0.05, True), (0.2, True), (0.5, False), (0.8, False), (2.0, False)])
 def test_noise_is_less_than_stated_only_where_all_errors_of_a_row_are_not(stated, shared):
     """A user states what one touch errs by; where most of that is alike in like postures, rows share it."""
@@ -326,6 +330,7 @@ def test_noise_is_less_than_stated_only_where_all_errors_of_a_row_are_not(stated
     assert (fit.block.noise < 0.06).all() if shared else (fit.block.noise >= least).all()
 
 
+@pytest.mark.long
 def test_an_effect_at_the_most_that_it_may_be_is_doubted_and_a_gear_not_corrected():
     """Waves of 1 mrad are twenty-five times what is expected: a gear like that is broken, or it is something else."""
     source = load_problem(UR5)
@@ -400,6 +405,7 @@ def test_what_geometry_mimics_is_the_least_squares_of_workspace_and_rows_togethe
     assert best <= found < 1.01 * best
 
 
+@pytest.mark.long
 def test_a_soft_arm_is_doubted_but_corrected():
     source = load_problem(UR5)
     soft = dataclasses.replace(source.cell, compliance=6.0)
@@ -419,6 +425,7 @@ def test_a_dial_whose_gain_nobody_declared_is_doubted():
     assert any("gain of the dial" in reason and "declare" in reason for reason in verdict.reasons)
 
 
+@pytest.mark.long
 def test_gravity_may_pull_another_way(sagging):
     """An arm at a wall: what sags sideways is found where the kit is told so, and not where it is not."""
     made = sagging[0]
@@ -452,6 +459,7 @@ def test_simulated_files_say_when_more_than_geometry_moves_the_tip(tmp_path, cap
         assert ("geometry alone" in capsys.readouterr().out) is told
 
 
+@pytest.mark.long
 def test_in_which_frame_a_tracker_reads_changes_nothing(waving):
     """Errors alike in like postures and drift are of every direction; along (1, 1, 1) alone they knew the frame."""
     problem, fitted, _ = waving

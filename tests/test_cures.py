@@ -228,6 +228,7 @@ def test_many_faces_give_the_same_figures(hsr, monkeypatch):
     assert by_kind(cures(parted, x)) == pytest.approx(plain, rel=1e-6)
 
 
+@pytest.mark.long
 def test_planes_that_are_declared_or_face_away_change_nothing(hsr):
     """New faces stand where they are touched, not where a plane was declared; a step rises towards the tool."""
     samples = simulate(hsr.problem, FLAT, seed=1).samples

@@ -246,6 +246,7 @@ def test_sizes_follow_what_errs_and_stay_where_nothing_does(hsr, clean):
     assert max(quiet.values()) < 2.5
 
 
+@pytest.mark.long
 def test_tip_figures_count_what_is_not_corrected(sagging):
     _, made, found = sagging
     found = dataclasses.replace(found, tried=())

@@ -155,6 +155,7 @@ def test_the_wrong_sign_is_seen_before_any_fit(hsr, corner_simulation):
     assert any("with the arm as drawn the residuals already" in finding.cause for finding in findings)
 
 
+@pytest.mark.long
 def test_what_cannot_be_told_is_said(hsr, corner_simulation):
     constant = with_reading(corner_simulation.samples, np.full(120, 5.0))
     assert any(finding.about == "dial sign not tested" for finding in check(hsr.problem, constant))
@@ -241,6 +242,7 @@ def test_an_odd_label_is_named_where_binding_fails(hsr, corner_simulation):
     assert (named.about, named.lines) == ("labels alike", (corner_simulation.samples.lines[row],))
 
 
+@pytest.mark.long
 def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, capsys):
     file = tmp_path / "spoiled.csv"
     write_samples(file, hsr.problem.layout(), with_outliers(corner_simulation.samples), [])

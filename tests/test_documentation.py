@@ -40,6 +40,7 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 def test_the_commands_run_in_order(workplace, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())  # nobody types
     commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("casacal ")]
@@ -58,6 +59,7 @@ def test_the_two_commands_stand_alone():
     ]
 
 
+@pytest.mark.long
 def test_the_python_runs(workplace, capsys):
     plt.switch_backend("agg")
     for block in blocks("python"):

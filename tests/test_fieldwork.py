@@ -185,6 +185,7 @@ def test_what_drawing_and_losses_cost(small):
     assert small.error < small.if_lost < 1.6 * small.error
 
 
+@pytest.mark.long
 def test_set_ups_are_compared(hsr):
     found = set_ups(hsr.problem, hsr.cell, touches=30)
     words = [each.words for each in found]
@@ -202,6 +203,7 @@ def test_set_ups_are_compared(hsr):
         set_ups(Problem(hsr.problem.robot, TrackedPoint(noise_std=0.01)))
 
 
+@pytest.mark.long
 def test_ways_lead_above_the_touches(hsr, small):
     """The tip stands back by as much as is said, along the plunger; no way comes near a face, by another eye."""
     ways = approaches(hsr.problem, small, hsr.cell)
@@ -292,6 +294,7 @@ def test_a_sheet_has_twenty_touches_a_page(hsr):
     assert "http" not in sheet_page(hsr.problem, made, "arm")
 
 
+@pytest.mark.long
 def test_all_of_it_from_the_command_line(tmp_path, capsys):
     out = tmp_path / "plan.csv"
     usual = ["plan", str(HSR), "--touches", "20", "--pool", "200", "--out", str(out)]

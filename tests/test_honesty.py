@@ -42,6 +42,7 @@ def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
     assert "weak" in text
 
 
+@pytest.mark.long
 def test_a_parameter_that_moves_too_far_is_named(hsr):
     simulation = simulate(hsr.problem, dataclasses.replace(hsr.cell, error_scale=8.0), seed=1)
     said = warnings(calibrate(hsr.problem, simulation.samples, method="lm", reference=False))
@@ -167,6 +168,7 @@ def test_what_to_expect_of_a_plan_and_inside_a_box(hsr, capsys):
     assert "X0:X1" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_flange_is_promised_what_drawn_arms_keep(hsr):
     """By drawing arms of the posterior and of the prior: the spread of the flange, a tool of its own beside it."""
     arm = Problem(

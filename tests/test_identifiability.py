@@ -101,6 +101,7 @@ def test_verdicts():
     assert verdict(3.0, math.inf) == "data"
 
 
+@pytest.mark.long_unless("3 orthogonal, tilt 30")
 @pytest.mark.parametrize("row", TABLE.values(), ids=TABLE)
 def test_result_json_holds_the_table(row, tmp_path, capsys):
     faces, tilt, rank, unknowns, expected, _ = row

@@ -274,6 +274,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(found, call, says):
         call(found)
 
 
+@pytest.mark.long
 def test_a_saved_folder_can_go_elsewhere(tmp_path):
     """Another process, another folder, and the problem's own file gone: the saved folder is enough."""
     place = written(tmp_path / "here", "stylus")
@@ -301,6 +302,7 @@ def test_a_saved_folder_can_go_elsewhere(tmp_path):
     assert main(["predict", str(tmp_path / "elsewhere"), "no.csv", "--out", str(tmp_path / "x")]) == 2
 
 
+@pytest.mark.long
 def test_a_problem_made_in_python_is_saved_with_its_result(hsr, tmp_path):
     problem = Problem(hsr.problem.robot, casacal.DialOnPlane(noise_std=0.01))
     found = calibrate(problem, hsr.samples, method="lm")

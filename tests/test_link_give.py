@@ -85,6 +85,7 @@ def test_each_joint_s_give_is_found_where_masses_are_known(sagging):
     assert without.cost > 5 * result.cost
 
 
+@pytest.mark.long
 def test_without_masses_each_joint_gives_to_each_link_and_is_corrected(sagging):
     effect = LinkGive()
     found = calibrate(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
@@ -247,6 +248,7 @@ def test_an_upright_scara_carries_nothing():
     assert "give" not in bind(problem, samples).beside
 
 
+@pytest.mark.long
 def test_it_takes_the_place_of_the_simpler_sag(sagging):
     """Beside it, both shared the sag between them, and one of them was not corrected: two to three times as bad."""
     kit = Problem(ROBOT, TRACKER).with_kit

@@ -248,6 +248,7 @@ def cell_of_ur5():
     return load_problem(ROOT / "problems" / "ur5").cell
 
 
+@pytest.mark.long
 def test_a_plan_keeps_shapes_clear(urdf):
     problem = Problem(Robot.from_urdf(urdf, tip="tool0"), load_problem(ROOT / "problems" / "ur5").problem.instrument)
     shapes, cell = LinkShapes.of(problem.robot), cell_of_ur5()
@@ -341,6 +342,7 @@ def test_meshes_are_named_and_other_arms_have_no_shapes(tmp_path):
         LinkShapes.of(load_problem(ROOT / "problems" / "ur5").problem.robot)
 
 
+@pytest.mark.long
 def test_the_command_line_looks_at_shapes(tmp_path, urdf, capsys):
     folder = tmp_path / "cell"
     folder.mkdir()

@@ -335,6 +335,7 @@ class Terminal:
         return code
 
 
+@pytest.mark.long
 def test_a_session_outlives_what_kills_it(planned, tmp_path):
     """kill -9 after the seventh touch, at a terminal; what was made is there, and it goes on with the eighth."""
     path, _, world = planned

@@ -159,6 +159,7 @@ def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
     assert session.correct(named).alarm is None
 
 
+@pytest.mark.long
 def test_what_is_right_is_left_alone(hsr, route):
     """Five arms, fifty touches each, faces elsewhere than planned: below one of a hundred is doubted."""
     doubts = 0
@@ -260,6 +261,7 @@ def test_a_touch_may_be_left_out(hsr, route):
     assert session.next().number == 1
 
 
+@pytest.mark.long
 def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     route = plan(hsr.problem, hsr.cell, touches=24, pool=400, starts=1, check=0.0, again=0.0)
     world = World(hsr.problem, route, seed=1)
@@ -289,6 +291,7 @@ def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     assert session.tip_error_below < before
 
 
+@pytest.mark.long
 def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
     from dataclasses import replace
 
@@ -297,6 +300,7 @@ def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
     assert replace(late, tolerance=1.1 * late.tip_error_below).done
 
 
+@pytest.mark.long
 def test_faces_of_few_touches_do_not_spoil_a_session():
     """A UR5 errs by three millimetres, and a face begins with three touches near one another: nothing is doubted."""
     source = load_problem(UR5)
@@ -313,6 +317,7 @@ def test_faces_of_few_touches_do_not_spoil_a_session():
     assert doubts <= 4, "one of a hundred"
 
 
+@pytest.mark.long
 def test_faces_that_nobody_planned_move_to_where_they_are():
     """Four touches of an arm that errs by millimetres place a face badly; that is no knowledge to go by."""
     source = load_problem(UR5)

@@ -216,6 +216,7 @@ def repeated(hsr, seed, *, times, shared, own):
     return simulation, dataclasses.replace(touches, columns=columns, lines=tuple(range(2, 2 + len(rows))))
 
 
+@pytest.mark.long
 def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
     """As much is known as from one touch of each posture with the noise of a mean, which a fit of these says."""
     found, told = [], []
@@ -316,6 +317,7 @@ def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):
     assert named[1] == {""}
 
 
+@pytest.mark.long
 def test_moves_against_priors_are_as_large_as_these_allow(hsr):
     """Over drawn arms their root mean square is one, and chances are uniform; of others it says how far they are."""
     found = [calibrate(hsr.problem, simulate(hsr.problem, hsr.cell, seed=seed).samples, method="lm", reference=False)

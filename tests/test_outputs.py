@@ -59,6 +59,7 @@ def stop(process, number):
     raise AssertionError("it does not end")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("kind", ["SIGINT", "SIGKILL", "SIGTERM"])
 def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
@@ -160,6 +161,7 @@ def test_a_run_that_is_turned_away_leaves_the_others_folder_alone(tmp_path, monk
     assert (made / "theirs").read_text() == "theirs"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")
 def test_two_runs_on_one_folder_meet_a_sentence(tmp_path, capsys):
     with together(tmp_path, ["a"]):

@@ -75,6 +75,7 @@ def test_slips_are_what_a_hand_does():
     assert [slip("-0.0310") for slip in SLIPS] == ["-0.0710", "0.0310", "-0.3100", "-0.3010", "-0.0005"]
 
 
+@pytest.mark.long_unless("moved_point")
 @pytest.mark.parametrize("slip", SLIPS)
 def test_every_slip_is_found_in_its_row_and_cell(slip, monkeypatch):
     # how near the nearest comes takes long, and is not asked for here

@@ -104,6 +104,7 @@ def test_other_priors_share_what_was_compiled_and_nothing_else(hsr):
 EXAMPLES = sorted(path.parent for path in (ROOT / "problems" / "instruments").glob("*/problem.py"))
 
 
+@pytest.mark.long_unless("tracker")
 @pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
 def test_every_instrument_has_an_example_that_is_as_its_page_says(folder, tmp_path):
     page = (folder.parent / "README.md").read_text(encoding="utf-8")

@@ -268,6 +268,7 @@ def test_joints_that_do_not_repeat(hsr):
     assert test.tip_mm / test.size == pytest.approx(math.sqrt(squares) / 1e-6, rel=2e-3)
 
 
+@pytest.mark.long
 def test_repeats_and_declared_errors():
     """Places that are touched three times are tested; what a dial declares is not."""
     source = load_problem(ROOT / "problems" / "hsr_jr680")

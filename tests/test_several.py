@@ -113,6 +113,7 @@ def test_the_minimum_is_that_of_ipopt(simulated, found):
     assert abs(found.reference.relative_gap) < 1e-8, "with effects beside the geometry, too"
 
 
+@pytest.mark.long
 def test_the_truth_is_recovered_and_covariances_are_right():
     """Over 40 arms: normalised errors, and tip errors against their Bayesian bound."""
     total, freedom, ratios = 0.0, 0, []
@@ -151,6 +152,7 @@ def test_instruments_measure_one_arm_with_noise_of_their_own(simulated):
     assert 20 < np.linalg.norm(far, axis=1).min() < 60, "the reflector is beside the tip"
 
 
+@pytest.mark.long
 def test_one_command_from_samples_to_a_verified_arm(tmp_path, capsys):
     place, out = tmp_path / "cell", tmp_path / "out"
     place.mkdir()
@@ -225,6 +227,7 @@ def test_samples_by_name_on_the_command_line(tmp_path, capsys):
         assert not (tmp_path / "y-dial.csv").exists()
 
 
+@pytest.mark.long
 def test_a_result_reads_back_and_its_parts_say_the_same(found, tmp_path):
     found.save(tmp_path / "out")
     back = load(tmp_path / "out")
@@ -266,6 +269,7 @@ def test_an_instrument_left_out_is_predicted_by_the_others(found):
     assert left.predicted_mm > 5 * 0.03
 
 
+@pytest.mark.long
 def test_what_is_wrong_with_one_instrument_is_said_of_it(simulated):
     """Metres, a mirrored frame, a wrong sign, a mislabelled place: named, with the instrument."""
     clean = check(problem, simulated.measured)
@@ -286,6 +290,7 @@ def test_what_is_wrong_with_one_instrument_is_said_of_it(simulated):
         assert verdict_of(calibrate(problem, samples, reference=False)).level == "do not use"
 
 
+@pytest.mark.long
 def test_instruments_that_contradict_one_another_are_named():
     """The spike is touched by a tip 4 mm longer than the dial's, and both are declared as one."""
     longer = tool_point(0, 0, 104, prior_std=0.5)
@@ -427,6 +432,7 @@ def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):
     assert prior_tip_rms(narrow) == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_threads_share_a_problem_and_find_the_same(simulated):
     with ThreadPoolExecutor(4) as pool:
         jobs = [pool.submit(calibrate, problem, simulated.measured, reference=False) for _ in range(8)]
@@ -447,6 +453,7 @@ def test_the_arm_of_several_is_that_of_one_where_the_others_say_nothing():
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-4)
 
 
+@pytest.mark.long
 def test_whose_noise_is_too_small_is_said(simulated):
     """The tracker stated ten times too good: it alone is named, with its own factor."""
     bold = dict(INSTRUMENTS, tracker=TrackedPoint(noise_std=0.003, tool=INSTRUMENTS["tracker"].tool))

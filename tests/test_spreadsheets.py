@@ -180,6 +180,7 @@ def test_poses_and_readings_that_do_not_match_are_refused(tmp_path, change, word
         joined_tables(*tables(tmp_path, **change))
 
 
+@pytest.mark.long
 def test_the_command_line_takes_both(hsr, tmp_path, capsys):
     text = hsr.samples.read_text().splitlines()[1:]
     cells = [line.split(",") for line in text]

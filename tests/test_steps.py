@@ -160,6 +160,7 @@ def test_all_filters_take_the_step_of_the_plain_filter_on_linear_rows(backend):
         np.testing.assert_allclose(result.covariance, covariance, rtol=0, atol=1e-13)
 
 
+@pytest.mark.long_unless("hsr-c")
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["hsr", "scara"])
 def test_the_downdate_in_passes_is_the_triangularisation(name, backend, monkeypatch):

@@ -98,6 +98,7 @@ def test_three_shards_merged_make_the_same_records(serial, tmp_path):
     assert without_timings(tmp_path / "whole" / RECORDS) == without_timings(serial.out / RECORDS)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("default")  # the cluster's own, such as ports in use
 def test_a_cluster_of_two_workers_makes_the_same_records(serial, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
@@ -117,6 +118,7 @@ def test_no_scheduler_is_said(tmp_path, monkeypatch):
         run(tiny_study.study, tmp_path, file=TINY, scheduler="tcp://127.0.0.1:9")
 
 
+@pytest.mark.long
 def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_path):
     # slower trials, so that kills fall into the middle
     slow = tmp_path / "tiny_study.py"
@@ -140,6 +142,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
     assert open_run(tiny_study.study, tmp_path / "out").digest == serial.digest
 
 
+@pytest.mark.long
 def test_workers_end_with_the_process_that_is_killed(tmp_path):
     (tmp_path / "naps.py").write_text(
         "import os, sys, time\nfrom pathlib import Path\nfrom casacal.study.executors import in_processes\n"

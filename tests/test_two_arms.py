@@ -61,6 +61,7 @@ def test_joints_that_both_share_come_once():
     np.testing.assert_allclose(bound.poses(bound.x0, joints), wanted, atol=1e-9)
 
 
+@pytest.mark.long
 def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
     simulated = simulate(problem, Disturbances(resolution=0.0), samples=90, seed=2)
     assert all(finding.severity != "error" for finding in check(problem, simulated.samples))
@@ -76,6 +77,7 @@ def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
     np.testing.assert_allclose(back.predict(joints).positions, found.predict(joints).positions, atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_whole_way_of_touches_of_two_arms(tmp_path, capsys):
     """Simulate, check, calibrate, verify, report, by the command line."""
     place, out = tmp_path / "cell", tmp_path / "out"
@@ -91,6 +93,7 @@ def test_the_whole_way_of_touches_of_two_arms(tmp_path, capsys):
     assert main(["verify", str(out), str(tmp_path / "fresh.csv")]) == 0, capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_estimates_of_two_arms_reach_their_bound_and_know_it():
     joints = workspace_joints(problem.robot)
     ratios, total, freedom = [], 0.0, 0

@@ -52,6 +52,7 @@ def test_clean_well_specified_samples_are_calibrated(hsr, seed):
     assert 0.55 < found.tip_std[1] < 0.70
 
 
+@pytest.mark.long_unless("joints rounded")
 @pytest.mark.parametrize("name", sorted(ERRORS - ASIDE))
 def test_what_check_calls_an_error_must_not_be_used(hsr, corner_simulation, name):
     plant, about, *_ = PLANTED[name]
@@ -82,6 +83,7 @@ def test_few_rows_that_are_wrong_are_set_aside_and_named(hsr, corner_simulation,
     assert verdict_of(kept).level == "do not use"
 
 
+@pytest.mark.long
 def test_clean_rows_are_not_set_aside(hsr):
     """None of 20 clean sets, and hardly any where joints that do not repeat make rows unequal."""
     counts = {0.0: 0, 5e-5: 0}
@@ -262,6 +264,7 @@ def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
     assert verdict_of(calibrate(told, in_cell(hsr, seed, error_scale=0.1))).level != "do not use"
 
 
+@pytest.mark.long
 def test_the_prior_scatter_is_that_of_drawn_arms(hsr):
     """By drawing: the scatter's size, and that its chance is uniform over arms of the prior."""
     chances, sizes = [], []
@@ -353,6 +356,7 @@ def calibrated_once(monkeypatch):
     monkeypatch.setattr(module, "calibrate", once)
 
 
+@pytest.mark.long
 def test_terminal_report_and_file_say_the_same(hsr, corner_simulation, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     calibrated_once(monkeypatch)
@@ -394,6 +398,7 @@ MANY = {
 }
 
 
+@pytest.mark.long_unless("labels exchanged")
 @pytest.mark.parametrize("name", MANY)
 def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, tmp_path, capsys, monkeypatch):
     file = tmp_path / "s.csv"
@@ -410,6 +415,7 @@ def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, tmp_path,
         assert bool([line for line in lines if line.startswith("Written:")]) == bool(kept)
 
 
+@pytest.mark.long_unless("120-1")
 @pytest.mark.parametrize("reasons", [1, 2, 5])
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_long_paths_do_not_push_the_answer_off_the_screen(clean, reasons, width):
@@ -454,6 +460,7 @@ def test_warnings_are_sentences(hsr):
             assert "up to the base frame" not in sentence
 
 
+@pytest.mark.long
 def test_planes_that_are_all_held_leave_nothing_to_the_control(capsys):
     folder = str(ROOT / "problems" / "hsr_jr680")
     assert main(["calibrate", folder, "--fix", "plane"]) == 0
@@ -466,6 +473,7 @@ def test_a_contact_problem_is_judged_too(hsr):
     assert verdict_of(calibrate(contact, samples, reference=False)).level == "calibrated"
 
 
+@pytest.mark.long
 def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner_simulation):
     found = calibrate(hsr.problem, corner_simulation.samples, method="ekf")
     first = brief(found, verdict_of(found)).splitlines()[0]
@@ -475,6 +483,7 @@ def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner
     assert brief(clean, verdict_of(clean)).splitlines()[0].endswith("ipopt agrees")
 
 
+@pytest.mark.long_unless("plane-only")
 @pytest.mark.parametrize("method", ["plane-only", "swarm", "ekf"])
 def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, method):
     """The posterior says 0.55 mm at any estimate; the true error of these is one to several millimetres."""
@@ -489,6 +498,7 @@ def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, meth
     assert math.hypot(*told) == pytest.approx(math.hypot(*true), rel=0.35)
 
 
+@pytest.mark.long
 def test_a_result_that_is_denied_is_used_only_by_force(hsr, corner_simulation, tmp_path, capsys):
     """compensate and export obey the verdict of the file, in words, and write nothing; --force uses it all the same."""
     samples, out = tmp_path / "s.csv", tmp_path / "out"

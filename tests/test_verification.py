@@ -171,6 +171,7 @@ def test_gross_rows_are_named_one_by_one_and_never_where_all_are_off():
 # ------------------------------------------------------------------------------------------------ arms of problems/
 
 
+@pytest.mark.long_unless("adept_cobra600")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_promise_of_a_good_arm_is_kept(name):
     source, bound, *_ = drawn(name)
