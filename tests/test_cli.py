@@ -309,6 +309,7 @@ def test_rows_that_a_face_lacks_come_with_the_total(run, tmp_path):
     assert code != 2, err
 
 
+@pytest.mark.long
 def test_a_problem_that_changed_since_is_noticed(run, tmp_path):
     folder = tmp_path / "mine"
     shutil.copytree(HSR, folder)
@@ -372,6 +373,7 @@ def test_an_interruption_is_one_line(run, monkeypatch):
     assert err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_devices_and_links_are_written_into_not_replaced(hsr, tmp_path):
     import os
     import threading
@@ -420,6 +422,7 @@ def test_seeds_are_whole_numbers(hsr, tmp_path, capsys, seed):
         assert "whole number" in capsys.readouterr().err
 
 
+@pytest.mark.long_unless("None")
 @pytest.mark.parametrize("estimate", [float("nan"), 1e308, True, "0.1", None])
 def test_a_result_that_somebody_edited_is_refused(hsr, tmp_path, capsys, estimate):
     assert main(["calibrate", str(hsr.path), "--method", "lm", "--out", str(tmp_path)]) == 0

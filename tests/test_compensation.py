@@ -100,6 +100,7 @@ def arm_result(robot, changes):
     return CalibratedArm("made.json", ProblemFile("made", "problem.py", "", problem, None), document)
 
 
+@pytest.mark.long
 def test_the_true_arm_misses_by_what_the_bound_predicts(cells, hsr):
     ratios = []
     for seed, (file, truth_file) in enumerate(cells):

@@ -264,6 +264,7 @@ def test_tip_figures_count_what_is_not_corrected(sagging):
     assert tip_rms(error) > 1.6 * alone.tip_std[1]  # what geometry alone would have promised
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", [0, 1])
 def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calibrated, which):
     """The arm as used differs from the estimate by what no parameter can mimic, in the least squares of the tip."""

@@ -116,6 +116,7 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
         assert found == {line + 2 for line in lines}  # a comment and the header stand above
 
 
+@pytest.mark.long_unless("two gross outliers")
 @pytest.mark.parametrize(
     "name",
     ["wrong dial sign", "joint 2 flipped", "two gross outliers", "tilts below 2 degrees", "labels exchanged", "clean"],

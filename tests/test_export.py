@@ -575,7 +575,7 @@ def common_normal(one, two):
     return np.linalg.lstsq(np.column_stack([z, -w]), between, rcond=None)[0][0]
 
 
-@pytest.mark.long_unless("ur5-parallel0")
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "parallel"), [("ur5", (2, 3)), ("puma", (2,)), ("ur", ())])
 def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, name, parallel):
     result = read_result(calibrated(name))

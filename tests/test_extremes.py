@@ -95,6 +95,7 @@ def test_commas_and_quotes_in_labels_stay_in_their_cells(hsr, tmp_path):
     assert all(float(row["std"]) >= 0 and row["note"] for row in rows)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no full device")
 @pytest.mark.parametrize("typed", [["calibrate", str(HSR), "--no-reference"], ["check", str(HSR)]], ids=" ".join)
 def test_a_full_output_is_said(typed):

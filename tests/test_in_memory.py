@@ -193,6 +193,7 @@ def test_losses_are_public(hsr):
         assert calibrate(hsr, method="lm", loss=loss).result.loss == loss
 
 
+@pytest.mark.long
 def test_memory_says_what_files_say(found, by_command):
     """result.json, predictions, targets and exports from memory are those of the command line."""
     document = json.loads((by_command / "result.json").read_text())

@@ -229,6 +229,7 @@ def test_metres_for_millimetres_are_named():
         assert "metres" in worst.cause
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("axis", "xyz")
 def test_a_left_handed_frame_is_named(axis):
     samples = seen_by("TrackedPoint")

@@ -125,6 +125,7 @@ def test_less_noise_than_stated_is_not_believed(hsr, corner_simulation):
     np.testing.assert_array_equal(found.fit.block.noise, found.fit.with_noise({}).block.noise)
 
 
+@pytest.mark.long
 def test_stated_noise_is_trusted_where_that_is_asked(hsr, capsys, tmp_path):
     samples = touched(hsr, 4, repeatability=0.05)
     trusted = calibrate(hsr.problem, samples, reference=False, noise="stated", discrepancy="none")

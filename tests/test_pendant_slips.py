@@ -1,4 +1,4 @@
-"""One number of the README's pendant rows copied wrongly, in every way a hand does it: the doctor says which one."""
+"""One number of the documented pendant rows copied wrongly, in every way a hand does it: the doctor says which one."""
 
 import json
 import math
@@ -24,8 +24,8 @@ UR5 = Robot.from_dh(
     d=(89.159, 0, 0, 109.15, 94.65, 82.3),
     theta=(0,) * 6,
 )
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-TABLE, PENDANT = (re.search(rf"`out/{n}.csv`:\n\n```csv\n(.*?)```", README, re.S)[1] for n in ("ur5", "pendant"))
+PAGE = (ROOT / "docs" / "your_robot.md").read_text(encoding="utf-8")
+TABLE, PENDANT = (re.search(rf"`out/{n}.csv`:\n\n```csv\n(.*?)```", PAGE, re.S)[1] for n in ("ur5", "pendant"))
 HEADER, *LINES = PENDANT.split()
 NAMES, CELLS = HEADER.split(","), [line.split(",") for line in LINES]
 PASSES = (*[0.2] * 6, *[3.0] * 3, *[0.003] * 3)

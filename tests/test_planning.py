@@ -62,6 +62,7 @@ def test_no_measurement_is_planned_twice():
     assert 4 in found.rows
 
 
+@pytest.mark.long
 def test_forty_planned_touches_do_what_a_hundred_and_twenty_random_ones_do(hsr, forty):
     """Reference: 40 planned 0.520, 120 random 0.545, 40 random 1.00 mm (another pool, another tool)."""
     bound = bind(hsr.problem, forty.samples)

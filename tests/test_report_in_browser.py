@@ -66,6 +66,7 @@ def opened(browser, report, request):
     return browser, WIDTHS[request.param]
 
 
+@pytest.mark.long
 def test_nothing_is_fetched_and_nothing_complained_of(opened, report):
     browser, _ = opened
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]

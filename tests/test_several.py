@@ -103,6 +103,7 @@ def test_all_instruments_together_are_the_sum_of_each(simulated):
     np.testing.assert_allclose(slopes.T @ e, gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
 
 
+@pytest.mark.long
 def test_the_minimum_is_that_of_ipopt(simulated, found):
     bound = bind(problem, simulated.measured)
     mine, theirs = lm(bound), ipopt(bound)
@@ -303,6 +304,7 @@ def test_instruments_that_contradict_one_another_are_named():
     assert all(each.severity != "error" for each in check(true, samples))
 
 
+@pytest.mark.long
 def test_a_gross_row_is_set_aside_and_named_by_its_instrument(simulated, tmp_path):
     spike = simulated.measured.sets[2]
     joints = spike.joints.copy()

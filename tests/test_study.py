@@ -82,6 +82,7 @@ def test_an_estimate_that_is_none_is_a_failure(estimate, said):
     assert said in record["error"]
 
 
+@pytest.mark.long
 def test_two_workers_make_the_same_records(serial, tmp_path):
     found = run(tiny_study.study, tmp_path, file=TINY, workers=2)
     assert found.digest == serial.digest

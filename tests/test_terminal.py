@@ -130,6 +130,7 @@ def test_version_and_no_command(capsys):
     assert all(name in out for name in COMMANDS)
 
 
+@pytest.mark.long_unless("ascii:surrogateescape")
 @pytest.mark.parametrize("encoding", ["cp932", "ascii", "latin-1", "utf-8", "cp1252:strict", "ascii:surrogateescape"])
 def test_letters_that_an_encoding_lacks_are_replaced(encoding, place):
     done = run("check", HSR, place / "letters.csv", PYTHONIOENCODING=encoding)

@@ -161,6 +161,7 @@ def test_self_contact_starts_where_its_authors_say(touches):
         assert np.sqrt((bound.plain_residual(bound.x0) ** 2).mean()) == pytest.approx(rms, abs=5e-6)
 
 
+@pytest.mark.long
 def test_self_contact_alone_is_denied_where_no_prior_holds_the_arm(touches):
     """It fits to 0.1 mm and ruins the arm: a tracker then reads 1.3 to 2.5 times what it reads of the drawn one."""
     problem = self_touching(length_std=0.7, angle_std=1e-3)

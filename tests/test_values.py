@@ -153,6 +153,7 @@ def test_a_robot_by_a_lambda_pickles_as_its_graph():
     np.testing.assert_allclose(two.jacobian(x), one.jacobian(x), rtol=0, atol=1e-9)
 
 
+@pytest.mark.long_unless("held")
 @pytest.mark.parametrize("name", SOURCES)
 def test_what_a_problem_file_defines_travels_to_a_process_that_never_saw_it(tmp_path, name):
     """Results there are those here, bit by bit; the file may be gone by then."""

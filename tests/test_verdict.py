@@ -138,6 +138,7 @@ def test_doubts_are_named(hsr, changes, says):
     assert verdict.reasons
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "asked", "step"),
     [
@@ -173,6 +174,7 @@ def test_nobody_is_sent_to_a_check_that_was_asked(hsr, changes, asked, step, mon
     assert ("casacal check" in next_step(found, verdict)) is not asked
 
 
+@pytest.mark.long
 def test_an_arm_far_outside_its_priors_is_refused(hsr):
     """Eight times what the priors allow: noise as found would then stand in for the arm's own errors."""
     verdict = verdict_of(calibrate(hsr.problem, in_cell(hsr, error_scale=8.0), reference=False))
