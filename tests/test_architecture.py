@@ -9,6 +9,7 @@ from conftest import ROOT
 PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 ORDER = [
+    "wording",
     "errors",
     "array_types",
     "version",

@@ -161,7 +161,7 @@ def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
         reading[row] += by
         (found,) = (f for f in check(hsr.problem, REPLACE(samples, columns={"reading": reading})) if "lost" in f.about)
         assert found.lines == (samples.lines[row],)
-        assert f"read {-by:+.3g} mm" in found.cause
+        assert f"with {-by:+.3g} mm added to the reading" in found.cause
         assert f"{round(abs(by) / (1.0 if abs(by) >= 1 else 0.5))} turn" in found.cause
 
 

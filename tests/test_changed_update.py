@@ -218,7 +218,7 @@ def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(CasacalError, match="line 6 is off"):
         updated(arm, off(rows, rows.lines.index(6), 1.0), folder=tmp_path / "a")
     twice = dataclasses.replace(rows, joints=rows.joints - np.array([0, 0, 3e-3, 0, 5e-3, 0]))
-    with pytest.raises(CasacalError, match="cannot be told"):
+    with pytest.raises(CasacalError, match="do not show what changed"):
         updated(arm, twice, standing=["plane"], folder=tmp_path / "b")
     dial = arm.source.problem.instrument
     tool = dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=(0.7, -0.5, 0.3)))
@@ -355,7 +355,7 @@ def test_touches_that_tell_are_written_as_a_plan(place, capsys):
     assert main(["changed", str(place / "first"), str(place / "few.csv"), "--touches", str(out)]) == 1
     assert f"Written: {out.as_posix()}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
     lines = out.read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("# touches that would tell what changed")
+    assert lines[0].startswith("# touches that would settle what changed")
     header = next(line for line in lines if not line.startswith("#"))
     assert header.startswith("touch,purpose,q1_deg")
     assert "expected_reading_mm" in header
@@ -371,7 +371,7 @@ def test_touches_that_tell_are_written_as_a_plan(place, capsys):
         (["first", ""], "SAMPLES is empty"),
         (["same.csv", "same.csv"], "not a result"),
         (["first", "empty.csv"], "empty.csv"),
-        (["first", "same.csv", "--alarm", "1"], "rate of false alarms"),
+        (["first", "same.csv", "--alarm", "1"], "false alarm rate"),
         (["first", "same.csv", "--alarm", "one"], "alarm"),
         (["first", "same.csv", "--drift", "theta4"], "--drift theta4 is not NAME=STD"),
         (["first", "same.csv", "--drift", "thetta=1e-5"], "thetta"),

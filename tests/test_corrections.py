@@ -27,12 +27,12 @@ from casacal import (
 )
 from casacal.bench.methods import left
 from casacal.calibration import corrections
-from casacal.calibration.corrected_words import became
+from casacal.calibration.effect_words import became
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.compensation.result_file import sealed
-from casacal.discrepancy import Backlash, Drift, GearWaves, GravityGive, kit
+from casacal.discrepancy import Backlash, Drift, GravitySag, TransmissionError, kit
 from casacal.export.forms import export
 from casacal.uncertainty.discrepancy import at_most, times_found, with_effects
 from casacal.uncertainty.effect_sizes import Told, evidence
@@ -162,7 +162,7 @@ def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatc
     assert not told.corrected
     assert told.helps is False
     assert "not corrected" in became(told)
-    assert "no gain for the tip" in became(told)
+    assert "no gain at the tip" in became(told)
 
 
 def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):
@@ -207,13 +207,13 @@ def test_tables_of_lengths_and_angles_hold_the_arm_for_those_who_cannot_correct(
     rows = [line for line in found.export("dh").splitlines() if not line.startswith("#")]
     assert rows == [line for line in alone.export("dh").splitlines() if not line.startswith("#")]
     text, told = found.export("dh"), found.summary()
-    assert "not in this form: giving under gravity" in text
+    assert "not in this form: gravity sag" in text
     assert f"expected tip error: {alone.tip_std[1]:.3f} mm" in text
-    assert "corrected beside the geometry: giving under gravity" in found.export("c")
+    assert "corrected beside the geometry: gravity sag" in found.export("c")
     assert f"expected tip error: {found.tip_std[1]:.3f} mm" in found.export("c")
     assert f"{found.tip_std[1]:.3f} mm" not in text  # not even in the words of a verdict
     assert f"with these alone expect {alone.tip_std[1]:.3f} mm RMS" in told
-    assert "giving under gravity, corrected" in told
+    assert "gravity sag, corrected" in told
     found.save(tmp_path)
     read = load(tmp_path)
     assert [row for row in read.export("dh").splitlines() if row[0] != "#"] == rows
@@ -262,10 +262,10 @@ def test_a_wave_that_transfers_is_corrected_and_one_that_is_nowhere_is_not():
 def test_ones_own_kit_without_the_effect_corrects_nothing(sagging):
     made = sagging[0]
     source = load_problem(UR5)
-    own = dataclasses.replace(source, problem=source.problem.with_effects(GearWaves(order=1), Backlash()))
+    own = dataclasses.replace(source, problem=source.problem.with_effects(TransmissionError(order=1), Backlash()))
     without = calibrate(own, made.samples, reference=False)
     assert "give" not in {each.key for each in without.tried}
-    mine = dataclasses.replace(source, problem=source.problem.with_effects(GravityGive(size=0.3)))
+    mine = dataclasses.replace(source, problem=source.problem.with_effects(GravitySag(size=0.3)))
     assert calibrate(mine, made.samples, reference=False).corrected == ("give",)
 
 
@@ -294,7 +294,7 @@ def test_a_result_whose_correction_the_problem_does_not_have_is_refused_in_a_sen
 def test_the_command_line_says_what_is_corrected(sagging, tmp_path, capsys):
     sagging[1].save(tmp_path)
     assert main(["export", str(tmp_path), "--to", "dh", "--out", str(tmp_path / "arm.csv")]) == 0
-    assert "not in this form: giving under gravity" in capsys.readouterr().out
+    assert "not in this form: gravity sag" in capsys.readouterr().out
     assert main(["export", str(tmp_path), "--to", "c", "--out", str(tmp_path / "arm.c")]) == 0
     assert "corrected beside the geometry" in capsys.readouterr().out
 
@@ -341,7 +341,7 @@ def test_an_effect_at_the_most_that_it_may_be_is_doubted_and_a_gear_not_correcte
     verdict = verdict_of(found)
     assert verdict.level != "calibrated"
     if verdict.level == "use with care":
-        assert any("the most that is believed" in reason for reason in verdict.reasons)
+        assert any("the largest that casacal accepts" in reason for reason in verdict.reasons)
 
 
 @pytest.fixture(scope="module")
@@ -359,7 +359,7 @@ def test_where_the_tip_itself_is_seen_what_tells_of_unseen_rows_is_corrected_wha
     found = calibrate(problem, fitted, reference=False)
     assert [effect.key for effect in at_most(found.fit)] == ["wave2"]
     assert found.corrected == ("wave2",)
-    assert any("the most that is believed" in reason for reason in verdict_of(found).reasons)
+    assert any("the largest that casacal accepts" in reason for reason in verdict_of(found).reasons)
     alone = calibrate(problem, fitted, reference=False, discrepancy="none")
     rest = [float(np.sqrt(np.mean(left(each.fit, each.used_x, unseen) ** 2))) for each in (found, alone)]
     assert rest[0] < 0.1 * rest[1]
@@ -412,7 +412,7 @@ def test_a_soft_arm_is_doubted_but_corrected():
     found = calibrate(source, simulate(source.problem, soft, samples=120, seed=1).samples, reference=False)
     assert [effect.key for effect in at_most(found.fit)] == ["give"]
     assert "give" in found.corrected
-    assert any("giving under gravity came out at 5 times" in text.lower() for text in verdict_of(found).reasons)
+    assert any("gravity sag reached 5 times" in text.lower() for text in verdict_of(found).reasons)
 
 
 def test_a_dial_whose_gain_nobody_declared_is_doubted():

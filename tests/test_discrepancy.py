@@ -15,7 +15,7 @@ from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_
 from casacal.binding.marginal import moving, seen
 from casacal.cli.main import main
 from casacal.compensation.result_file import sealed
-from casacal.discrepancy import Backlash, Effect, FaceForm, GearWaves, JointField, ThermalGrowth, kit
+from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit
 from casacal.discrepancy.effect import weighted
 from casacal.least_squares.objective import LeastSquares
 from casacal.uncertainty.effect_sizes import _objective, effect_sizes, told
@@ -58,7 +58,7 @@ def put(bound, x, **values):
 
 def test_a_gear_wave_turns_each_joint_by_what_it_says(hsr, clean):
     bare = bind(hsr.problem, clean)
-    bound = bind(hsr.problem.with_effects(GearWaves(order=2)), clean)
+    bound = bind(hsr.problem.with_effects(TransmissionError(order=2)), clean)
     joints = workspace_joints(hsr.problem.robot)[:7]
     off = np.zeros_like(joints)
     off[:, 2] = 3e-3 * np.cos(2 * joints[:, 2]) - 2e-3 * np.sin(2 * joints[:, 2])

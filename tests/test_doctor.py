@@ -248,7 +248,7 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
     file = tmp_path / "spoiled.csv"
     write_samples(file, hsr.problem.layout(), with_outliers(corner_simulation.samples), [])
     assert main(["check", str(hsr.path), str(file)]) == 1
-    assert "calibrate sets them aside" in capsys.readouterr().out
+    assert "calibrate leaves them out" in capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), str(file)]) == 0
     assert "lines 9, 52" in capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), str(file), "--keep-outliers"]) == 1
@@ -258,8 +258,8 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
 @pytest.mark.parametrize(
     ("low", "high", "travel", "says", "not_said"),
     [
-        (-0.12, 7.84, 7.0, ["the dial's zero is off by 0.12 mm or more", "--set travel=8)"], "minus"),
-        (-0.12, 7.84, 8.0, ["the dial's zero is off by 0.12 mm or more", "add the same 0.12 mm"], "travel"),
+        (-0.12, 7.84, 7.0, ["the dial was zeroed elsewhere", "--set travel=8)"], "minus"),
+        (-0.12, 7.84, 8.0, ["the dial was zeroed elsewhere", "add the same 0.12 mm"], "travel"),
         (-0.12, 7.84, 7.9, ["add the same 0.12 mm", "--set travel=8)"], "minus"),
         (-7.84, -0.12, 10.0, ["the sign of the column is reversed", "without the minus"], "travel"),
         (0.0, 12.3, 10.0, ["--set travel=13"], "minus"),

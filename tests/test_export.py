@@ -419,7 +419,7 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
     v = numbers(result)
     rest = shift(v["a6"], 0, 0) @ rot_x(v["alpha6"])
     np.testing.assert_allclose(yaml_pose(text, q) @ rest, dh_pose(v, q, (2, 3))[0], atol=1e-6)
-    (said,) = [line for line in text.splitlines() if "behind wrist_3" in line]
+    (said,) = [line for line in text.splitlines() if "relative to wrist_3" in line]
     assert float(said.split("x y z ")[1].split()[0]) == pytest.approx(v["a6"], abs=1e-6)
     result = made(place / "ur", 6)
     base, tool = rot_z(math.pi), np.eye(4)

@@ -112,8 +112,8 @@ def test_the_verdict_gives_both_figures_and_says_which_is_not_accuracy(page, doc
     (sentence,) = Page(page).by_class("verdict")
     assert sentence == document["verdict"]["words"]
     assert sentence.startswith("Calibrated: expect")
-    assert f"{document['tip']['expected_rms_mm']:.3f} mm RMS over the workspace" in sentence
-    assert f"(priors alone: {document['tip']['prior_rms_mm']:.3f} mm)" in sentence
+    assert f"{document['tip']['expected_rms_mm']:.2g} mm RMS over the workspace" in sentence
+    assert f"(before: {document['tip']['prior_rms_mm']:.1f} mm)" in sentence
     figures = Page(page).text_of("verdict")
     assert f"not accuracy{document['metrics']['after']['heldout']['rmse_mm']:.4f} mm" in figures.replace(" not", "not")
     assert "Nothing speaks against it." in figures

@@ -308,8 +308,8 @@ def test_ratios_that_are_no_numbers_are_refused(hsr, bad):
 def test_effects_that_say_what_cannot_be_are_refused(hsr):
     robot, dial = hsr.problem.robot, hsr.problem.instrument
     for effects, says in (
-        (5, "An int came as the effects"),
-        (GearRipple(), "A GearRipple came as the effects"),
+        (5, "Got an int as the effects"),
+        (GearRipple(), "Got a GearRipple as the effects"),
         ((GearRipple(size="a"),), "The size of GearRipple is 'a'"),
         ((GearRipple(size=-1e-6),), "The size of GearRipple is -1e-06"),
         ((GearRipple(doubt=0.5),), "The doubt of GearRipple is 0.5"),

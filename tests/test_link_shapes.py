@@ -201,7 +201,7 @@ def test_what_meets_wherever_the_arm_is_counts_as_a_neighbour(tmp_path):
     assert ("upper", "w1") in pairs
     assert ("upper", "fore") not in pairs
     assert ("shoulder", "fore") in shapes.let_be
-    assert "Not held against each other, for they meet wherever the arm is: shoulder and fore" in shapes.words
+    assert "Not checked against each other, because they touch in every posture: shoulder and fore" in shapes.words
 
 
 def test_shapes_that_are_seldom_apart_are_held_against_each_other(tmp_path):
@@ -335,7 +335,7 @@ def test_meshes_are_named_and_other_arms_have_no_shapes(tmp_path):
     path.write_text(with_shapes({**SHAPES, "fore": '<mesh filename="package://ur/fore.stl"/>|0 0 0|0 0 0'}))
     shapes = LinkShapes.of(Robot.from_urdf(path, tip="tool0"))
     assert shapes.unread == ("fore",)
-    assert "Not looked at: shapes of fore that are no boxes, cylinders or spheres" in shapes.words
+    assert "Not checked: shapes of fore that are not boxes, cylinders or spheres" in shapes.words
     path.write_text(with_shapes({}))
     assert LinkShapes.of(Robot.from_urdf(path, tip="tool0")).words == ""
     with pytest.raises(ProblemError, match="does not come from a URDF"):

@@ -207,7 +207,7 @@ def test_a_plunger_along_a_face_touches_nothing(hsr, route, late):
     """At zero joint values the plunger points down, along both walls."""
     for session in (late, Session(hsr.problem, route)):
         for face in ("wall", "side"):
-            with pytest.raises(CasacalError, match=f"lies along '{face}'"):
+            with pytest.raises(CasacalError, match=f"parallel to '{face}'"):
                 session.take(np.zeros(6), 3.2, face)
         assert session.take(np.zeros(6), 3.2, "floor").alarm.touch == len(session)
 
@@ -224,16 +224,16 @@ def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
         (lambda: late.correct(), "No touch is in doubt"),
         (lambda: late.take(joints[:5], reading, face), r"shape \(5,\)"),
         (lambda: late.take(joints * np.nan, reading, face), "not finite"),
-        (lambda: late.take(joints * 1000, reading, face), "no robot has"),
-        (lambda: late.take(joints, None, face), "Nothing came as the reading"),
-        (lambda: late.take(joints, "3.2", face), "A str came as the reading"),
+        (lambda: late.take(joints * 1000, reading, face), "no robot can take"),
+        (lambda: late.take(joints, None, face), "Got nothing as the reading"),
+        (lambda: late.take(joints, "3.2", face), "Got a str as the reading"),
         (lambda: late.take(joints, {"way": 3.2}, face), "'way'"),
         (lambda: late.take(joints, reading, "flor"), "Did you mean 'floor'"),
-        (lambda: late.take(joints, reading), "without its plane"),
+        (lambda: late.take(joints, reading), "has no plane"),
         (lambda: late.take(joints, reading, face, number=51), "the plan has 1 to 50"),
         (lambda: late.undo(40), "no touch 40"),
         (lambda: Session(hsr.problem).undo(), "no touch to take back"),
-        (lambda: Session("arm"), "came as the problem"),
+        (lambda: Session("arm"), "as the problem"),
         (lambda: Session(hsr.problem, "plan.csv"), "came as the plan"),
         (lambda: Session(hsr.problem, tolerance=-1.0), "as the tolerance"),
     ):

@@ -233,7 +233,7 @@ def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
         told.append(calibration.tip_std[1] / once.tip_std[1])
         verdict = verdict_of(calibration)
         assert verdict.level == "use with care"
-        assert any("repeated, at 120 places" in reason for reason in verdict.reasons)
+        assert any("Repeated touches at 120 places" in reason for reason in verdict.reasons)
     np.testing.assert_allclose(np.mean(found, axis=0), [1.0, 0.9, math.sqrt(10)], rtol=0.05)
     assert np.mean(told) == pytest.approx(1.0, rel=0.03)
 
@@ -265,7 +265,7 @@ def test_copied_rows_count_once(hsr, corner_simulation, rows):
     assert verdict.level == "use with care"
     if len(rows) == 124:
         assert "(lines 122, 123, 124, 125)" in reason
-        assert next_step(often, verdict).startswith("settle the doubt: remove the copies")
+        assert next_step(often, verdict).startswith("remove the copies")
         assert "124 samples of" in summary(often, "")
         assert "120 fitted, none held out, 4 copies left out" in summary(often, "")
 

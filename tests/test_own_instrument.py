@@ -203,7 +203,7 @@ def test_samples_of_one_are_refused_for_two_instruments_in_a_sentence(hsr, corne
 
     both = Problem(hsr.problem.robot, hsr.problem.instrument, TrackedPoint(noise_std=0.1))
     for call, said in (
-        (lambda: calibrate(both, corner_simulation.samples), "came as samples of 2 instruments"),
+        (lambda: calibrate(both, corner_simulation.samples), "as samples of 2 instruments"),
         (lambda: check(both, corner_simulation.samples), "not those of the problem's instruments"),
         (lambda: simulate(both, samples=6).samples, "measured by 2 instruments"),
     ):
@@ -291,12 +291,12 @@ def bind_count(problem):
         (('column_stds = {"wire"', 'column_stds = {"wires"'), "names 'wires', which is no column"),
         (('columns = {"wire": "length"}', 'columns = ["wire"]'), "columns of DrawWire is a list"),
         (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
-        (("**ARM), DrawWire())", "**ARM), DrawWire)"), "DrawWire came as a class"),
-        (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "A list came as an instrument"),
+        (("**ARM), DrawWire())", "**ARM), DrawWire)"), "Got the class DrawWire"),
+        (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "Got a list as an instrument"),
         ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),
-            "as a Problem: a str stands there",
+            "as a Problem, but a str",
         ),
     ],
 )

@@ -205,10 +205,10 @@ def test_so_many_touches_as_a_tolerance_takes(hsr):
         ({"starts": 0}, "as the starts"),
         ({"check": 1.0}, "as the part 'check'"),
         ({"again": -0.1}, "as the part 'again'"),
-        ({"check": 0.6, "again": 0.39}, "fewer than three are fitted"),
-        ({"targets": [[1.0, 2.0]]}, "Targets came with the shape"),
+        ({"check": 0.6, "again": 0.39}, "Fewer than three of"),
+        ({"targets": [[1.0, 2.0]]}, "Targets have the shape"),
         ({"box": ((0, 1), (0, 1), (5, 4))}, "is empty"),
-        ({"box": ((0, 1), (0, 1), (4, 5)), "targets": [[0.0] * 6]}, "A box and targets came"),
+        ({"box": ((0, 1), (0, 1), (4, 5)), "targets": [[0.0] * 6]}, "Got a box and targets"),
     ],
 )
 def test_what_makes_no_plan_is_said(hsr, given, said):

@@ -146,4 +146,4 @@ def test_a_tracker_whose_sessions_nobody_wrote_down_is_warned_of():
         found = check(source.problem, Samples.from_frame(pd.DataFrame({**joints, **columns, **session}), layout))
         assert ("labels absent" in [finding.about for finding in found]) is named
     said = next(finding for finding in found if finding.about == "labels absent")
-    assert "there is no column 'session', by which 'station' is declared to differ" in said.cause
+    assert "there is no column 'session', which 'station' is declared to depend on" in said.cause

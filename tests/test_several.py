@@ -213,7 +213,7 @@ def test_samples_by_name_on_the_command_line(tmp_path, capsys):
     assert json.loads(out[out.index("{") :])["data"]["samples"] == 90
     for words, said in (
         ([], "There are no samples of the dial"),
-        ([str(tmp_path / "x-dial.csv")], "One file came for 3 instruments"),
+        ([str(tmp_path / "x-dial.csv")], "Got one file for 3 instruments"),
         (files[:4], "There are no samples of the spike"),
         ([*files, "--samples", "lamp=x.csv"], "There is no instrument named 'lamp'"),
         ([*files, "--samples", "dial=x.csv"], "--samples gives 'dial' twice"),
@@ -298,7 +298,7 @@ def test_instruments_that_contradict_one_another_are_named():
     true = Problem(problem.robot, {**INSTRUMENTS, "spike": FixedPoint(noise_std=0.03, tool=longer)})
     samples = simulate(true, CELL, samples=COUNTS, seed=3).measured
     errors = [finding for finding in check(problem, samples) if finding.severity == "error"]
-    assert [each.about for each in errors] == ["instruments contradict one another"]
+    assert [each.about for each in errors] == ["instruments contradict each other"]
     assert "'tool' is declared as the same for dial and spike" in errors[0].cause
     assert verdict_of(calibrate(problem, samples, reference=False)).level != "calibrated"
     assert all(each.severity != "error" for each in check(true, samples))
@@ -346,27 +346,27 @@ def test_what_cannot_be_is_said_in_a_sentence(simulated):
     robot = problem.robot
     for make, said in (
         (lambda: Problem(robot, {"the dial": dial}), "An instrument is called 'the dial'"),
-        (lambda: Problem(robot, {"dial": 5}), "came as an instrument"),
+        (lambda: Problem(robot, {"dial": 5}), "as an instrument"),
         (lambda: Problem(robot, {}), "has no instrument"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": ("dial", "tracker")}), "declared in different ways"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": ("dial", "lamp")}), "named 'lamp'"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": "dial"}), "shared by 'dial'"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"lens": ("dial", "spike")}), "no unknown 'lens' to share"),
-        (lambda: Problem(robot, INSTRUMENTS, shared=("tool",)), "came as what instruments share"),
+        (lambda: Problem(robot, INSTRUMENTS, shared=("tool",)), "as what instruments share"),
         (lambda: problem.measured_by("lamp"), "named 'lamp'"),
         (lambda: problem.instrument, "measured by 3 instruments"),
-        (lambda: calibrate(problem, simulated.measured.sets[0]), "came as samples of 3 instruments"),
+        (lambda: calibrate(problem, simulated.measured.sets[0]), "as samples of 3 instruments"),
         (
             lambda: calibrate(problem, {"dial": simulated.measured.sets[0]}),
             "No samples came of the instrument 'tracker'",
         ),
         (lambda: calibrate(problem, {"lamp": 3}), "no instrument is called that"),
-        (lambda: calibrate(problem), "came as samples of 3 instruments"),
+        (lambda: calibrate(problem), "as samples of 3 instruments"),
         (lambda: check(problem, simulated.measured.sets[0]), "not those of the problem's instruments"),
         (lambda: simulate(problem, samples={"dial": 5}), "How many samples of the tracker"),
         (lambda: simulate(problem, samples={"lamp": 5}), "named 'lamp'"),
         (lambda: simulate(problem, dataclasses.replace(CELL, compliance=1.0)), "The cell has compliance"),
-        (lambda: bind(problem, *simulated.measured.sets[:2]), "2 sets of samples came for 3 instruments"),
+        (lambda: bind(problem, *simulated.measured.sets[:2]), "Got 2 sets of samples for 3 instruments"),
         (lambda: Problem(robot, dial, tracker).fix("tool_x"), "tool_x"),
     ):
         with pytest.raises((CasacalError, ProblemError, SimulationError)) as error:

@@ -47,7 +47,7 @@ def test_a_workbook_is_read_like_the_csv_file_it_would_be_saved_as(tmp_path):
         ([HEADER], "no line of data"),
         ([HEADER, [1, 2, "=1+", "left", ""]], "line 2, column 'reading_mm'"),
         ([HEADER, [1, 2, None, "left", ""]], "the cell is empty"),
-        ([HEADER, [1, 2, 3, "left", "", "", 7]], "line 2: a cell stands where the header has no name"),
+        ([HEADER, [1, 2, 3, "left", "", "", 7]], "line 2: a cell has no name in the header"),
         ([["q1_deg", "q1_deg"], [1, 2]], "twice"),
     ],
 )

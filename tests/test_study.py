@@ -411,9 +411,9 @@ def test_a_report_may_be_lines_or_one_text(tmp_path, returned, found):
     assert (tmp_path / "out" / "report.md").read_text().startswith(found)
 
 
-@pytest.mark.parametrize(("returned", "came"), [("None", "Nothing"), ("3", "An int")])
+@pytest.mark.parametrize(("returned", "came"), [("None", "nothing"), ("3", "an int")])
 def test_a_report_that_is_none_is_refused(tmp_path, capsys, returned, came):
     file = tmp_path / "told.py"
     file.write_text(f"def report(run):\n    return {returned}\n")
     assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert f"{came} came from report(run)" in capsys.readouterr().err
+    assert f"Got {came} from report(run)" in capsys.readouterr().err

@@ -203,7 +203,7 @@ def test_noise_may_stand_in_a_column(rows):
     bound = bind(stated, dataclasses.replace(rows, columns={**rows.columns, **stds}))
     np.testing.assert_allclose(bound.noise.reshape(-1, 6)[:, :3], stds["std_mm"][:, None] * np.ones(3))
     np.testing.assert_allclose(bound.noise.reshape(-1, 6)[:, 3:], 2e-4)
-    with pytest.raises(SimulationError, match="stands in a column"):
+    with pytest.raises(SimulationError, match="comes from a column"):
         simulate(stated, samples=5)
     for wrong in (0.0, -0.05, np.nan):
         stds["std_mm"] = np.where(np.arange(len(rows)) == 7, wrong, 0.05)
@@ -232,7 +232,7 @@ class Blocks(Instrument):
 def test_blocks_that_cannot_be_are_refused():
     for blocks, said in (
         ((ResidualBlock("far", 1, "mm", 0.1),), "The blocks of Blocks hold 1 residuals, and it has 2"),
-        ((ResidualBlock("far", 2, "mm", "std"),), "said to stand in the column 'std', which it does not read"),
+        ((ResidualBlock("far", 2, "mm", "std"),), "declared to be in the column 'std', which it does not read"),
     ):
         with pytest.raises(CasacalError, match=said):
             _ = Problem(ROBOT, Blocks(*blocks)).models

@@ -113,7 +113,7 @@ def test_estimates_of_two_arms_reach_their_bound_and_know_it():
 
 def test_what_cannot_face_is_refused():
     for make, said in (
-        (lambda: facing(ROBOT, 5), "came as an arm"),
+        (lambda: facing(ROBOT, 5), "as an arm"),
         (lambda: facing(ROBOT, ROBOT, shared=7), "Two arms share 7 joints"),
         (lambda: facing(ROBOT, ROBOT, shared=-1), "Two arms share -1 joints"),
         (lambda: facing(facing(ROBOT, ROBOT), ROBOT), "begin with 'other_'"),

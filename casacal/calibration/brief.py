@@ -11,6 +11,7 @@ from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.verdict import Verdict, wrong_with_samples
 from casacal.calibration.warnings import VERIFY, doubts, suspicious
 from casacal.planning.cures import Cure
+from casacal.wording import listed, lower
 
 
 def next_step(
@@ -26,18 +27,19 @@ def next_step(
 
     """
     check = f"casacal check {about}"
+    tool = calibration.hidden_tool if verdict.level != "do not use" else None
+    if tool is not None:
+        return f"measure {listed(tool.names)}, state it in the problem file with its prior_std, and calibrate again."
     if verdict.level == "do not use":
         return _repair(calibration.unjudged, check)
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
         asked = suspicious(calibration)  # the data check, which named nothing, or the result would be denied
-        if step or asked:
-            return f"settle the doubt: {step or VERIFY}{kept}."
-        return f"settle the doubt; {check} looks closer at the samples{kept}."
+        return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
-        return "--out DIR keeps the result and its report, for casacal compensate, predict and export."
-    return f"casacal compensate {out}/result.json TARGETS --out FILE corrects joint targets."
+        return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
+    return f"correct joint targets with casacal compensate {out}/result.json TARGETS --out FILE."
 
 
 def best_cure(calibration: Calibration) -> str:
@@ -45,7 +47,7 @@ def best_cure(calibration: Calibration) -> str:
     cure = _best(calibration)
     if cure is None:
         return ""
-    return f"{cure.words}: expected tip error {fall(calibration.tip_std[1], cure.expected_rms_mm)}."
+    return f"{cure.words}; expected tip error {fall(calibration.tip_std[1], cure.expected_rms_mm)}."
 
 
 def nothing_helps(calibration: Calibration) -> str:
@@ -53,11 +55,11 @@ def nothing_helps(calibration: Calibration) -> str:
     if not calibration.cures or _best(calibration) is not None:
         return ""
     least = calibration.cures[0].expected_rms_mm
-    return f"No cure that was tried helps much: expected tip error {fall(calibration.tip_std[1], least)} at best."
+    return f"More touches help little: expected tip error {fall(calibration.tip_std[1], least)} at best."
 
 
 def fall(now: float, after: float) -> str:
-    """Two tip errors, with as many digits as tell them apart."""
+    """Two tip errors, with as many digits as show the difference."""
     digits = 2 if now >= 0.1 and after >= 0.02 and round(now, 2) > round(after, 2) else 3
     return f"{now:.{digits}f} -> {after:.{digits}f} mm"
 
@@ -72,15 +74,15 @@ def _repair(calibration: Calibration, check: str) -> str:
     reference = calibration.reference
     wrong = wrong_with_samples(calibration)
     if wrong:
-        return f"{wrong[0].fix[:1].lower()}{wrong[0].fix[1:]}; then {check}."
+        return f"{lower(wrong[0].fix)}; then run {check}."
     if not calibration.result.converged:
-        return f"{check} looks at the samples; --method lm is another way to the minimum."
+        return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."
     if reference is not None and not reference.agrees:
         if calibration.method in MINIMISERS:
-            return f"{check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
-        return "--method lm or sckf-lm, which go to the minimum."
+            return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
+        return "use --method lm or sckf-lm, which go to the minimum."
     if math.isfinite(calibration.tip_std[1]):
-        return f"{check} looks at the samples."
+        return f"run {check}, which looks closer at the samples."
     cure = _best(calibration)
     return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
 
@@ -161,8 +163,8 @@ def _residual(calibration: Calibration) -> str:
     said = calibration.fit.problem.words
     held = "" if part == "fit" else "held-out "
     return (
-        f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (as "
-        f"drawn: {before['rmse_mm']:.4f})."
+        f"Residual on the {held}{said.things}, not accuracy: {after['rmse_mm']:.3g} {said.unit} RMS (as drawn: "
+        f"{before['rmse_mm']:.3g})."
     )
 
 

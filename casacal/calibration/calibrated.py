@@ -61,7 +61,7 @@ class Calibrated(Calibration, AsArm):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now.
+        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now.
 
         NaN where the verdict is not to use this result.
         """

@@ -11,13 +11,14 @@ from casacal.uncertainty.discrepancy import at_most
 from casacal.uncertainty.identifiability import Identifiability
 from casacal.uncertainty.scores import CLEAR, ScoreTest
 from casacal.uncertainty.transfer import LeftOut
+from casacal.wording import capital, listed
 
 
 @dataclass(frozen=True)
 class Doubt:
     """A clause to put after "but", and a sentence.
 
-    step: what settles it; empty where the data check, which has not been asked, may tell the cause.
+    step: what settles it; empty where the data check, which was not run, may find the cause.
     """
 
     clause: str
@@ -43,25 +44,24 @@ def dial_is_off(calibration: Calibration) -> Doubt | None:
         return None
     worst = max(shown, key=lambda test: test.tip_mm)
     return Doubt(
-        f"the rows show a {worst.words} that nobody declared",
-        f"The rows show a {worst.words} of about {worst.shown_size}, which the problem takes for none: it bends the "
-        f"arm by more than is promised, and no figure counts it. {DECLARE[0].upper()}{DECLARE[1:]}.",
+        f"the rows show an undeclared {worst.words}",
+        f"The rows show a {worst.words} of about {worst.shown_size}. The problem does not declare it, and it changes "
+        f"the result by more than the expected tip error. {capital(DECLARE)}.",
         DECLARE,
     )
 
 
 def larger_than_any(calibration: Calibration) -> Doubt | None:
-    """An effect stands at the most that it may be."""
+    """An effect came out at the largest size that is accepted."""
     found = at_most(calibration.fit) if any(calibration.fit.beside) else ()
     if not found:
         return None
-    named = " and ".join(effect.words for effect in found)
-    times = f"{found[0].most:g} times what is expected of an arm"
+    named = listed([effect.words for effect in found])
     return Doubt(
-        f"{named} would be larger than any arm's",
-        f"{named[0].upper()}{named[1:]} came out at {times}, the most that is believed: something larger, or something "
-        "else, errs as well, and figures count only a part of it. What it is, casacal check may tell; touches in other "
-        "postures and on other faces tell it apart.",
+        f"{named} reached the largest size that casacal accepts",
+        f"{capital(named)} reached {found[0].most:g} times the usual size, the largest that casacal accepts. Something "
+        "else probably errs as well, and the figures count only part of it. casacal check looks for the cause; touches "
+        "in other postures and on other faces separate the effects.",
     )
 
 

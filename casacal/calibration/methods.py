@@ -41,13 +41,13 @@ WORSE = 1e-9
 def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
     """The function that estimates, and what it is called."""
     if loss is not None and not isinstance(loss, Loss):
-        raise CasacalError(f"{came(loss)} came as the loss", "Give huber() or tukey()")
+        raise CasacalError(f"Got {came(loss)} as the loss", "Give huber() or tukey()")
     if method is None:
         method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):
         if not callable(method):
             raise CasacalError(
-                f"{came(method)} came as the method",
+                f"Got {came(method)} as the method",
                 f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
             )
         name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")

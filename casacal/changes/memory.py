@@ -58,6 +58,6 @@ def with_drift(fresh: Fresh, drift: Mapping[str, float]) -> Fresh:
         if name not in places:
             raise UnknownNameError("unknown of the calibration", name, places)
         if not (is_real(std) and 0 <= std < math.inf):
-            raise CasacalError(f"{came(std)} came as the drift of '{name}'", "Give zero or more, mm or rad")
+            raise CasacalError(f"Got {came(std)} as the drift of '{name}'", "Give zero or more, mm or rad")
         covariance[places[name], places[name]] += float(std) ** 2
     return replace(fresh, covariance=covariance)

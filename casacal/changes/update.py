@@ -82,7 +82,7 @@ def _refuse(given: Opened, found: Change) -> None:
         )
     if given.other or (document.get("data") or {}).get("instruments"):
         raise CasacalError(
-            f"{given.arm.file}: a result is updated by rows of its own, only instrument",
+            f"{given.arm.file}: a result can be updated only by rows of its own instrument",
             "Calibrate again with all rows",
         )
     if found.ended == ROWS or found.bad_lines:
@@ -90,8 +90,8 @@ def _refuse(given: Opened, found: Change) -> None:
         raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
     if found.ended == UNDECIDED:
         raise CasacalError(
-            f"{found.samples}: what changed cannot be told from these rows, so nothing was updated",
-            "Take touches that tell (--touches FILE), or calibrate again",
+            f"{found.samples}: these rows do not show what changed, so nothing was updated",
+            "Take the touches of --touches FILE, or calibrate again",
         )
 
 
@@ -145,8 +145,8 @@ def _of_tool(fresh: Fresh, look: Look) -> list[Array]:
     ]
     if not columns:
         raise CasacalError(
-            "The tool stands elsewhere, and this problem holds it",
-            "Say where it stands in the problem, or free it (--free tool), and calibrate again",
+            "The tool has moved, but this problem holds it",
+            "Correct its position in the problem, or free it (--free tool), and calibrate again",
         )
     del look
     return [np.eye(bound.unknowns)[j] for j in columns]

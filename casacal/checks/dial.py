@@ -29,7 +29,7 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
             Finding(
                 "remark",
                 "dial sign not tested",
-                "the readings are nearly constant, so these samples cannot tell whether the dial's sign is wrong",
+                "the readings are nearly constant, so these samples cannot show whether the dial's sign is wrong",
                 "Let the reading vary over the dial's travel in a few touches",
             )
         ]

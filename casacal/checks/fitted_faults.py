@@ -185,7 +185,7 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
         Finding(
             "warning",
             "tool elsewhere",
-            f"the samples put the tool elsewhere than the problem says: {moved}",
-            "Measure the tool again, and correct it or its prior in the problem",
+            f"the samples put the tool in another place than the problem file does: {moved}",
+            "Measure the tool again, and correct its position or prior in the problem file",
         )
     ]

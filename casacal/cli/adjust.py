@@ -53,7 +53,7 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     left = problem.free_names() if fix else free
     for name in free:
         if name not in left:
-            raise CasacalError(f"'{name}' is to be freed (--free) and held (--fix)", "Name it in one of the two")
+            raise CasacalError(f"'{name}' is both freed (--free) and held (--fix)", "Give it in one of the two")
     return problem
 
 
@@ -100,18 +100,18 @@ def add_clearance(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="X0:X1,Y0:Y1,Z0:Z1",
-        help="a box, mm, base frame, where neither arm nor tool may be; may be given several times",
+        help="a box, mm, base frame, that arm and tool must avoid; may be repeated",
     )
     parser.add_argument(
         "--link-radius",
         type=float,
         metavar="MM",
-        help="how thick the links are; they keep off boxes, faces, each other",
+        help="radius of the links, to keep clear of boxes, faces and each other",
     )
     parser.add_argument(
         "--ignore-shapes",
         action="store_true",
-        help="do not look at the boxes, cylinders and spheres that a URDF has for its links",
+        help="ignore the collision shapes of a URDF",
     )
 
 

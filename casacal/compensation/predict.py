@@ -140,7 +140,7 @@ def predict(
 
 
 def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
+    """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
     Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
     corrected count as errors, by what they do and by how well that is known.

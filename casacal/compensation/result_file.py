@@ -78,7 +78,7 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     its arm has changed since.
     """
     if not isinstance(path, (str, Path)):
-        raise CasacalError(f"{came(path)} came as a result", "Give the path of a result.json, or of its folder")
+        raise CasacalError(f"Got {came(path)} as a result", "Give the path of a result.json, or of its folder")
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     document = _read(place)
     if problem is not None:
@@ -118,7 +118,7 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object of JSON; raises ValueError where a key stands in it twice."""
     made = dict(pairs)
     if len(made) < len(pairs):
-        raise ValueError("a key stands there twice")
+        raise ValueError("a key appears twice")
     return made
 
 
@@ -220,7 +220,7 @@ def arm_from(given: Any) -> CalibratedArm:
     arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
     if not isinstance(arm, CalibratedArm):
         raise CasacalError(
-            f"{came(given)} came as the calibrated arm",
+            f"Got {came(given)} as the calibrated arm",
             "Give a calibration, or what casacal.load or casacal.read_result returns",
         )
     return seen_by(arm)

@@ -30,7 +30,7 @@ NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
     """Raise ProblemError unless there is a column for each joint."""
     if len(columns) != joints:
-        raise ProblemError(f"{len(columns)} columns of {what} came for {joints} joints", "Name one for each")
+        raise ProblemError(f"Got {len(columns)} columns of {what} for {joints} joints", "Name one for each")
 
 
 def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
@@ -56,7 +56,7 @@ def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeasuredGive(Effect):
+class TorqueCompliance(Effect):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
     Away from the rows no torque is known, so that `predict` and `compensate` count it as an error.
@@ -76,7 +76,7 @@ class MeasuredGive(Effect):
     elastic = True
     most = 100.0
     key = "yield"
-    words = "giving under measured torque"
+    words = "joint compliance under measured torque"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns_of", tuple(self.columns_of))
@@ -112,10 +112,10 @@ Triples = tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkGive(Effect):
+class LinkSag(Effect):
     """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
 
-    It takes the place of `GravityGive`, whose key it has. Where masses are known, each joint has a give of its own: one
+    It takes the place of `GravitySag`, whose key it has. Where masses are known, each joint has a give of its own: one
     number. Where they are not, each joint gives by as much as it likes to each link beyond it: n (n + 1) / 2 numbers
     for n joints, which ask for many postures.
 
@@ -139,7 +139,7 @@ class LinkGive(Effect):
     elastic = True
     unit = "mm"
     key = "give"
-    words = "giving under the weight of links"
+    words = "gravity sag of the links"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "down", direction(self.down))
@@ -147,12 +147,12 @@ class LinkGive(Effect):
         rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
         wrong = [mass for mass in masses if not (is_real(mass) and 0 <= mass <= HEAVIEST)]
         if wrong or (masses and not sum(masses)):
-            said = f"{wrong[0]!r} came as the mass of a link" if wrong else "The links weigh nothing"
+            said = f"Got {wrong[0]!r} as the mass of a link" if wrong else "The links weigh nothing"
             raise ProblemError(said, f"Give kilograms, from zero to {HEAVIEST:g}, and not zero for all")
         centres = tuple(tuple(row) if np.iterable(row) else (row,) for row in rows)
         odd = [row for row in centres if len(row) != 3 or not all(is_real(x) and abs(x) < np.inf for x in row)]
         if odd:
-            raise ProblemError(f"{odd[0]!r} came as a centre of mass", "Give three numbers of mm for each link")
+            raise ProblemError(f"Got {odd[0]!r} as a centre of mass", "Give three numbers of mm for each link")
         if centres and not masses:
             raise ProblemError("Centres of mass came without masses", "Give both, or none")
         object.__setattr__(self, "masses", masses)
@@ -168,7 +168,7 @@ class LinkGive(Effect):
         doubt: float = 2.5,
         down: tuple[float, float, float] = (0.0, 0.0, -1.0),
         payload: float = 0.0,
-    ) -> LinkGive:
+    ) -> LinkSag:
         """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.
 
         Args:
@@ -180,7 +180,7 @@ class LinkGive(Effect):
 
         """
         masses, centres = weights_of(path, base, tip, payload)
-        return LinkGive(size=size, doubt=doubt, down=down, masses=masses, centres=centres)
+        return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres)
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What each joint gives, or each joint to each link beyond it, rad per metre of lever (and kg)."""
@@ -203,7 +203,7 @@ class LinkGive(Effect):
         links, count = Links.of(site.robot), len(site.robot.axes)
         for what, given in (("masses", self.masses), ("centres of mass", self.centres)):
             if given and len(given) != count:
-                raise ProblemError(f"{len(given)} {what} came for {count} joints", "Give one for what each one carries")
+                raise ProblemError(f"Got {len(given)} {what} for {count} joints", "Give one for what each one carries")
         return links.with_places(np.array(self.centres)) if self.centres else links
 
     def _moments(self, site: Site, q: Expression) -> Expression:

@@ -64,7 +64,7 @@ class FaceForm(Effect):
     moves = False
     most = 1e3  # a plate may be anything
     key = "form"
-    words = "form of the faces"
+    words = "flatness error of the faces"
 
     @property
     def _terms(self) -> list[tuple[int, int, float]]:

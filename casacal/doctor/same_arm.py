@@ -30,8 +30,8 @@ class Meaning:
     """One meaning of the controller's joint values, and all ways to write it that fit the rows.
 
     conventions: the simplest first. reading: the same as an entry of the family (n, 4). joint_unit, length_unit: of the
-    numbers shown. rotations: which conventions of orientation fit the rows, with the worst miss in rad. miss_mm: worst
-    of the positions.
+    numbers shown. rotations: which conventions of the orientation do the rows, with the worst miss, rad. miss_mm: of
+    the positions, the worst.
     """
 
     conventions: tuple[Conventions, ...]

@@ -48,7 +48,7 @@ def export(
         raise UnknownNameError("form", str(form), FORMS)
     for place in (path, source):
         if place is not None and not isinstance(place, (str, Path)):
-            raise CasacalError(f"{came(place)} came as a path", "Give a path, or nothing")
+            raise CasacalError(f"Got {came(place)} as a path", "Give a path, or nothing")
     if source is not None and form not in ("dh", "urdf"):
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":

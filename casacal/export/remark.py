@@ -41,11 +41,13 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     if (care := caution(result)) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if keys and form != 'c' else care}")
-    shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
+    shown = (
+        "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
+    )
     return [
         *lines,
         f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",
-        f"{MARK}what the samples could not tell stands where the prior held it; the result names it",
+        f"{MARK}what the samples do not determine is as the prior has it; the result names it",
     ]
 
 

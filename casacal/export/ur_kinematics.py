@@ -77,7 +77,7 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
         shift = " ".join(_fixed(v, 6) for v in rest[:3, 3])
         turn = " ".join(_fixed(math.degrees(v), 6) for v in roll_pitch_yaw(rest[:3, :3]))
         lines += [
-            f"# {MARK}behind wrist_3 the calibrated flange stands at x y z {shift} mm, roll pitch yaw {turn} deg:",
+            f"# {MARK}the calibrated flange relative to wrist_3: x y z {shift} mm, roll pitch yaw {turn} deg:",
             f"# {MARK}this format has no place for that; put it before your tool",
         ]
     block = []

@@ -70,8 +70,8 @@ def zeros_text(result: CalibratedArm) -> str:
     slides = any(joint.kind == "prismatic" for joint in axes)
     lines = [f"# {line}" for line in remark(result, form="zeros")]
     lines += [
-        f"# {MARK}where the controller shows q, the arm stands as the drawn arm would at q + correction; so do one of "
-        "two, never both:",
+        f"# {MARK}where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of "
+        f"these, never both:",
         f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
         f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
         "leave the targets as they are",

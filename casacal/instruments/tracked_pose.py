@@ -67,7 +67,7 @@ class TrackedPose(Instrument):
         for name in named:
             if not name.isidentifier() or name in taken or named.count(name) > 1:
                 raise ProblemError(
-                    f"The noise of TrackedPose is to stand in the column '{name}'",
+                    f"The noise of TrackedPose is declared to be in the column '{name}'",
                     "Name a column of its own for each, such as 'position_std' and 'angle_std'",
                 )
 

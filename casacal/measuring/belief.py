@@ -20,7 +20,7 @@ SURE = 0.95
 
 
 def wanted_field(bound: BoundProblem, joints: Array) -> Array:
-    """Moves (3 M, n) of the tip at joint values (M, q), apart from where the base stands, per unit of the belief."""
+    """Moves (3 M, n) of the tip at joint values (M, q), apart from the position of the base, per unit of the belief."""
     frame = workspace_joints(bound.problem.robot)
     sets = [(bound.tip_jacobian(bound.x0, q), bound.tips(bound.x0, q)) for q in (joints, frame)]
     return np.asarray(up_to_base(*sets[0], *sets[1]) * bound.start_std)

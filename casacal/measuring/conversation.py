@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, counted
+from casacal.errors import CasacalError
 from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
@@ -18,6 +18,7 @@ from casacal.measuring.spoken import HELP_WORDS, doubt, told
 from casacal.measuring.touch import Touch
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
+from casacal.wording import counted
 
 UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"
 WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?": HELP}
@@ -99,10 +100,10 @@ def _cells(line: str) -> list[str]:
 def _labels(typed: Sequence[str], layout: Layout, planned: Touch | None) -> tuple[str, ...]:
     if typed:
         if len(typed) != len(layout.labels):
-            raise CasacalError(f"'{' '.join(typed)}' came behind the numbers", "Type h for help")
+            raise CasacalError(f"'{' '.join(typed)}' follows the numbers", "Type h for help")
         return tuple(typed)
     if planned is None and layout.labels:
-        raise CasacalError(f"A touch without its {layout.labels[0]} came", "Type it behind the numbers")
+        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
     return () if planned is None else tuple(planned.labels[name] for name in layout.labels)
 
 
@@ -149,7 +150,7 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
         if session.alarm is not None:
             return Answer(session, (*doubt(session),))
         if proposed is None or proposed.number is None:
-            raise CasacalError("There is no touch of the plan to leave out", "Type q to end")
+            raise CasacalError("The plan has no touch left to skip", "Type q to end")
         return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
     if command.word == KEEP:
         after = session.keep()

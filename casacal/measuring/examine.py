@@ -111,7 +111,7 @@ def refuse_along(known: Known, touch: Touch) -> None:
     if (noise < ALONG * np.median(known.bound.block.noise)).any():
         where = ", ".join(touch.labels.values()) or "the face"
         raise CasacalError(
-            f"At these joint values the plunger lies along '{where}', so that it cannot touch it",
+            f"At these joint values the plunger is parallel to '{where}' and cannot touch it",
             "Look at the joint values and the face",
         )
 

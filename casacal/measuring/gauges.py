@@ -39,7 +39,9 @@ class Gauge:
         """Raise CasacalError where a line says that there is no reading."""
         text = _stripped(line)
         if re.fullmatch(self.errors, text, re.IGNORECASE):
-            raise CasacalError(f"The gauge says {text!r}, which is an error", "Look at it, and send the reading again")
+            raise CasacalError(
+                f"The gauge says {text!r}, which is an error", "Check the gauge, and send the reading again"
+            )
 
     def reading(self, line: str) -> float:
         """The reading of a line, mm; raises CasacalError where there is none."""
@@ -48,13 +50,13 @@ class Gauge:
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
             raise CasacalError(
-                f"{text!r} is no reading of a gauge called {self.name}",
+                f"{text!r} is not a reading of a gauge called {self.name}",
                 "Look at --gauge and --pattern, or send it again",
             )
         said = found.groupdict().get("unit")
         value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * UNITS[(said or self.unit).lower()]
         if not math.isfinite(value):
-            raise CasacalError(f"{text!r} is no finite reading", "Send it again")
+            raise CasacalError(f"{text!r} is not a finite reading", "Send it again")
         return value
 
 
@@ -84,7 +86,9 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
         except re.error as error:
             raise CasacalError(f"The pattern {pattern!r} is none ({error})", "Write a regular expression") from None
         if "value" not in groups:
-            raise CasacalError(f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) round the number")
+            raise CasacalError(
+                f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
+            )
         known = Gauge("of this pattern", pattern)
     return Gauge(
         known.name, known.pattern, known.errors, unit or known.unit, known.asks if asks is None else _unescaped(asks)
@@ -119,14 +123,16 @@ class SerialLine:
             self._line: serial.Serial = serial.Serial(port, baud, bits, parity, stops, timeout=0.2)
         except (serial.SerialException, ValueError, OSError) as error:
             said = " ".join(str(error).split())
-            raise CasacalError(f"The port {port} cannot be used ({said})", "Look at its name and settings") from None
+            raise CasacalError(f"The port {port} cannot be used ({said})", "Check its name and settings") from None
 
     def ask(self, text: str) -> None:
         """Send something, such as a request for a reading; raises CasacalError when the line is gone."""
         try:
             self._line.write(text.encode("ascii", errors="replace"))
         except OSError as error:
-            raise CasacalError(f"The gauge's line is gone ({error})", "Plug it in again and go on") from None
+            raise CasacalError(
+                f"The connection to the gauge was lost ({error})", "Plug it in again and continue"
+            ) from None
 
     def lines(self) -> Iterator[str]:
         """Lines as they come, ended by a carriage return, a line feed or both; ends when the line is closed or gone."""

@@ -71,15 +71,15 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
     try:
         values = np.asarray(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise CasacalError(f"{came(q)} came as joint values", f"Give {len(layout.joints)} numbers") from None
+        raise CasacalError(f"Got {came(q)} as joint values", f"Give {len(layout.joints)} numbers") from None
     if values.shape != (len(layout.joints),) or not np.isfinite(values).all():
         raise CasacalError(
-            f"Joint values of the shape {values.shape} came, or some that are not finite",
+            f"Joint values have the shape {values.shape}, or some are not finite",
             f"Give {len(layout.joints)} numbers, rad and mm",
         )
     for i, (value, kind) in enumerate(zip(values, layout.joints, strict=True), 1):
         if abs(value) > LARGEST[kind]:
-            raise CasacalError(f"Joint {i} came as {value:g}, which no robot has", "Give rad, and mm where it slides")
+            raise CasacalError(f"Joint {i} is {value:g}, which no robot can take", "Give rad, and mm where it slides")
     return values
 
 
@@ -89,14 +89,14 @@ def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> d
     given = reading if isinstance(reading, Mapping) else {} if reading is None else dict.fromkeys(asked[:1], reading)
     wanted = ", ".join(asked) or "no reading at all"
     if isinstance(reading, Mapping) is False and reading is not None and len(asked) != 1:
-        raise CasacalError(f"One reading came, and a touch has {wanted}", "Give them by name")
+        raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
     for name in given:
         if name not in asked:
             raise UnknownNameError("column of a touch", name, asked)
     for name in asked:
         value = given.get(name)
         if not is_real(value) or not math.isfinite(value):  # type: ignore[arg-type]
-            raise CasacalError(f"{came(value)} came as the {name}", f"Give a number; a touch has {wanted}")
+            raise CasacalError(f"Got {came(value)} as the {name}", f"Give a number; a touch has {wanted}")
     return {name: float(given[name]) for name in asked}
 
 
@@ -105,7 +105,7 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
     asked = list(layout.labels)
     if isinstance(plane, str):
         if len(asked) != 1:
-            raise CasacalError(f"The label '{plane}' came, and a touch has {', '.join(asked) or 'none'}", "Give it so")
+            raise CasacalError(f"Got the label '{plane}', but a touch has {', '.join(asked) or 'none'}", "Give it so")
         given: Mapping[str, str] = {asked[0]: plane.strip()}
     else:
         given = {} if plane is None else plane
@@ -115,5 +115,5 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
     found = {name: given.get(name, "" if planned is None else planned.labels[name]) for name in asked}
     for name, label in found.items():
         if not isinstance(label, str) or not label:
-            raise CasacalError(f"A touch without its {name} came", "Name it")
+            raise CasacalError(f"The touch has no {name}", "Name it")
     return found

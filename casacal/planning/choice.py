@@ -128,7 +128,7 @@ def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -
     joints = np.atleast_2d(np.asarray(targets, dtype=np.float64))
     if joints.shape[1] != len(bound.problem.robot.axes) or not np.isfinite(joints).all():
         raise CasacalError(
-            f"Targets came with the shape {np.shape(targets)}",
+            f"Targets have the shape {np.shape(targets)}",
             f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm",
         )
     return joints

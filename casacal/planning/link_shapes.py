@@ -122,7 +122,7 @@ class LinkShapes(Value):
         arm = robot.arm
         if not isinstance(arm, UrdfChain):
             raise ProblemError(
-                f"'{robot.name}' does not come from a URDF, so nothing is known of the shapes of its links",
+                f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown",
                 "Give a link_radius",
             )
         shapes, unread = shapes_of(arm.path, arm.chain[0].parent, arm.chain[-1].child)
@@ -137,11 +137,11 @@ class LinkShapes(Value):
             said.append(f"Kept {FREE:g} mm clear: {len(self.shapes)} shapes of {links} links, as the URDF has them.")
         if self.let_be:
             pairs = ", ".join(f"{one} and {other}" for one, other in self.let_be)
-            said.append(f"Not held against each other, for they meet wherever the arm is: {pairs}.")
+            said.append(f"Not checked against each other, because they touch in every posture: {pairs}.")
         if self.unread:
             said.append(
-                f"Not looked at: shapes of {', '.join(self.unread)} that are no boxes, cylinders or spheres, or move "
-                "by other joints; --link-radius does for all links of the arm."
+                f"Not checked: shapes of {', '.join(self.unread)} that are not boxes, cylinders or spheres, or move "
+                f"with other joints; use --link-radius for all links."
             )
         return " ".join(said)
 

@@ -52,7 +52,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
     if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
         fix = "Give what casacal plan wrote; its readings are called expected_..."
-        raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, and a plan has none", fix)
+        raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, which a plan does not have", fix)
     read = Samples.from_columns(columns, expected)
     purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):

@@ -33,14 +33,15 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
     said = [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
-        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from where the base stands, if stated noise and "
-        f"priors are right. {without}: {plan.before:.3g} mm; as many at random: {plan.at_random:.3g} mm; all {pool} "
-        f"that were looked at: {plan.best:.3g} mm. On arms that are not as drawn, by as much as priors say: "
-        f"{plan.over_arms:.3g} mm; a tenth of the touches lost: {plan.if_lost:.3g} mm",
-        f"Fitted touches and what they leave, mm: {left}{_flat(plan)}",
+        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
+        f"noise and priors are right. {without}: {plan.before:.3g} mm; the same number at random: "
+        f"{plan.at_random:.3g} mm; all {pool} candidates: {plan.best:.3g} mm. On arms that differ from the drawing as "
+        f"the priors allow: "
+        f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
+        f"Number of fitted touches and expected tip error, mm: {left}{_flat(plan)}",
     ]
     if compared:
-        said.append(f"Other set-ups, each with {fitted} fitted touches chosen among fewer:")
+        said.append(f"Other set-ups, each with {fitted} fitted touches:")
     for each in compared:
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
         said.append(f"  {reach}: {each.words}")
@@ -78,7 +79,7 @@ def _flat(plan: Plan) -> str:
     """Where the curve flattens, in words."""
     for few, many in pairwise(sorted(plan.curve)):
         if plan.curve[many] > FLAT * plan.curve[few]:
-            return f"; beyond {few} little is gained"
+            return f"; more than {few} gain little"
     return ""
 
 
@@ -124,10 +125,11 @@ def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
 def _notes(plan: Plan, name: str) -> list[str]:
     return [
         f"planned by casacal for {name}: not a measurement",
-        f"expected tip error {plan.error:.4g} mm RMS, apart from where the base stands, if stated noise and priors are "
+        f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
+        f"are "
         f"right; of as many at random {plan.at_random:.4g} mm",
-        "bring the arm to each posture; where the instrument is at its end, go along the plunger until it reads about "
-        "what is expected (readings that differ tell the size of the arm); write down the joint values that the "
-        "controller shows and the reading that there is",
-        "purpose fit: to calibrate with; again: the same once more, at the end; check: kept apart, for casacal verify",
+        "bring the arm to each posture; if the dial is at the end of its travel, move along the plunger until it "
+        "reads about what is expected (readings that differ determine the size of the arm); write down the joint "
+        "values that the controller shows, and the reading",
+        "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
     ]

@@ -63,7 +63,7 @@ def own_variances(instrument: Instrument, components: int, columns: Mapping[str,
     for block in instrument.blocks:
         if isinstance(block.std, str) and block.std not in columns:
             raise ProblemError(
-                f"The noise of '{block.name}' of {name} is said to stand in the column '{block.std}', which it does "
+                f"The noise of '{block.name}' of {name} is declared to be in the column '{block.std}', which it does "
                 "not read",
                 f"Its columns: {', '.join(columns) or 'none'}",
             )

@@ -22,14 +22,14 @@ from casacal.values import FrozenMapping, Value, is_real
 def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
     """Raise ProblemError for what is no robot, instrument or effect, for names that collide, and without any noise."""
     if not isinstance(robot, Robot):
-        raise ProblemError(f"{came(robot)} came as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
+        raise ProblemError(f"Got {came(robot)} as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
     if not instruments:
         raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
     if not isinstance(effects, (tuple, list)):
-        raise ProblemError(f"{came(effects)} came as the effects", "Give them in a tuple, such as kit() makes")
+        raise ProblemError(f"Got {came(effects)} as the effects", "Give them in a tuple, such as kit() makes")
     for effect in effects:
         if not isinstance(effect, Effect):
-            raise ProblemError(f"{came(effect)} came as an effect", "Give what casacal.discrepancy has, or one's own")
+            raise ProblemError(f"Got {came(effect)} as an effect", "Give what casacal.discrepancy has, or one's own")
         _check_size(effect)
     keys = [effect.key for effect in effects]
     if twice := next((key for key in keys if keys.count(key) > 1), ""):
@@ -82,7 +82,7 @@ def shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
     """What was declared as shared; raises ProblemError where instruments do not have it, or not alike."""
     if not isinstance(shared, Mapping):
         fix = 'Name it and the instruments, such as shared={"tool": ("dial", "spike")}'
-        raise ProblemError(f"{came(shared)} came as what instruments share", fix)
+        raise ProblemError(f"Got {came(shared)} as what instruments share", fix)
     found: dict[str, tuple[str, ...]] = {}
     for key, names in shared.items():
         if isinstance(names, str) or not isinstance(names, Sequence) or len(set(names)) < 2:

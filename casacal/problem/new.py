@@ -45,7 +45,7 @@ PARALLEL = """- Parallel axes: {axes}. There the common normal of DH would jump 
   turn `beta` takes the place of `d`, which is held.
 """
 REDUNDANT = """- Parameters are the origins of the joints that move: x, y, z and small turns rx, ry, rz of each
-  joint's frame. That is more than touches can tell apart; the report names the redundant directions, and the prior
+  joint's frame. Touches cannot determine all of them; the report names the redundant directions, and the prior
   holds them.
 """
 

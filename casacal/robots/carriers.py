@@ -45,7 +45,7 @@ def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
     """
     for robot in (arm, by):
         if not isinstance(robot, Robot):
-            raise ProblemError(f"{came(robot)} came as an arm or what carries it", "Give two Robots")
+            raise ProblemError(f"Got {came(robot)} as an arm or what carries it", "Give two Robots")
     before = CARRIER
     while any(before + key in arm.parameters for key in by.parameters):  # a carrier of a carrier
         before += CARRIER
@@ -167,7 +167,7 @@ def facing(one: Robot, other: Robot, *, shared: int = 0, name: str | None = None
     """
     for robot in (one, other):
         if not isinstance(robot, Robot):
-            raise ProblemError(f"{came(robot)} came as an arm", "Give two Robots")
+            raise ProblemError(f"Got {came(robot)} as an arm", "Give two Robots")
     if not isinstance(shared, int) or not 0 <= shared <= min(len(one.axes), len(other.axes)):
         raise ProblemError(f"Two arms share {shared!r} joints", "Give how many of the first joints they have in common")
     pose = Facing(one.pose, other.pose, tuple(other.parameters), len(one.axes), shared)

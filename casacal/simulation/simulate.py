@@ -110,10 +110,10 @@ def simulate(
         raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
     if not isinstance(problem, Problem):
         raise SimulationError(
-            f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"
+            f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
         )
     if cell is not None and not isinstance(cell, Disturbances):
-        raise SimulationError(f"{came(cell)} came as the cell", "Give a Cell(faces=...), or Disturbances(...)")
+        raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     counts = _counts(problem, samples)
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, counts, int(seed))

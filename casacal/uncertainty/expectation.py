@@ -61,7 +61,7 @@ def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
 def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
-    Both apart from where the base stands; `off` as for `tip_stds`.
+    Both apart from the position of the base; `off` as for `tip_stds`.
     Raises CasacalError when the arm hardly reaches the box.
     """
     joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)

@@ -137,7 +137,7 @@ def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
     if not given:
         raise CasacalError("No calibrations came", "Give those of one arm or more")
     if wrong := [each for each in given if not hasattr(each, "fit")]:
-        said = f"{came(wrong[0])} came as a calibration"
+        said = f"Got {came(wrong[0])} as a calibration"
         raise CasacalError(said, "Give what calibrate returns; files do not hold the rows")
     arms = [_Arm.of(each.fit, each.result.x) for each in given]
     units = sorted(arms[0].units)

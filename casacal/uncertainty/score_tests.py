@@ -96,7 +96,7 @@ class _Rows:
     columns: Mapping[str, Columns]
     forms: tuple[Form, ...]
     tip: Array
-    """Displacement (3 M, n) of workspace tips by the unknowns, apart from where the base stands."""
+    """Displacement (3 M, n) of workspace tips by the unknowns, apart from the position of the base."""
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem) -> _Rows | None:

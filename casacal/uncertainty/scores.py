@@ -11,14 +11,13 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.quadratic_forms import chance_beyond, together
+from casacal.wording import sized
 
 CLEAR = 0.01
 """Chance, after all that was tested, below which an effect is taken to be there."""
 
 SUSPICIOUS = 0.05
 """Chance of one test alone below which an effect may be there."""
-
-SMALL_UNITS = {"mm": ("um", 1e3), "rad": ("urad", 1e6), "1": ("parts per million", 1e6)}
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class ScoreTest:
     key, words: as effects and reports call it. p: chance of rows like these where there is no such effect. p_holm: the
     same of the least of as many tests. size: at which the rows are likeliest, the effect alone. expected_size: of any
     arm, NaN where nothing is expected. tip_mm: what an effect of that size does to the tip where only the geometry is
-    fitted, its own motion and what it makes of the estimate, RMS over the workspace apart from where the base stands.
+    fitted, its own motion and what it makes of the estimate, RMS over the workspace apart from the base.
     """
 
     key: str
@@ -58,13 +57,6 @@ class ScoreTest:
     def shown_expected(self) -> str:
         """The expected size as people read it; a dash where nothing is expected."""
         return sized(self.expected_size, self.unit) if math.isfinite(self.expected_size) else "-"
-
-
-def sized(value: float, unit: str) -> str:
-    """A small size in a unit that suits it."""
-    name, factor = SMALL_UNITS.get(unit, (unit, 1.0))
-    number = value * factor
-    return f"{number:,.0f} {name}" if number >= 100 else f"{number:.2g} {name}"
 
 
 TINY = 1e-300

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
@@ -14,9 +15,13 @@ from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 
 WORKSPACE_POSES = 400
+FEW_POSES = 10
 
 
 FEW_UNKNOWNS = 100
+
+OF_THE_FLANGE = 0.01
+"""Motion of the flange over that of the tip, below which an unknown is the tool's."""
 
 BLIND_FIELD = 1e-9
 """Motion (mm per unit) below which a tip does not see an unknown."""
@@ -59,7 +64,7 @@ def tip_stds(covariance: Array, field: Array, off: Array | None = None) -> Array
 
     Args:
         covariance: of the unknowns (n, n); infinite variances count where the field sees them.
-        field: derivative (3 N, n) of the tips by the unknowns, apart from where the base stands if that is wanted.
+        field: derivative (3 N, n) of the tips by the unknowns, apart from the position of the base if that is wanted.
         off: by how much the arm that is asked for leaves unknowns (n,) where they are not; it counts as an error.
 
     """
@@ -164,6 +169,14 @@ def flange_accuracy(bound: Seen, x: Array, off: Array | None = None) -> tuple[fl
     information = bound.information(x if off is None else x + off)
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, points)
     return before, bayesian_bound(information, bound.prior_std, slopes, points, off)
+
+
+def tool_unknowns(bound: Seen, x: Array) -> NDArray[np.intp]:
+    """Positions in x (n,) of the unknowns that move the tip and hardly, by the weight they shift, the flange."""
+    joints = workspace_joints(bound.problem.robot, poses=FEW_POSES)
+    tip = np.abs(bound.tip_jacobian(x, joints)).max(axis=0)
+    flange = np.abs(_flange_jacobian(bound, x, joints)[1]).max(axis=0)
+    return np.flatnonzero((tip > BLIND_FIELD) & (flange < OF_THE_FLANGE * tip) & ~bound.datum)
 
 
 def _flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:

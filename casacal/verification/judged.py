@@ -101,7 +101,7 @@ def _decided(seen: Seen, tolerance: float, risk: float) -> Decision:
     if scatter is None:
         raise SamplesError(
             seen.fresh.bound.block.samples.file,
-            "the rows' own unknowns follow whatever the arm does, so that no tolerance can be held against them",
+            "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested",
             "Take more rows, or leave the tolerance out",
         )
     return decide(scatter, seen.given_rows(), tolerance, risk)

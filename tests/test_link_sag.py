@@ -20,7 +20,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.discrepancy import LinkGive
+from casacal.discrepancy import LinkSag
 
 MASSES = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2)
 GIVE = np.array([0.0, 40.0, 60.0, 150.0, 200.0, 300.0]) * 1e-6
@@ -66,7 +66,7 @@ def heavy(tracker, seed=3, rows=90):
 
 
 TRACKER = TrackedPoint(noise_std=0.01, tool=tool_point(*TOOL, prior_std=1.0))
-KNOWN = LinkGive(masses=MASSES, centres=AT_ZERO)
+KNOWN = LinkSag(masses=MASSES, centres=AT_ZERO)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_each_joint_s_give_is_found_where_masses_are_known(sagging):
 
 @pytest.mark.long
 def test_without_masses_each_joint_gives_to_each_link_and_is_corrected(sagging):
-    effect = LinkGive()
+    effect = LinkSag()
     found = calibrate(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
     assert abs(found.reference.relative_gap) < 1e-8
     assert found.corrected == ("give",)
@@ -101,11 +101,11 @@ def test_without_masses_each_joint_gives_to_each_link_and_is_corrected(sagging):
         error = arm.predict(elsewhere.joints, frame="tip").positions - truth
         left[name] = np.sqrt((error**2).sum(axis=1).mean())
     assert left["corrected"] < 0.5 * left["geometry"]
-    assert "weight of links" in found.export("c")
+    assert "gravity sag of the links" in found.export("c")
 
 
 def test_size_is_the_sag_of_the_flange(sagging):
-    for effect in (LinkGive(size=0.3), dataclasses.replace(KNOWN, size=0.3)):
+    for effect in (LinkSag(size=0.3), dataclasses.replace(KNOWN, size=0.3)):
         bound = bind(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
         own = [j for j, key in enumerate(bound.beside) if key == "give"]
         rng, x0 = np.random.default_rng(0), bound.x0
@@ -164,12 +164,12 @@ URDF = """<robot name="two">
 def test_masses_come_from_a_urdf(tmp_path):
     path = tmp_path / "two.urdf"
     path.write_text(URDF)
-    found = LinkGive.from_urdf(path, tip="tool", payload=3.0)
+    found = LinkSag.from_urdf(path, tip="tool", payload=3.0)
     assert found.masses == (5.0, 5.0)
     upper = (4 * np.array([200.0, 0, 310]) + 1 * np.array([200.0, 0, 300])) / 5  # the cover's z axis lies along x
     lower = (2 * np.array([500.0, 0, 300]) + 3 * np.array([900.0, 0, 300])) / 5
     assert np.allclose(found.centres, [upper, lower])
-    assert LinkGive.from_urdf(path, tip="tool").masses == (5.0, 2.0)
+    assert LinkSag.from_urdf(path, tip="tool").masses == (5.0, 2.0)
     robot = Robot.from_urdf(path, tip="tool")
     problem = Problem(robot, TrackedPoint(noise_std=0.1), effects=(found,))
     assert problem.model.unknowns["give"].size == 2, "one give for each joint, both about axes that lie"
@@ -188,7 +188,7 @@ def test_weights_that_are_none_are_refused(tmp_path, old, new, said):
     path = tmp_path / "two.urdf"
     path.write_text(URDF.replace(old, new))
     with pytest.raises(ProblemError, match=said):
-        LinkGive.from_urdf(path, tip="tool")
+        LinkSag.from_urdf(path, tip="tool")
 
 
 def test_an_arm_without_masses_is_said_to_be_one(tmp_path):
@@ -197,52 +197,52 @@ def test_an_arm_without_masses_is_said_to_be_one(tmp_path):
         "".join(part for part in URDF.splitlines(keepends=True) if "<inertial>" not in part or "99" in part)
     )
     with pytest.raises(ProblemError):
-        LinkGive.from_urdf(path, tip="tool")
+        LinkSag.from_urdf(path, tip="tool")
     weightless = URDF
     for value in ("4", "1", "2"):
         weightless = weightless.replace(f'<mass value="{value}"/>', '<mass value="0"/>')
     path.write_text(weightless)
     with pytest.raises(ProblemError, match="no link of the arm has a mass"):
-        LinkGive.from_urdf(path, tip="tool")
+        LinkSag.from_urdf(path, tip="tool")
     for payload in (-1.0, float("nan")):
         with pytest.raises(ProblemError, match="payload"):
-            LinkGive.from_urdf(path, tip="tool", payload=payload)
+            LinkSag.from_urdf(path, tip="tool", payload=payload)
 
 
 def test_what_does_not_fit_the_arm_is_said(sagging):
     for effect, said in (
-        (LinkGive(masses=(1.0, 2.0)), "2 masses came for 6 joints"),
-        (LinkGive(masses=MASSES, centres=AT_ZERO[:3]), "3 centres of mass came for 6 joints"),
+        (LinkSag(masses=(1.0, 2.0)), "Got 2 masses for 6 joints"),
+        (LinkSag(masses=MASSES, centres=AT_ZERO[:3]), "Got 3 centres of mass for 6 joints"),
     ):
         with pytest.raises(ProblemError, match=said):
             bind(Problem(ROBOT, TRACKER, effects=(effect,)), sagging)
     for wrong, said in (
-        ({"masses": (1.0, -2.0)}, "-2.0 came as the mass of a link"),
+        ({"masses": (1.0, -2.0)}, "Got -2.0 as the mass of a link"),
         ({"masses": (0.0, 0.0)}, "The links weigh nothing"),
-        ({"masses": ("a",)}, "'a' came as the mass of a link"),
+        ({"masses": ("a",)}, "Got 'a' as the mass of a link"),
         ({"masses": (1e300,) * 6}, "Give kilograms"),
-        ({"masses": None}, "None came as the mass of a link"),
-        ({"masses": MASSES, "centres": ((1, 2),)}, "came as a centre of mass"),
-        ({"masses": MASSES, "centres": 5}, "came as a centre of mass"),
+        ({"masses": None}, "Got None as the mass of a link"),
+        ({"masses": MASSES, "centres": ((1, 2),)}, "as a centre of mass"),
+        ({"masses": MASSES, "centres": 5}, "as a centre of mass"),
         ({"centres": AT_ZERO}, "Centres of mass came without masses"),
     ):
         with pytest.raises(ProblemError, match=said):
-            LinkGive(**wrong)
+            LinkSag(**wrong)
     with pytest.raises(ProblemError, match="Gravity"):
-        LinkGive(down=(0, 0, 0))
+        LinkSag(down=(0, 0, 0))
 
     def crossed(p, q):
         return ROBOT.pose(p, [q[j] for j in (0, 2, 1, 3, 4, 5)])
 
     odd = Robot("crossed", 6, crossed, ROBOT.parameters)
     with pytest.raises(ProblemError, match="do not carry one another in order"):
-        bind(Problem(odd, TRACKER, effects=(LinkGive(),)), sagging)
+        bind(Problem(odd, TRACKER, effects=(LinkSag(),)), sagging)
 
 
 def test_an_upright_scara_carries_nothing():
     table = {"alpha": (0.0,) * 3, "a": (300.0, 250.0, 0.0), "d": (400.0, 0.0, 0.0), "theta": (0.0,) * 3}
     scara = Robot.from_dh("SCARA", **table, joints="RRP")
-    effect = LinkGive()
+    effect = LinkSag()
     problem = Problem(scara, TrackedPoint(noise_std=0.1, tool=Parameter((0.0, 0.0, 10.0))), effects=(effect,))
     samples = simulate(problem.without_effects, samples=20, seed=0).samples
     assert "give" not in bind(problem, samples).beside
