@@ -39,6 +39,7 @@ from casacal.uncertainty.effect_sizes import Told, evidence
 from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.transfer import FACES, REGIONS, gains, in_sample_gains, splits
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.wording import mm
 
 UR5 = ROOT / "problems" / "ur5"
 
@@ -212,7 +213,7 @@ def test_tables_of_lengths_and_angles_hold_the_arm_for_those_who_cannot_correct(
     assert "corrected beside the geometry: gravity sag" in found.export("c")
     assert f"expected tip error: {found.tip_std[1]:.3f} mm" in found.export("c")
     assert f"{found.tip_std[1]:.3f} mm" not in text  # not even in the words of a verdict
-    assert f"with these alone expect {alone.tip_std[1]:.3f} mm RMS" in told
+    assert f"with those alone expect a tip error of {mm(alone.tip_std[1])} RMS" in told
     assert "gravity sag, corrected" in told
     found.save(tmp_path)
     read = load(tmp_path)

@@ -234,7 +234,7 @@ def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
         (lambda: late.undo(40), "no touch 40"),
         (lambda: Session(hsr.problem).undo(), "no touch to take back"),
         (lambda: Session("arm"), "as the problem"),
-        (lambda: Session(hsr.problem, "plan.csv"), "came as the plan"),
+        (lambda: Session(hsr.problem, "plan.csv"), "as the plan"),
         (lambda: Session(hsr.problem, tolerance=-1.0), "as the tolerance"),
     ):
         with pytest.raises(CasacalError, match=words):
