@@ -53,8 +53,8 @@ def _own_verdict(found: Figures) -> list[str]:
 def _residuals(found: Figures) -> str:
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
     return (
-        f"{what}: {found.after_mm:.4f} {found.unit} RMS as calibrated, {found.predicted_mm:.4f} predicted, "
-        f"{found.before_mm:.4f} as drawn; 95 % of the rows are within {found.quantile_mm:.4f}."
+        f"{what}: {found.after_mm:.3g} {found.unit} RMS as calibrated, {found.predicted_mm:.3g} predicted, "
+        f"{found.before_mm:.3g} as drawn; 95 % of the rows are within {found.quantile_mm:.3g}."
     )
 
 
@@ -63,16 +63,16 @@ def _statistic(found: Figures) -> str:
     fitted = f"{own} fitted to these rows ({shortened(found.own, 4)})" if found.own else "nothing fitted to these rows"
     still = f"; assumed not to have moved: {', '.join(found.standing)}" if found.standing else ""
     return (
-        f"Chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
-        f"arm alone {found.arm_chi_square:.1f} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
+        f"Chi-square {found.chi_square:.4g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
+        f"arm alone {found.arm_chi_square:.4g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
         f"are at least {LEVEL / 2:g}. The arm was not fitted; {fitted}{still}."
     )
 
 
 def _face(found: Figures, face: FaceVerification) -> str:
     return (
-        f"  {face.label}: {counted(face.rows, 'row')}, {face.after_mm:.4f} {found.unit} RMS, {face.predicted_mm:.4f} "
-        f"predicted (as drawn: {face.before_mm:.4f}); chi-square {face.chi_square:.1f} / {face.freedom}, "
+        f"  {face.label}: {counted(face.rows, 'row')}, {face.after_mm:.3g} {found.unit} RMS, {face.predicted_mm:.3g} "
+        f"predicted (as drawn: {face.before_mm:.3g}); chi-square {face.chi_square:.4g} / {face.freedom}, "
         f"{chance(face.p)}"
     )
 

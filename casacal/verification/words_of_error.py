@@ -44,25 +44,25 @@ def errors_told(found: Figures) -> list[str]:
 
 def _interval(part: PartError) -> str:
     after, before = part.after, part.before
-    promised = "" if math.isnan(part.promised_mm) else f", {part.promised_mm:.4f} promised"
+    promised = "" if math.isnan(part.promised_mm) else f", {part.promised_mm:.3g} promised"
     return (
-        f"{after.mm:.4f} mm ({after.low_mm:.4f} to {_upper(after.high_mm)}) as calibrated{promised}; {before.mm:.4f} "
-        f"({before.low_mm:.4f} to {_upper(before.high_mm)}) as drawn"
+        f"{after.mm:.3g} mm ({after.low_mm:.3g} to {_upper(after.high_mm)}) as calibrated{promised}; {before.mm:.3g} "
+        f"({before.low_mm:.3g} to {_upper(before.high_mm)}) as drawn"
     )
 
 
 def _upper(value: float) -> str:
-    return f"{value:.4f}" if math.isfinite(value) else "without bound"
+    return f"{value:.3g}" if math.isfinite(value) else "without bound"
 
 
 def _noise(found: Figures) -> str:
     """What was taken off as noise, and whose error the rest is."""
-    said = f"Noise removed: {found.noise_mm:.4f} mm"
+    said = f"Noise removed: {found.noise_mm:.3g} mm"
     if found.noise_mm * WORTH_SAYING < found.noise_stated_mm:
-        return f"{said}. The problem states {found.noise_stated_mm:.4f}, but the residuals are too small for that much."
+        return f"{said}. The problem states {found.noise_stated_mm:.3g}, but the residuals are too small for that much."
     if found.noise_mm * WORTH_SAYING < found.noise_most_mm:
         return (
-            f"{said}, as stated. The calibration found {found.noise_most_mm:.4f}; the rows cannot tell whether the "
+            f"{said}, as stated. The calibration found {found.noise_most_mm:.3g}; the rows cannot tell whether the "
             "difference is noise or the arm's error. The upper ends and acceptance count it as error, the lower ends "
             "and rejection as noise."
         )
@@ -76,14 +76,14 @@ def decision_told(found: Figures) -> list[str]:
         return []
     part, drawn = found.overall, ""
     if decision.verdict == "accept" and part is not None and part.before.high_mm < decision.tolerance_mm:
-        drawn = f" The arm as drawn ({part.before.mm:.4f} mm) would be accepted as well. Is the tolerance in mm?"
+        drawn = f" The arm as drawn ({part.before.mm:.3g} mm) would be accepted as well. Is the tolerance in mm?"
     said = f"{_verdict(found, decision)} {_limits(decision)}{_nothing_else(found, decision)}{drawn}"
     return [said, *_more(decision)]
 
 
 def _verdict(found: Figures, decision: Decision) -> str:
     hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
-    size = f"{decision.measured_mm:.4f} mm RMS{hidden}"
+    size = f"{decision.measured_mm:.3g} mm RMS{hidden}"
     what = f"{size}, {measurand(found)}, against a tolerance of {decision.tolerance_mm:g} mm"
     if decision.verdict == "accept":
         if not found.kept:
@@ -99,11 +99,11 @@ def _limits(decision: Decision) -> str:
     lowest = (
         f"Too few rows or too much noise to accept anything (guard band: all of the {decision.tolerance_mm:g} mm)"
         if math.isnan(decision.accept_below_mm)
-        else f"Accepted up to {decision.accept_below_mm:.4f} (guard band {decision.guard_mm:.4f} mm)"
+        else f"Accepted up to {decision.accept_below_mm:.3g} (guard band {decision.guard_mm:.3g} mm)"
     )
     return (
         f"Probability of being within tolerance: {_probability(decision.probability)}. {lowest}, rejected from "
-        f"{decision.reject_above_mm:.4f} mm. An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, "
+        f"{decision.reject_above_mm:.3g} mm. An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, "
         f"with a chance of about {risk} at most (JCGM 106:2012, guarded)."
     )
 
@@ -115,7 +115,7 @@ def _probability(p: float) -> str:
 def _nothing_else(found: Figures, decision: Decision) -> str:
     if decision.verdict != "accept":
         return ""
-    noise = f" Acceptance depends on the noise of {found.noise_mm:.4f} mm: without it the arm would not be accepted."
+    noise = f" Acceptance depends on the noise of {found.noise_mm:.3g} mm: without it the arm would not be accepted."
     said = noise if decision.rests_on_noise else ""
     return (
         said
