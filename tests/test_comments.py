@@ -11,7 +11,7 @@ from casacal.doctor import read_pendant_rows
 from casacal.errors import ProblemError, SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.joins import joined_tables
+from casacal.tables.text import joined_tables
 from casacal.tables.read import read_columns
 from casacal.tables.text import read_table
 

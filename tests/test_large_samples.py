@@ -13,7 +13,7 @@ from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.digests import SharedDigest
-from casacal.tables.labels import Labels, combinations
+from casacal.tables.columns import Labels, combinations
 from casacal.tables.read import read_columns
 from casacal.tables.text import read_table, table_of_lines
 

@@ -16,7 +16,7 @@ from casacal.kernels.native_normal import NativePiece
 from casacal.kernels.native_rows import NativeKernels
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
-from casacal.tables.labels import rows_by_code
+from casacal.tables.columns import rows_by_code
 from casacal.threads import shared_out
 
 FEW = 8_192

@@ -12,7 +12,7 @@ from casacal.binding.slots import ENOUGH
 from casacal.checks.undone import FIRST_STEPS, Undone, misfit, quick_fit
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.unknowns import Parameter
 
 ROUNDS = 4

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.marginal_likelihood import Told, evidence, told
 
 FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"
