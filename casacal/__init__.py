@@ -98,12 +98,12 @@ if TYPE_CHECKING:
     from casacal.problem.problem_file import load_problem as load_problem
     from casacal.problem.symbols import Symbols as Symbols
     from casacal.robots.carriers import carried as carried
+    from casacal.robots.carriers import facing as facing
     from casacal.robots.carriers import rail as rail
     from casacal.robots.carriers import turntable as turntable
     from casacal.robots.conventions import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
-    from casacal.robots.two_arms import facing as facing
     from casacal.samples.measurements import Measurements as Measurements
     from casacal.samples.samples import Samples as Samples
     from casacal.simulation.simulate import simulate as simulate
@@ -114,7 +114,7 @@ if TYPE_CHECKING:
     from casacal.study import Study as Study
     from casacal.uncertainty.learned_priors import LearnedPriors as LearnedPriors
     from casacal.uncertainty.learned_priors import learned_priors as learned_priors
-    from casacal.uncertainty.priors import scaled_to_accuracy as scaled_to_accuracy
+    from casacal.uncertainty.learned_priors import scaled_to_accuracy as scaled_to_accuracy
     from casacal.unknowns import Direction as Direction
     from casacal.unknowns import Frame as Frame
     from casacal.unknowns import Parameter as Parameter
@@ -191,16 +191,14 @@ _HOMES = {
     "casacal.least_squares.result": ("Result", "Status"),
     "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),
-    "casacal.robots.carriers": ("carried", "rail", "turntable"),
-    "casacal.robots.two_arms": ("facing",),
-    "casacal.uncertainty.learned_priors": ("LearnedPriors", "learned_priors"),
+    "casacal.robots.carriers": ("carried", "facing", "rail", "turntable"),
+    "casacal.uncertainty.learned_priors": ("LearnedPriors", "learned_priors", "scaled_to_accuracy"),
     "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),
     "casacal.simulation.simulate": ("simulate",),
     "casacal.simulation.simulation": ("Simulation",),
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
     "casacal.compensation.targets": ("Targets", "read_targets"),
-    "casacal.uncertainty.priors": ("scaled_to_accuracy",),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
     "casacal.verification.verification": ("Verification",),
     "casacal.verification.verify": ("verify",),

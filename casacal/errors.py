@@ -10,16 +10,11 @@ LONGEST = 1000
 
 
 def came(value: object) -> str:
-    """What came, at the start of a sentence: "A list", "An int", "Nothing"."""
+    """What came, in a sentence: "a list", "an int", "nothing"."""
     if value is None:
-        return "Nothing"
+        return "nothing"
     name = type(value).__name__
-    return f"{'An' if name[0] in 'aeiouAEIOU' else 'A'} {name}"
-
-
-def counted(count: int, noun: str) -> str:
-    """A number with its noun: "1 row", "2 rows"."""
-    return f"{count} {noun}{'' if count == 1 else 'es' if noun.endswith('ch') else 's'}"
+    return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
 
 
 class CasacalError(Exception):

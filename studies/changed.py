@@ -17,7 +17,7 @@ from casacal.changes.explain import SURE, contenders, explanations
 from casacal.changes.look import Look
 from casacal.changes.memory import with_memory
 from casacal.compensation.arm import CalibratedArm
-from casacal.simulation.single import simulate_one
+from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
 from casacal.study.statistics import success_rate
 from casacal.verification.opened import opened

@@ -27,10 +27,15 @@ from casacal import (
     simulate,
 )
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.identifiability import identifiability
-from casacal.uncertainty.scale import conditional_scale_std, marginal_scale_std
-from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import (
+    bayesian_bound,
+    conditional_scale_std,
+    marginal_scale_std,
+    tip_stds,
+    without_rigid,
+    workspace_joints,
+)
 from studies import reporting
 from studies.reporting import script
 

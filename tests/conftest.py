@@ -29,6 +29,13 @@ def pytest_configure(config: pytest.Config) -> None:
     subprocess.run([sys.executable, "-c", "import matplotlib.font_manager"], check=True)
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Of a test marked `long_unless(case)`, only that case is quick."""
+    unless = item.get_closest_marker("long_unless")
+    if unless is not None and item.callspec.id not in unless.args:  # type: ignore[attr-defined]
+        item.add_marker(pytest.mark.long)
+
+
 @pytest.fixture(scope="session")
 def hsr() -> ProblemFile:
     return load_problem(ROOT / "problems" / "hsr_jr680")

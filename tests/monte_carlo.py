@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from casacal import bind, ekf, ipopt, lm, load_problem, sckf, sckf_lm, simulate
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, without_rigid, workspace_joints
 
 METHODS = {"lm": lm, "sckf": sckf, "sckf_lm": sckf_lm, "ekf": ekf, "ipopt": ipopt}
 ROOT = Path(__file__).parent.parent

@@ -9,6 +9,7 @@ from conftest import ROOT
 PACKAGE = ROOT / "casacal"
 FILES = sorted(PACKAGE.rglob("*.py"))
 ORDER = [
+    "wording",
     "errors",
     "array_types",
     "version",
@@ -16,7 +17,6 @@ ORDER = [
     "values",
     "user_code",
     "files",
-    "file_sets",
     "kinematics",
     "graphs",
     "unknowns",
@@ -52,7 +52,7 @@ PLACE = {name: place for place, name in enumerate(ORDER)}
 EXTRAS = {
     "study.executors": {"dask", "distributed"},
     "tables.workbooks": {"openpyxl"},
-    "measuring.serial_line": {"serial"},
+    "measuring.gauges": {"serial"},
 }
 """Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}

@@ -249,6 +249,7 @@ def many_pairs(name, trials, seed, times=1.0):
         yield true, seen.scatter(seen.residual(np.zeros(slopes.shape[1] + own.shape[1]))), seen.given_rows()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "times"), [("hsr_jr680", 1.0), ("hsr_jr680", 4.0), ("ur5", 1.0), ("adept_cobra600", 4.0)]
 )

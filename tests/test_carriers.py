@@ -23,7 +23,7 @@ from casacal import (
     turntable,
 )
 from casacal.cli.main import main
-from casacal.discrepancy import LinkGive
+from casacal.discrepancy import LinkSag
 
 TRACKER = TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0))
 ALONG = np.array([3.0, 4.0, 0.0]) / 5
@@ -61,6 +61,7 @@ def test_a_turntable_turns_the_arm_or_the_work():
     np.testing.assert_allclose(seen, np.linalg.inv(table) @ flanges(joints[:, 1:]), atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_rail_that_points_elsewhere_and_is_long_is_found():
     """A metre of 1.0003 m, 1.5 mrad aside; the arm as drawn, by hand."""
     still = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
@@ -83,7 +84,7 @@ def test_a_rail_that_points_elsewhere_and_is_long_is_found():
 
 def test_any_arm_rides_and_its_links_weigh():
     arm = load_problem(ROOT / "problems" / "kuka_iiwa14").problem.robot
-    problem = Problem(carried(arm, by=rail(0, 2000)), TRACKER, effects=(LinkGive(),))
+    problem = Problem(carried(arm, by=rail(0, 2000)), TRACKER, effects=(LinkSag(),))
     assert "give" in problem.model.unknowns
     scara = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
     assert carried(scara, by=rail(0, 2000)).revolute.tolist() == [False, *scara.revolute]
@@ -103,6 +104,7 @@ def test_a_carrier_may_be_carried_either_way():
     assert "carrier_carrier_direction" in up.parameters
 
 
+@pytest.mark.long
 def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
     (tmp_path / "problem.py").write_text(
         "from casacal import Problem, TrackedPoint, carried, load_problem, rail, tool_point\n"
@@ -120,7 +122,7 @@ def test_the_command_line_takes_an_arm_on_a_rail(tmp_path, capsys):
 
 
 def test_what_is_no_carrier_is_refused():
-    with pytest.raises(ProblemError, match="An int came as an arm or what carries it"):
+    with pytest.raises(ProblemError, match="Got an int as an arm or what carries it"):
         carried(ROBOT, by=5)
     for wrong in ((10, 0), (0, 3), ("0", "3000"), (None, 1), (0, 1e308)):
         with pytest.raises(ProblemError, match="Give its travel in mm"):

@@ -131,6 +131,7 @@ def test_a_free_tool_far_beyond_its_prior_is_a_warning():
     assert "tool_y by +" in found.cause
 
 
+@pytest.mark.long
 def test_touches_without_a_dial_are_searched_too(hsr):
     """A contact has neither sign nor drift; joints that are swapped are found all the same."""
     contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.02, reading=False))
@@ -160,10 +161,11 @@ def test_a_lost_turn_is_mended_in_the_right_sense(hsr):
         reading[row] += by
         (found,) = (f for f in check(hsr.problem, REPLACE(samples, columns={"reading": reading})) if "lost" in f.about)
         assert found.lines == (samples.lines[row],)
-        assert f"read {-by:+.3g} mm" in found.cause
+        assert f"with {-by:+.3g} mm added to the reading" in found.cause
         assert f"{round(abs(by) / (1.0 if abs(by) >= 1 else 0.5))} turn" in found.cause
 
 
+@pytest.mark.long
 def test_beside_a_tool_elsewhere_the_flange_is_promised_nothing():
     """The samples see the tip; how much of a difference is the tool's and how much the arm's, they cannot say."""
     source = load_problem(PROBLEMS / "ur5")

@@ -27,11 +27,10 @@ from casacal import (
     updated,
     verify,
 )
-from casacal.changes.directions import joint_direction
-from casacal.changes.shifts import JOINTS, shift_columns, with_shifts
+from casacal.changes.causes import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
-from casacal.simulation.single import simulate_one
+from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
@@ -124,6 +123,7 @@ def true_error(name, arm, joint, shift):
     return tip_rms(without_rigid((arm.predict(joints, frame="tip").positions - tips).ravel(), tips))
 
 
+@pytest.mark.long_unless("ur5-1-0.008")
 @pytest.mark.parametrize(("name", "joint", "shift"), [("hsr_jr680", 2, 8e-3), ("ur5", 1, 8e-3)])
 def test_an_update_brings_the_true_tip_back(name, joint, shift, tmp_path):
     rows = touched(name, 40, session=3, joint=joint, shift=shift)
@@ -218,7 +218,7 @@ def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(CasacalError, match="line 6 is off"):
         updated(arm, off(rows, rows.lines.index(6), 1.0), folder=tmp_path / "a")
     twice = dataclasses.replace(rows, joints=rows.joints - np.array([0, 0, 3e-3, 0, 5e-3, 0]))
-    with pytest.raises(CasacalError, match="cannot be told"):
+    with pytest.raises(CasacalError, match="do not show what changed"):
         updated(arm, twice, standing=["plane"], folder=tmp_path / "b")
     dial = arm.source.problem.instrument
     tool = dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=(0.7, -0.5, 0.3)))
@@ -228,6 +228,7 @@ def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
     source, cell, _ = robot("hsr_jr680")
     rows = simulate(source.problem, cell, samples=120, seed=3).samples
@@ -260,6 +261,7 @@ def test_a_joint_shifts_along_its_own_offset(name):
             assert way[np.flatnonzero(way)] == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_a_joint_that_counts_backwards_or_moves_another_shifts_them():
     """Signs, and a third joint that is measured against the ground: two offsets for one shift."""
     lengths = {"a": (250.0, 900.0, -206.0, 0, 0, 0), "d": (653.0, 0, 0, 1030.0, 0, 200.0)}
@@ -341,6 +343,7 @@ def test_touches_are_not_written_where_none_are_needed(place, capsys):
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_touches_that_tell_are_written_as_a_plan(place, capsys):
     source, _, arm = robot("hsr_jr680")
     for session in range(1, 40):
@@ -352,7 +355,7 @@ def test_touches_that_tell_are_written_as_a_plan(place, capsys):
     assert main(["changed", str(place / "first"), str(place / "few.csv"), "--touches", str(out)]) == 1
     assert f"Written: {out.as_posix()}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
     lines = out.read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("# touches that would tell what changed")
+    assert lines[0].startswith("# touches that would settle what changed")
     header = next(line for line in lines if not line.startswith("#"))
     assert header.startswith("touch,purpose,q1_deg")
     assert "expected_reading_mm" in header
@@ -368,7 +371,7 @@ def test_touches_that_tell_are_written_as_a_plan(place, capsys):
         (["first", ""], "SAMPLES is empty"),
         (["same.csv", "same.csv"], "not a result"),
         (["first", "empty.csv"], "empty.csv"),
-        (["first", "same.csv", "--alarm", "1"], "rate of false alarms"),
+        (["first", "same.csv", "--alarm", "1"], "false alarm rate"),
         (["first", "same.csv", "--alarm", "one"], "alarm"),
         (["first", "same.csv", "--drift", "theta4"], "--drift theta4 is not NAME=STD"),
         (["first", "same.csv", "--drift", "thetta=1e-5"], "thetta"),
@@ -397,6 +400,7 @@ def test_bad_input_is_one_sentence(place, words, said, capsys, monkeypatch):
 # ------------------------------------------------------------------------------------------------ beside the geometry
 
 
+@pytest.mark.long
 def test_what_is_corrected_is_updated_too(tmp_path):
     """A small arm that sags, whose give is corrected: its value and its covariance follow the rows."""
     source = load_problem(ROOT / "problems" / "ur5")

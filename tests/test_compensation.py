@@ -100,6 +100,7 @@ def arm_result(robot, changes):
     return CalibratedArm("made.json", ProblemFile("made", "problem.py", "", problem, None), document)
 
 
+@pytest.mark.long
 def test_the_true_arm_misses_by_what_the_bound_predicts(cells, hsr):
     ratios = []
     for seed, (file, truth_file) in enumerate(cells):
@@ -342,6 +343,7 @@ def test_unseen_directions_stay_at_nominal(hsr, corner_bound):
     assert np.abs(alone @ whitened[arm]).max() < 1e-6 * np.linalg.norm(whitened[arm])
 
 
+@pytest.mark.long
 def test_results_that_nothing_holds_are_refused(hsr, tmp_path, cells):
     flat = hsr.problem.with_prior({"d1": math.inf, "theta1": math.inf})
     samples = simulate(hsr.problem, hsr.cell, seed=1).samples

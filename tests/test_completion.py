@@ -98,7 +98,7 @@ def test_zsh_offers_commands_options_choices_and_files(tmp_path, capsys):
     listed = complete("casacal ")
     for name in COMMANDS:
         assert name in listed
-    assert "fit the arm's parameters to samples" in listed
+    assert "calibrate the arm from samples" in listed
     assert "calibrate" in complete("casacal cali")
     listed = complete("casacal calibrate --")
     for option in ("--method", "--holdout", "--no-reference", "--json"):

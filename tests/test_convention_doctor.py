@@ -138,6 +138,7 @@ def largest_gap(table, truth, conventions, rng):
     return np.abs(apart).max()
 
 
+@pytest.mark.long
 def test_a_hundred_arms_from_three_rows_each():
     verdicts = Counter()
     for seed in range(100):
@@ -183,7 +184,7 @@ def test_conventions_that_hardly_differ_are_not_called_certain():
     assert len(found.meanings) == 2
     assert not found.certain
     assert found.further.least_mm == pytest.approx(0.1, abs=0.02)
-    assert "No posture tells them apart" in diagnosis_text(found)
+    assert "No posture distinguishes them" in diagnosis_text(found)
 
 
 def test_units_are_found_and_wrong_names_are_said():

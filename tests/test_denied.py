@@ -40,6 +40,7 @@ def denied(tmp_path_factory):
     return folder, found
 
 
+@pytest.mark.long
 def test_no_file_holds_a_figure_of_accuracy(denied, capsys):
     folder, _ = denied
     document = json.loads((folder / "out" / "result.json").read_text())
@@ -200,6 +201,7 @@ def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
     assert not ACCURACY.search(written)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["urdf", "dh"])
 def test_forced_files_that_keep_their_form_say_so_in_a_comment(form, tmp_path):
     from robots_of_others import UR5_CSV, UR5_URDF

@@ -48,7 +48,7 @@ def shown_by(samples, percent=0.0, micrometres=0.0, turn=1.0):
 
 
 def tip_error(calibration, simulated):
-    """Of the calibrated arm over the workspace against the true one, mm RMS, apart from where the base stands."""
+    """Of the calibrated arm over the workspace against the true one, mm RMS, apart from the position of the base."""
     joints, bound = workspace_joints(simulated.problem.robot), bind(simulated.problem, simulated.samples)
     true = bound.tips(simulated.truth(bound), joints)
     return tip_rms(without_rigid((calibration.fit.tips(calibration.x, joints) - true).ravel(), true))
@@ -72,6 +72,7 @@ def test_a_declared_error_is_undone_by_its_truth(folder):
     np.testing.assert_allclose(there.plain_residual(at), plain.plain_residual(x), atol=2e-9)
 
 
+@pytest.mark.long
 def test_a_gain_that_is_declared_no_longer_ruins_the_arm(hsr):
     """Half a percent, three times what was declared: trusted, it is absorbed without a trace; declared, it is found."""
     errors = {"trusting": [], "declared": []}
@@ -111,6 +112,7 @@ def test_a_simulated_cell_draws_what_the_dial_gets_wrong(hsr):
     assert (np.abs(np.log(sizes)) < 0.45).all()
 
 
+@pytest.mark.long
 def test_a_result_remembers_it_and_fresh_rows_of_that_dial_are_expected(tmp_path):
     source = load_problem(ROOT / "problems" / "ur5")
     errs = declaring(source.problem, dial_gain(0.15), dial_cycle())

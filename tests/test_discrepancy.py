@@ -14,12 +14,11 @@ from scipy.stats import chi2
 from casacal import CasacalError, bind, calibrate, huber, ipopt, lm, load, load_problem, sckf, sckf_lm, simulate, verify
 from casacal.binding.marginal import moving, seen
 from casacal.cli.main import main
-from casacal.compensation.seal import sealed
-from casacal.discrepancy import Backlash, Effect, FaceForm, GearWaves, JointField, ThermalGrowth, kit
+from casacal.compensation.result_file import sealed
+from casacal.discrepancy import Backlash, Effect, FaceForm, JointField, ThermalGrowth, TransmissionError, kit
 from casacal.discrepancy.effect import weighted
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.effect_sizes import _objective, effect_sizes
-from casacal.uncertainty.marginal_likelihood import told
+from casacal.uncertainty.effect_sizes import _objective, effect_sizes, told
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent
@@ -59,7 +58,7 @@ def put(bound, x, **values):
 
 def test_a_gear_wave_turns_each_joint_by_what_it_says(hsr, clean):
     bare = bind(hsr.problem, clean)
-    bound = bind(hsr.problem.with_effects(GearWaves(order=2)), clean)
+    bound = bind(hsr.problem.with_effects(TransmissionError(order=2)), clean)
     joints = workspace_joints(hsr.problem.robot)[:7]
     off = np.zeros_like(joints)
     off[:, 2] = 3e-3 * np.cos(2 * joints[:, 2]) - 2e-3 * np.sin(2 * joints[:, 2])
@@ -247,6 +246,7 @@ def test_sizes_follow_what_errs_and_stay_where_nothing_does(hsr, clean):
     assert max(quiet.values()) < 2.5
 
 
+@pytest.mark.long
 def test_tip_figures_count_what_is_not_corrected(sagging):
     _, made, found = sagging
     found = dataclasses.replace(found, tried=())
@@ -264,6 +264,7 @@ def test_tip_figures_count_what_is_not_corrected(sagging):
     assert tip_rms(error) > 1.6 * alone.tip_std[1]  # what geometry alone would have promised
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", [0, 1])
 def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calibrated, which):
     """The arm as used differs from the estimate by what no parameter can mimic, in the least squares of the tip."""

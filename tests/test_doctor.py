@@ -10,13 +10,13 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
-from casacal.checks.dial_sign import tells_a_wrong_sign
+from casacal.checks.dial import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
-from casacal.uncertainty.leverage import leverages
+from casacal.uncertainty.figures import leverages
 
 REPLACE = dataclasses.replace
 
@@ -116,6 +116,7 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
         assert found == {line + 2 for line in lines}  # a comment and the header stand above
 
 
+@pytest.mark.long_unless("two gross outliers")
 @pytest.mark.parametrize(
     "name",
     ["wrong dial sign", "joint 2 flipped", "two gross outliers", "tilts below 2 degrees", "labels exchanged", "clean"],
@@ -126,7 +127,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     samples = plant(hsr, corner_simulation.samples)
     expected = check(hsr.problem, samples)
     monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
-    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
+    monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
     monkeypatch.setattr("casacal.checks.outliers.JUDGES", 30)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
@@ -135,7 +136,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
 
 
 def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monkeypatch):
-    monkeypatch.setattr("casacal.uncertainty.leverage.TOGETHER", 25)
+    monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
     bound = bind(hsr.problem, corner_simulation.samples)
     result = lm(bound)
     stacked = np.vstack([bound.jacobian(result.x) * bound.start_std, np.diag(bound.start_std / bound.prior_std)])
@@ -155,6 +156,7 @@ def test_the_wrong_sign_is_seen_before_any_fit(hsr, corner_simulation):
     assert any("with the arm as drawn the residuals already" in finding.cause for finding in findings)
 
 
+@pytest.mark.long
 def test_what_cannot_be_told_is_said(hsr, corner_simulation):
     constant = with_reading(corner_simulation.samples, np.full(120, 5.0))
     assert any(finding.about == "dial sign not tested" for finding in check(hsr.problem, constant))
@@ -241,11 +243,12 @@ def test_an_odd_label_is_named_where_binding_fails(hsr, corner_simulation):
     assert (named.about, named.lines) == ("labels alike", (corner_simulation.samples.lines[row],))
 
 
+@pytest.mark.long
 def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, capsys):
     file = tmp_path / "spoiled.csv"
     write_samples(file, hsr.problem.layout(), with_outliers(corner_simulation.samples), [])
     assert main(["check", str(hsr.path), str(file)]) == 1
-    assert "calibrate sets them aside" in capsys.readouterr().out
+    assert "calibrate leaves them out" in capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), str(file)]) == 0
     assert "lines 9, 52" in capsys.readouterr().out
     assert main(["calibrate", str(hsr.path), str(file), "--keep-outliers"]) == 1
@@ -255,8 +258,8 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
 @pytest.mark.parametrize(
     ("low", "high", "travel", "says", "not_said"),
     [
-        (-0.12, 7.84, 7.0, ["the dial's zero is off by 0.12 mm or more", "--set travel=8)"], "minus"),
-        (-0.12, 7.84, 8.0, ["the dial's zero is off by 0.12 mm or more", "add the same 0.12 mm"], "travel"),
+        (-0.12, 7.84, 7.0, ["the dial was zeroed elsewhere", "--set travel=8)"], "minus"),
+        (-0.12, 7.84, 8.0, ["the dial was zeroed elsewhere", "add the same 0.12 mm"], "travel"),
         (-0.12, 7.84, 7.9, ["add the same 0.12 mm", "--set travel=8)"], "minus"),
         (-7.84, -0.12, 10.0, ["the sign of the column is reversed", "without the minus"], "travel"),
         (0.0, 12.3, 10.0, ["--set travel=13"], "minus"),

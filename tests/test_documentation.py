@@ -1,4 +1,4 @@
-"""Documents tell the truth: what the README shows is run, links lead somewhere, pages list what there is."""
+"""Documents tell the truth: what README and docs show is run, links lead somewhere, pages list what there is."""
 
 import io
 import re
@@ -7,12 +7,13 @@ from importlib import import_module
 
 import matplotlib.pyplot as plt
 import pytest
+from commands_page import page as commands_page
 from conftest import ROOT
 from test_architecture import ORDER
 
 import casacal
 from casacal.cli.calibrate import METHOD_NAMES
-from casacal.cli.main import main
+from casacal.cli.main import COMMANDS, main
 
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 DOCUMENTS = [
@@ -25,8 +26,13 @@ SIMULATED = sorted(path.parent for path in (ROOT / "problems").glob("*/samples.c
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+PAGES = {
+    path.stem: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+}
+
+
+def blocks(text, language):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.S)
 
 
 @pytest.fixture
@@ -34,42 +40,58 @@ def workplace(tmp_path, monkeypatch):
     for name in ("problems", "studies"):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "out").mkdir()
-    for name, text in re.findall(r"`(out/[\w./]+)`:\n\n```csv\n(.*?)```", README, re.S):
-        (tmp_path / name).write_text(text)
+    for text in PAGES.values():
+        for name, rows in re.findall(r"`(out/[\w./]+)`:\n\n```csv\n(.*?)```", text, re.S):
+            (tmp_path / name).write_text(rows)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_the_commands_run_in_order(workplace, capsys, monkeypatch):
+@pytest.mark.long
+@pytest.mark.parametrize("page", [name for name, text in PAGES.items() if blocks(text, "sh") and name != "README"])
+def test_the_commands_of_a_page_run_in_order(page, workplace, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())  # nobody types
-    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("casacal ")]
-    assert len(commands) >= 6
+    commands = [line for block in blocks(PAGES[page], "sh") for line in block.splitlines()]
     for command in commands:
         assert main(shlex.split(command)[1:]) == 0, f"{command}\n{capsys.readouterr().err}"
-    assert (workplace / "out" / "first" / "residuals.png").is_file()
-    assert (workplace / "out" / "ur5.script").read_text().count("movej(") == 2
+    if page == "first_calibration":
+        assert (workplace / "out" / "first" / "residuals.png").is_file()
+    if page == "your_robot":
+        assert (workplace / "out" / "ur5.script").read_text().count("movej(") == 2
 
 
-def test_the_two_commands_stand_alone():
-    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("pip install")]
-    assert commands == [
+def test_the_front_page_is_one_that_is_read():
+    assert len(README.splitlines()) <= 200
+    assert [line for block in blocks(README, "sh") for line in block.splitlines()] == [
         "pip install -e . && casacal calibrate problems/hsr_jr680",
         'pip install -e ".[test]" && pytest',
     ]
+    assert all(f"| `casacal {name}` |" in README for name in COMMANDS)
 
 
-def test_the_python_runs(workplace, capsys):
+def test_the_front_page_shows_what_comes_out(workplace, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main(["calibrate", "problems/hsr_jr680"]) == 0
+    assert capsys.readouterr().out.rstrip() == blocks(README, "text")[0].rstrip()
+
+
+def test_every_command_and_option_is_on_a_page():
+    assert PAGES["commands"] == commands_page(), "python tests/commands_page.py > docs/commands.md writes it again"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", [name for name, text in PAGES.items() if blocks(text, "python")])
+def test_the_python_of_a_page_runs(page, workplace, capsys):
     plt.switch_backend("agg")
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), {})
+    for block in blocks(PAGES[page], "python"):
+        exec(compile(block, page, "exec"), {})
     plt.close("all")
-    assert float(capsys.readouterr().out.split()[0]) < 0.02
+    if page == "python":
+        assert float(capsys.readouterr().out.split()[0]) < 0.02
 
 
-def test_links_and_names_exist():
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
-    table = README.split("| `--method` |")[1].split("\n\n")[0]
+def test_the_methods_are_those_there_are():
+    table = PAGES["first_calibration"].split("| `--method` |")[1].split("\n\n")[0]
     assert set(re.findall(r"`([a-z-]+)`", table)) - {"--method"} == set(METHOD_NAMES)
 
 
@@ -174,13 +196,14 @@ def test_the_citation_names_the_version():
     assert "arXiv:2208.02652" in citation
 
 
-def test_the_headline_is_that_of_the_committed_report():
+@pytest.mark.parametrize(("page", "count"), [("README", 6), ("studies", 10)])
+def test_the_headline_is_that_of_the_committed_report(page, count):
     report = (ROOT / "studies" / "paper" / "report.md").read_text(encoding="utf-8")
-    rows = [line for line in README.splitlines() if re.match(r"\| (before|M\d|IPOPT)", line)]
-    assert len(rows) == 10
+    rows = [line for line in PAGES[page].splitlines() if re.match(r"\| (before|M\d|IPOPT)", line)]
+    assert len(rows) == count
     for row in rows:
         assert row in report
-    for figure in re.findall(r"\d[\d.]* %? ?\(\d[\d.]* to \d[\d.]*\)", README):
+    for figure in re.findall(r"\d[\d.]* %? ?\(\d[\d.]* to \d[\d.]*\)", PAGES[page]):
         value, low, high = map(float, re.findall(r"\d+\.?\d*", figure))
         found = [tuple(map(float, re.findall(r"\d+\.?\d*", f))) for f in re.findall(INTERVAL, report)]
         digits = max(len(text.partition(".")[2]) for text in re.findall(r"\d+\.?\d*", figure))

@@ -419,7 +419,7 @@ def test_a_calibrated_ur_moves_as_its_yaml(place):
     v = numbers(result)
     rest = shift(v["a6"], 0, 0) @ rot_x(v["alpha6"])
     np.testing.assert_allclose(yaml_pose(text, q) @ rest, dh_pose(v, q, (2, 3))[0], atol=1e-6)
-    (said,) = [line for line in text.splitlines() if "behind wrist_3" in line]
+    (said,) = [line for line in text.splitlines() if "relative to wrist_3" in line]
     assert float(said.split("x y z ")[1].split()[0]) == pytest.approx(v["a6"], abs=1e-6)
     result = made(place / "ur", 6)
     base, tool = rot_z(math.pi), np.eye(4)
@@ -575,6 +575,7 @@ def common_normal(one, two):
     return np.linalg.lstsq(np.column_stack([z, -w]), between, rcond=None)[0][0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "parallel"), [("ur5", (2, 3)), ("puma", (2,)), ("ur", ())])
 def test_parallel_axes_never_give_absurd_lengths(place, calibrated, tmp_path, name, parallel):
     result = read_result(calibrated(name))
@@ -701,6 +702,7 @@ problem = Problem(robot, DialOnPlane(noise_std=0.01))
 """
 
 
+@pytest.mark.long
 def test_screws_calibrate_and_export_also_with_a_part_held(tmp_path, capsys):
     folder = tmp_path / "screws"
     folder.mkdir()

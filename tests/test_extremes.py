@@ -49,6 +49,7 @@ def test_a_prior_that_no_knowledge_is_is_refused(std, capsys):
     assert said.count("\n") == 1
 
 
+@pytest.mark.long_unless("inf")
 @pytest.mark.parametrize("std", ["1e12", "1e-12", "inf"])
 def test_a_prior_that_is_merely_far_out_is_taken(std, capsys):
     assert main(["calibrate", str(HSR), "--prior", f"a={std}", "--method", "lm", "--no-reference"]) in (0, 1)
@@ -82,6 +83,7 @@ def test_a_folder_of_any_name_gives_exports_that_compile(tmp_path):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_commas_and_quotes_in_labels_stay_in_their_cells(hsr, tmp_path):
     tool = Parameter((0.0, 0.0, 100.0), prior_std=1.0, labels=(", x", '"y"', ";z"))
     problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, tool=tool))
@@ -93,6 +95,7 @@ def test_commas_and_quotes_in_labels_stay_in_their_cells(hsr, tmp_path):
     assert all(float(row["std"]) >= 0 and row["note"] for row in rows)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no full device")
 @pytest.mark.parametrize("typed", [["calibrate", str(HSR), "--no-reference"], ["check", str(HSR)]], ids=" ".join)
 def test_a_full_output_is_said(typed):
@@ -105,6 +108,7 @@ def test_a_full_output_is_said(typed):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names of files are bytes on Linux alone")
 def test_names_of_files_may_be_any_bytes(tmp_path):
     odd = os.fsencode(tmp_path) + b"/s\xff.csv"
@@ -117,6 +121,7 @@ def test_names_of_files_may_be_any_bytes(tmp_path):
     assert os.path.exists(out + b"/result.json")
 
 
+@pytest.mark.long_unless("ipopt")
 @pytest.mark.parametrize("method", ["lm", "sckf", "annealing", "ipopt", "plane-only"])
 def test_a_problem_with_nothing_free_says_so(hsr, method):
     held = hsr.problem.fix("alpha", "a", "d", "theta", "plane")

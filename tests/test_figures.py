@@ -19,9 +19,14 @@ from casacal.least_squares.losses import huber
 from casacal.robots.joint_space import random_joints
 from casacal.samples.write import write_samples
 from casacal.uncertainty.expectation import accuracy_in_box
-from casacal.uncertainty.leverage import leverages
-from casacal.uncertainty.scale import conditional_scale_std, marginal_scale_std, scale_direction
-from casacal.uncertainty.workspace import WORKSPACE_POSES, workspace_joints
+from casacal.uncertainty.figures import leverages
+from casacal.uncertainty.workspace import (
+    WORKSPACE_POSES,
+    conditional_scale_std,
+    marginal_scale_std,
+    scale_direction,
+    workspace_joints,
+)
 
 BOX = ((1000.0, 1700.0), (-400.0, 400.0), (400.0, 1000.0))
 

@@ -4,6 +4,7 @@ import pytest
 from fuzz import KINDS, fuzz
 
 
+@pytest.mark.long_unless("npz")
 @pytest.mark.parametrize("name", KINDS)
 def test_damaged_files_are_read_or_refused_in_a_sentence(name):
     found = fuzz(KINDS[name], KINDS[name].quick, seed=1)

@@ -63,7 +63,7 @@ def test_what_cannot_be_held_out(rows, hsr):
     for arguments, says in (
         ((rows, 0.9, 0, "face", "plane"), "leaves nothing to fit"),
         ((rows, 0.5, 0, "face", None), "these samples name none"),
-        ((rows, 0.5, 0, 3), "An int came as what is held out together"),
+        ((rows, 0.5, 0, 3), "Got an int as what is held out together"),
         ((rows, 1.0, 0, "face", "plane"), "from 0 to below 1"),
     ):
         with pytest.raises(CasacalError, match=says):
@@ -107,7 +107,7 @@ def test_the_command_holds_out_sessions(tmp_path, capsys):
     assert (document["data"]["heldout"], document["data"]["heldout_by"]) == (30, "session")
     assert [face["face"] for face in document["leave_one_face_out"]] == ["floor", "wall", "side"]
     assert main([*arguments, "--holdout-by", "face"]) == 2
-    assert "came without --holdout" in capsys.readouterr().err
+    assert "without --holdout" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------------------------------ each face by the others

@@ -15,10 +15,16 @@ from casacal.calibration.warnings import warnings
 from casacal.cli.main import main
 from casacal.errors import CasacalError, ProblemError
 from casacal.least_squares.losses import huber, tukey
-from casacal.uncertainty.bounds import classical_bound
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
-from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.workspace import (
+    classical_bound,
+    tip_rms,
+    tip_stds,
+    up_to_base,
+    without_rigid,
+    workspace_joints,
+)
 
 
 def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
@@ -31,11 +37,12 @@ def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
     text = summary(calibration, "motoman")
     assert moved > 3
     assert std > 3
-    assert "The samples cannot vouch for that" in text
+    assert "in places that the samples do not cover" in text
     assert len(calibration.identifiability.weak) + len(calibration.identifiability.null) > 10
     assert "weak" in text
 
 
+@pytest.mark.long
 def test_a_parameter_that_moves_too_far_is_named(hsr):
     simulation = simulate(hsr.problem, dataclasses.replace(hsr.cell, error_scale=8.0), seed=1)
     said = warnings(calibrate(hsr.problem, simulation.samples, method="lm", reference=False))
@@ -161,6 +168,7 @@ def test_what_to_expect_of_a_plan_and_inside_a_box(hsr, capsys):
     assert "X0:X1" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_flange_is_promised_what_drawn_arms_keep(hsr):
     """By drawing arms of the posterior and of the prior: the spread of the flange, a tool of its own beside it."""
     arm = Problem(

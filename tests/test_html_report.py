@@ -112,8 +112,8 @@ def test_the_verdict_gives_both_figures_and_says_which_is_not_accuracy(page, doc
     (sentence,) = Page(page).by_class("verdict")
     assert sentence == document["verdict"]["words"]
     assert sentence.startswith("Calibrated: expect")
-    assert f"{document['tip']['expected_rms_mm']:.3f} mm RMS over the workspace" in sentence
-    assert f"(priors alone: {document['tip']['prior_rms_mm']:.3f} mm)" in sentence
+    assert f"{document['tip']['expected_rms_mm']:.2g} mm RMS over the workspace" in sentence
+    assert f"(before: {document['tip']['prior_rms_mm']:.1f} mm)" in sentence
     figures = Page(page).text_of("verdict")
     assert f"not accuracy{document['metrics']['after']['heldout']['rmse_mm']:.4f} mm" in figures.replace(" not", "not")
     assert "Nothing speaks against it." in figures
@@ -164,6 +164,7 @@ def test_what_the_data_cannot_tell_is_all_there(page, document):
     assert float(reference["Cost, sckf-lm"]) == pytest.approx(document["cost"], rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_second_run_gives_the_same_bytes_but_for_timings(written, page):
     assert main(["calibrate", str(HSR), *OPTIONS, "--out", str(written)]) == 0
     again = (written / "report.html").read_text(encoding="utf-8")
@@ -273,6 +274,7 @@ def tracked(hsr):
     return problem, Samples(joints, columns, {}, tuple(range(2, 42)), {}, "tracker.csv", "0" * 64)
 
 
+@pytest.mark.long
 def test_a_tracker_has_coordinates_in_place_of_faces(tracked, hsr):
     problem, samples = tracked
     page = of(calibrate(problem, samples, method="lm", holdout=0.2, reference=False), hsr)
@@ -285,6 +287,7 @@ def test_a_tracker_has_coordinates_in_place_of_faces(tracked, hsr):
     assert "Made from Python" in read.text_of("provenance")
 
 
+@pytest.mark.long
 def test_one_plane_without_labels_and_without_any_prior_is_unbounded(hsr, corner_simulation):
     problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, plane=Plane()))
     few = corner_simulation.samples
@@ -341,6 +344,7 @@ def test_rows_that_were_set_aside_are_counted_as_such(hsr):
     assert "dark line is what the noise as found predicts" in Page(page).text_of("residuals")
 
 
+@pytest.mark.long
 def test_many_rows_and_many_faces_do_not_make_a_large_page(hsr, page):
     samples = hsr.problem.read(HSR / "samples.csv")
     times = 200

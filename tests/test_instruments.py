@@ -30,9 +30,8 @@ from casacal import (
 from casacal.cli.main import main
 from casacal.problem.as_data import problem_from
 from casacal.tables.columns import Labels
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
 from casacal.unknowns.fits import rigid_fit
 
 STILL = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
@@ -136,6 +135,7 @@ def test_tips_on_a_plate_are_as_far_from_one_another_as_its_points():
     )
 
 
+@pytest.mark.long_unless("FixedPoint")
 @every
 def test_starts_are_proposed_without_a_guess(name):
     """Without any error nothing is left at the proposed places."""
@@ -143,6 +143,7 @@ def test_starts_are_proposed_without_a_guess(name):
     assert np.abs(bound.plain_residual(bound.x0)).max() < 1e-5
 
 
+@pytest.mark.long_unless("TrackedPoint")
 @every
 def test_estimates_reach_their_bound_and_know_it(name):
     """Over 50 true arms: tip errors as large as the Bayesian bound says, errors as large as covariances say."""
@@ -166,6 +167,7 @@ def test_estimates_reach_their_bound_and_know_it(name):
     assert low < total < high
 
 
+@pytest.mark.long_unless("TrackedPoint")
 @every
 def test_the_whole_way_of_a_user(name, tmp_path, capsys):
     """Simulate, check, calibrate, verify with rows that the fit has not seen, report: all by the command line."""
@@ -227,6 +229,7 @@ def test_metres_for_millimetres_are_named():
         assert "metres" in worst.cause
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("axis", "xyz")
 def test_a_left_handed_frame_is_named(axis):
     samples = seen_by("TrackedPoint")

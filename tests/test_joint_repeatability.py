@@ -17,8 +17,8 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty import discrepancy
 from casacal.uncertainty.discrepancy import _Linear
+from casacal.uncertainty.effect_sizes import told
 from casacal.uncertainty.joint_repeatability import joints_err
-from casacal.uncertainty.marginal_likelihood import told
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 ROOT = Path(__file__).parent.parent
@@ -73,6 +73,7 @@ def test_it_is_found_with_its_size(found):
     assert max(rest) < 1.15, "what was stated of the dial is believed where joints explain the rest"
 
 
+@pytest.mark.long
 def test_what_joints_of_any_arm_do_not_repeat_is_no_doubt(found):
     """Promised all the same: the noise is ten micrometres as stated, and what is on top is known."""
     loose_one = next(each for each in found if each.fit.scale.get(REPEATABILITY))
@@ -81,6 +82,7 @@ def test_what_joints_of_any_arm_do_not_repeat_is_no_doubt(found):
     assert "exceed the stated noise" not in verdict_of(loose_one).words
 
 
+@pytest.mark.long
 def test_joints_that_repeat_far_worse_than_any_are_a_doubt_that_names_them(hsr):
     worse = calibrate(hsr, loose(hsr, 3, joint_std=100e-6).samples, reference=False)
     assert len(worse.bare.scale) > 2, "geometry alone takes it for faces that differ"
@@ -90,6 +92,7 @@ def test_joints_that_repeat_far_worse_than_any_are_a_doubt_that_names_them(hsr):
     assert any("sees of the joints, as where they repeat to" in reason for reason in verdict.reasons)
 
 
+@pytest.mark.long
 def test_nothing_is_found_where_joints_repeat(hsr):
     """Of a clean arm never, of a dial three times as bad as stated once in twenty."""
     sizes = []
@@ -227,6 +230,7 @@ def test_it_is_printed_and_serves_fresh_rows(hsr, found, tmp_path):
     assert "repeat to" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_fresh_rows_are_expected_to_scatter_by_it(hsr, tmp_path):
     """Of three arms 80 touches each are held back; those far out scatter more, and all as much as expected."""
     ratios, sizes = [], []
@@ -276,6 +280,7 @@ def test_ripple_turns_joints_whose_ratio_is_known(hsr, geared):
     np.testing.assert_allclose(bound.tips(x, joints), bare.tips(bare.x0, joints + off), atol=1e-9)
 
 
+@pytest.mark.long
 def test_ripple_of_known_gears_is_found_and_corrected(hsr, geared):
     """A harmonic drive's wave looks like noise until its ratio is known."""
     cell = dataclasses.replace(hsr.cell, gear_waves=((100, 1e-4),))
@@ -303,8 +308,8 @@ def test_ratios_that_are_no_numbers_are_refused(hsr, bad):
 def test_effects_that_say_what_cannot_be_are_refused(hsr):
     robot, dial = hsr.problem.robot, hsr.problem.instrument
     for effects, says in (
-        (5, "An int came as the effects"),
-        (GearRipple(), "A GearRipple came as the effects"),
+        (5, "Got an int as the effects"),
+        (GearRipple(), "Got a GearRipple as the effects"),
         ((GearRipple(size="a"),), "The size of GearRipple is 'a'"),
         ((GearRipple(size=-1e-6),), "The size of GearRipple is -1e-06"),
         ((GearRipple(doubt=0.5),), "The doubt of GearRipple is 0.5"),

@@ -196,6 +196,7 @@ VERSION = 'case "$*" in *--version*) echo mine 1.0; exit 0 ;; esac\n'
 OUT = 'while [ "$1" != -o ]; do shift; done\n'
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "says"),
     [

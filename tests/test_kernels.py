@@ -381,6 +381,7 @@ def test_what_others_can_write_is_not_loaded(hsr, fresh, caplog):
     fresh.chmod(0o700)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
 def test_processes_that_race_for_the_cache_all_get_kernels(fresh):
     program = (

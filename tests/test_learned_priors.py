@@ -89,11 +89,11 @@ def test_what_cannot_be_learned_from_is_said():
     one = arms(1.0, 1)[0]
     with pytest.raises(CasacalError, match="No calibrations came"):
         learned_priors([])
-    with pytest.raises(CasacalError, match="A str came as a calibration"):
+    with pytest.raises(CasacalError, match="Got a str as a calibration"):
         learned_priors(["result.json"])
     with pytest.raises(CasacalError, match="of the same rows"):
         learned_priors([one, one])
-    with pytest.raises(CasacalError, match="came as a calibration"):
+    with pytest.raises(CasacalError, match="as a calibration"):
         learned_priors(None)
     assert learned_priors(one).arms == 1
     other = calibrate(TRACKER.with_prior({"a": 0.1}), one.samples, reference=False, discrepancy="none")

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 from casacal import Cell, Face, Problem, Robot, load_problem, plan
 from casacal.cli.main import main
 from casacal.errors import ProblemError
-from casacal.planning.bodies import Body, gap
 from casacal.planning.clearance import Clearance
-from casacal.planning.link_shapes import FREE, LinkShapes
+from casacal.planning.link_shapes import FREE, Body, LinkShapes, gap
 
 SHAPES = {
     "base_link": '<box size="0.12 0.14 0.02"/>|0 0 0.01|0 0 0',
@@ -202,7 +201,7 @@ def test_what_meets_wherever_the_arm_is_counts_as_a_neighbour(tmp_path):
     assert ("upper", "w1") in pairs
     assert ("upper", "fore") not in pairs
     assert ("shoulder", "fore") in shapes.let_be
-    assert "Not held against each other, for they meet wherever the arm is: shoulder and fore" in shapes.words
+    assert "Not checked against each other, because they touch in every posture: shoulder and fore" in shapes.words
 
 
 def test_shapes_that_are_seldom_apart_are_held_against_each_other(tmp_path):
@@ -249,6 +248,7 @@ def cell_of_ur5():
     return load_problem(ROOT / "problems" / "ur5").cell
 
 
+@pytest.mark.long
 def test_a_plan_keeps_shapes_clear(urdf):
     problem = Problem(Robot.from_urdf(urdf, tip="tool0"), load_problem(ROOT / "problems" / "ur5").problem.instrument)
     shapes, cell = LinkShapes.of(problem.robot), cell_of_ur5()
@@ -335,13 +335,14 @@ def test_meshes_are_named_and_other_arms_have_no_shapes(tmp_path):
     path.write_text(with_shapes({**SHAPES, "fore": '<mesh filename="package://ur/fore.stl"/>|0 0 0|0 0 0'}))
     shapes = LinkShapes.of(Robot.from_urdf(path, tip="tool0"))
     assert shapes.unread == ("fore",)
-    assert "Not looked at: shapes of fore that are no boxes, cylinders or spheres" in shapes.words
+    assert "Not checked: shapes of fore that are not boxes, cylinders or spheres" in shapes.words
     path.write_text(with_shapes({}))
     assert LinkShapes.of(Robot.from_urdf(path, tip="tool0")).words == ""
     with pytest.raises(ProblemError, match="does not come from a URDF"):
         LinkShapes.of(load_problem(ROOT / "problems" / "ur5").problem.robot)
 
 
+@pytest.mark.long
 def test_the_command_line_looks_at_shapes(tmp_path, urdf, capsys):
     folder = tmp_path / "cell"
     folder.mkdir()

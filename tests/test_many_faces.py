@@ -36,9 +36,8 @@ from casacal.least_squares.groups import Groups
 from casacal.least_squares.information import determined
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.leverage import leverages
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.figures import leverages, noise_interval
+from casacal.uncertainty.prior_moves import prior_scatter
 
 
 @pytest.fixture(scope="module")
@@ -193,6 +192,7 @@ def test_labels_that_share_a_plane_stay_together(hsr, samples):
     np.testing.assert_allclose(one.x / apart.start_std, other.x / whole.start_std, atol=1e-8 * longest)
 
 
+@pytest.mark.long
 def test_ipopt_agrees_and_the_verdict_is_one_of_calibrated(hsr, more, tmp_path):
     made = calibrate(hsr.problem, more, method="lm")
     assert made.fit.groups is not None
@@ -226,6 +226,7 @@ def test_the_references_hessian_is_that_of_its_gradient(pair):
         np.testing.assert_allclose(found[:, j], slope, atol=1e-5 * np.abs(slope).max())
 
 
+@pytest.mark.long
 def test_the_data_check_finds_its_causes_among_many_faces(hsr, monkeypatch):
     """Among six, taken for many: each of some hundred faults is tried with all of them."""
     monkeypatch.setattr(sums, "MANY", 5)
@@ -271,6 +272,7 @@ print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells how much a program held at most")
 def test_hundreds_of_faces_take_no_large_matrix():
     """One matrix of 1,950 unknowns takes 30 MB, and a calibration would hold about ten."""
@@ -279,6 +281,7 @@ def test_hundreds_of_faces_take_no_large_matrix():
     assert int(done.stdout) < 300_000
 
 
+@pytest.mark.long
 def test_dozens_of_faces_and_the_effects_of_any_arm():
     """60 faces have 204 unknowns, their forms 360 more: these decide nothing of how many there are."""
     source = load_problem(ROOT / "problems" / "hsr_jr680")

@@ -7,11 +7,11 @@ import pytest
 from instruments_on_ur5 import ROBOT, TOOL, flanges
 
 from casacal import Disturbances, Problem, ProblemError, TrackedPoint, bind, calibrate, lm, simulate, tool_point
-from casacal.discrepancy import Backlash, MeasuredGive
+from casacal.discrepancy import Backlash, TorqueCompliance
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 NAMES = tuple(f"torque{j}_Nm" for j in range(1, 7))
-effect = MeasuredGive(columns_of=NAMES)
+effect = TorqueCompliance(columns_of=NAMES)
 problem = Problem(ROBOT, TrackedPoint(noise_std=0.02, tool=tool_point(*TOOL, prior_std=1.0)), effects=(effect,))
 
 
@@ -56,8 +56,8 @@ def test_torques_that_are_absent_are_asked_for(loaded):
     ):
         with pytest.raises(ProblemError, match=said):
             bind(problem, dataclasses.replace(loaded, extra=extra))
-    with pytest.raises(ProblemError, match="2 columns of torques came for 6 joints"):
-        bind(problem.with_effects(MeasuredGive(columns_of=NAMES[:2])), loaded)
+    with pytest.raises(ProblemError, match="Got 2 columns of torques for 6 joints"):
+        bind(problem.with_effects(TorqueCompliance(columns_of=NAMES[:2])), loaded)
 
 
 CAME = tuple(f"came{j}" for j in range(1, 7))
@@ -97,5 +97,5 @@ def test_ways_of_approach_that_are_none_are_named(approached):
             bind(told, dataclasses.replace(samples, extra={**samples.extra, "came2": column}))
     with pytest.raises(ProblemError, match="no column 'came1' of ways of approach"):
         bind(told, dataclasses.replace(samples, extra={}))
-    with pytest.raises(ProblemError, match="1 columns of ways of approach came for 6 joints"):
+    with pytest.raises(ProblemError, match="Got 1 columns of ways of approach for 6 joints"):
         bind(Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME[:1]),)), samples)

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
 from casacal.estimators.sckf import Belief
-from casacal.measuring.tip_error import error_below, expected_error, spectrum
+from casacal.measuring.belief import error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
 from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
@@ -159,6 +159,7 @@ def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
     assert session.correct(named).alarm is None
 
 
+@pytest.mark.long
 def test_what_is_right_is_left_alone(hsr, route):
     """Five arms, fifty touches each, faces elsewhere than planned: below one of a hundred is doubted."""
     doubts = 0
@@ -206,7 +207,7 @@ def test_a_plunger_along_a_face_touches_nothing(hsr, route, late):
     """At zero joint values the plunger points down, along both walls."""
     for session in (late, Session(hsr.problem, route)):
         for face in ("wall", "side"):
-            with pytest.raises(CasacalError, match=f"lies along '{face}'"):
+            with pytest.raises(CasacalError, match=f"parallel to '{face}'"):
                 session.take(np.zeros(6), 3.2, face)
         assert session.take(np.zeros(6), 3.2, "floor").alarm.touch == len(session)
 
@@ -223,17 +224,17 @@ def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
         (lambda: late.correct(), "No touch is in doubt"),
         (lambda: late.take(joints[:5], reading, face), r"shape \(5,\)"),
         (lambda: late.take(joints * np.nan, reading, face), "not finite"),
-        (lambda: late.take(joints * 1000, reading, face), "no robot has"),
-        (lambda: late.take(joints, None, face), "Nothing came as the reading"),
-        (lambda: late.take(joints, "3.2", face), "A str came as the reading"),
+        (lambda: late.take(joints * 1000, reading, face), "no robot can take"),
+        (lambda: late.take(joints, None, face), "Got nothing as the reading"),
+        (lambda: late.take(joints, "3.2", face), "Got a str as the reading"),
         (lambda: late.take(joints, {"way": 3.2}, face), "'way'"),
         (lambda: late.take(joints, reading, "flor"), "Did you mean 'floor'"),
-        (lambda: late.take(joints, reading), "without its plane"),
+        (lambda: late.take(joints, reading), "has no plane"),
         (lambda: late.take(joints, reading, face, number=51), "the plan has 1 to 50"),
         (lambda: late.undo(40), "no touch 40"),
         (lambda: Session(hsr.problem).undo(), "no touch to take back"),
-        (lambda: Session("arm"), "came as the problem"),
-        (lambda: Session(hsr.problem, "plan.csv"), "came as the plan"),
+        (lambda: Session("arm"), "as the problem"),
+        (lambda: Session(hsr.problem, "plan.csv"), "as the plan"),
         (lambda: Session(hsr.problem, tolerance=-1.0), "as the tolerance"),
     ):
         with pytest.raises(CasacalError, match=words):
@@ -260,6 +261,7 @@ def test_a_touch_may_be_left_out(hsr, route):
     assert session.next().number == 1
 
 
+@pytest.mark.long
 def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     route = plan(hsr.problem, hsr.cell, touches=24, pool=400, starts=1, check=0.0, again=0.0)
     world = World(hsr.problem, route, seed=1)
@@ -289,6 +291,7 @@ def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
     assert session.tip_error_below < before
 
 
+@pytest.mark.long
 def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
     from dataclasses import replace
 
@@ -297,6 +300,7 @@ def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
     assert replace(late, tolerance=1.1 * late.tip_error_below).done
 
 
+@pytest.mark.long
 def test_faces_of_few_touches_do_not_spoil_a_session():
     """A UR5 errs by three millimetres, and a face begins with three touches near one another: nothing is doubted."""
     source = load_problem(UR5)
@@ -313,6 +317,7 @@ def test_faces_of_few_touches_do_not_spoil_a_session():
     assert doubts <= 4, "one of a hundred"
 
 
+@pytest.mark.long
 def test_faces_that_nobody_planned_move_to_where_they_are():
     """Four touches of an arm that errs by millimetres place a face badly; that is no knowledge to go by."""
     source = load_problem(UR5)

@@ -25,6 +25,7 @@ def trials():
     return {name: np.array([row[name] for row in rows + more if name in row], dtype=float) for name in METHODS}
 
 
+@pytest.mark.long
 def test_all_seeds_converge(trials):
     for rows in trials.values():
         assert rows[:, CONVERGED].all()

@@ -92,6 +92,7 @@ def test_parallel_axes_are_found(place, capsys):
     assert sum(u.size for u in load_problem("mine").problem.robot.parameters.values()) == 24
 
 
+@pytest.mark.long
 def test_what_is_made_simulates_checks_calibrates_and_predicts(place, capsys):
     assert main(["new", "mine", "--dh", "puma.toml"]) == 0
     assert main(["simulate", "mine", "--out", "out/mine.csv", "--seed", "2"]) == 0

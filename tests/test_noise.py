@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import CasacalError, LeastSquares, Problem, bind, calibrate, huber, lm, simulate
-from casacal.calibration.next_step import next_step
+from casacal.calibration.brief import next_step
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
@@ -18,8 +18,7 @@ from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
-from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.leverage import effective_unknowns, leverages
+from casacal.uncertainty.figures import effective_unknowns, leverages, noise_interval
 from casacal.uncertainty.noise import found_noise
 
 HSR = ROOT / "problems" / "hsr_jr680"
@@ -126,6 +125,7 @@ def test_less_noise_than_stated_is_not_believed(hsr, corner_simulation):
     np.testing.assert_array_equal(found.fit.block.noise, found.fit.with_noise({}).block.noise)
 
 
+@pytest.mark.long
 def test_stated_noise_is_trusted_where_that_is_asked(hsr, capsys, tmp_path):
     samples = touched(hsr, 4, repeatability=0.05)
     trusted = calibrate(hsr.problem, samples, reference=False, noise="stated", discrepancy="none")
@@ -217,6 +217,7 @@ def repeated(hsr, seed, *, times, shared, own):
     return simulation, dataclasses.replace(touches, columns=columns, lines=tuple(range(2, 2 + len(rows))))
 
 
+@pytest.mark.long
 def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
     """As much is known as from one touch of each posture with the noise of a mean, which a fit of these says."""
     found, told = [], []
@@ -232,7 +233,7 @@ def test_repeats_tell_pure_error_and_count_as_little_more_than_one_touch(hsr):
         told.append(calibration.tip_std[1] / once.tip_std[1])
         verdict = verdict_of(calibration)
         assert verdict.level == "use with care"
-        assert any("repeated, at 120 places" in reason for reason in verdict.reasons)
+        assert any("Repeated touches at 120 places" in reason for reason in verdict.reasons)
     np.testing.assert_allclose(np.mean(found, axis=0), [1.0, 0.9, math.sqrt(10)], rtol=0.05)
     assert np.mean(told) == pytest.approx(1.0, rel=0.03)
 
@@ -264,7 +265,7 @@ def test_copied_rows_count_once(hsr, corner_simulation, rows):
     assert verdict.level == "use with care"
     if len(rows) == 124:
         assert "(lines 122, 123, 124, 125)" in reason
-        assert next_step(often, verdict).startswith("settle the doubt: remove the copies")
+        assert next_step(often, verdict).startswith("remove the copies")
         assert "124 samples of" in summary(often, "")
         assert "120 fitted, none held out, 4 copies left out" in summary(often, "")
 
@@ -317,6 +318,7 @@ def test_a_face_of_its_own_noise_is_told_from_an_arm_that_errs_smoothly(hsr):
     assert named[1] == {""}
 
 
+@pytest.mark.long
 def test_moves_against_priors_are_as_large_as_these_allow(hsr):
     """Over drawn arms their root mean square is one, and chances are uniform; of others it says how far they are."""
     found = [calibrate(hsr.problem, simulate(hsr.problem, hsr.cell, seed=seed).samples, method="lm", reference=False)

@@ -19,8 +19,7 @@ from hears_signals import hears_signals
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
 from casacal.cli.main import main
-from casacal.file_sets import PREFIX, side_by_side, together
-from casacal.files import mark_of_this_run, write_text
+from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 KILLS = int(os.environ.get("CASACAL_KILLS", "2"))
@@ -60,6 +59,7 @@ def stop(process, number):
     raise AssertionError("it does not end")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("kind", ["SIGINT", "SIGKILL", "SIGTERM"])
 def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
@@ -161,6 +161,7 @@ def test_a_run_that_is_turned_away_leaves_the_others_folder_alone(tmp_path, monk
     assert (made / "theirs").read_text() == "theirs"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")
 def test_two_runs_on_one_folder_meet_a_sentence(tmp_path, capsys):
     with together(tmp_path, ["a"]):

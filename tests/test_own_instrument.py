@@ -68,6 +68,7 @@ def test_without_noise_the_truth_is_exact(place):
     assert ((simulated.samples.joints >= lower) & (simulated.samples.joints <= upper)).all()
 
 
+@pytest.mark.long_unless("held-lm")
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_calibrates_and_reports(place, samples, method, tmp_path, capsys):
     code = main(["calibrate", str(place), str(samples), "--method", method, "--holdout", "0.2", "--out", str(tmp_path)])
@@ -153,6 +154,7 @@ def test_a_drawing_that_fits_is_no_calibration(tmp_path):
     assert "tip error" not in verdict.words
 
 
+@pytest.mark.long
 def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsys):
     names = "alpha,a,d,theta,plane"
     for method in METHODS:
@@ -171,6 +173,7 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
     capsys.readouterr()
 
 
+@pytest.mark.long
 def test_planes_may_be_held_where_they_are_proposed(hsr, capsys):
     held = calibrate(hsr.problem.fix("plane"), hsr.problem.read(hsr.samples), method="lm")
     assert held.bare.unknowns == 24
@@ -200,7 +203,7 @@ def test_samples_of_one_are_refused_for_two_instruments_in_a_sentence(hsr, corne
 
     both = Problem(hsr.problem.robot, hsr.problem.instrument, TrackedPoint(noise_std=0.1))
     for call, said in (
-        (lambda: calibrate(both, corner_simulation.samples), "came as samples of 2 instruments"),
+        (lambda: calibrate(both, corner_simulation.samples), "as samples of 2 instruments"),
         (lambda: check(both, corner_simulation.samples), "not those of the problem's instruments"),
         (lambda: simulate(both, samples=6).samples, "measured by 2 instruments"),
     ):
@@ -262,6 +265,7 @@ def test_a_problem_file_may_load_another_one(tmp_path):
     assert load_problem(outer).problem == load_problem(inner).problem.fix("post")
 
 
+@pytest.mark.long
 def test_unknowns_of_the_smallest_instrument_can_be_held_and_given_priors(tmp_path, capsys):
     place = written(tmp_path, "wire")
     source = load_problem(place)
@@ -287,12 +291,12 @@ def bind_count(problem):
         (('column_stds = {"wire"', 'column_stds = {"wires"'), "names 'wires', which is no column"),
         (('columns = {"wire": "length"}', 'columns = ["wire"]'), "columns of DrawWire is a list"),
         (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
-        (("**ARM), DrawWire())", "**ARM), DrawWire)"), "DrawWire came as a class"),
-        (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "A list came as an instrument"),
+        (("**ARM), DrawWire())", "**ARM), DrawWire)"), "Got the class DrawWire"),
+        (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "Got a list as an instrument"),
         ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),
-            "as a Problem: a str stands there",
+            "as a Problem, but a str",
         ),
     ],
 )

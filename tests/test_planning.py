@@ -14,8 +14,7 @@ from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.plan import plan, touches_for
-from casacal.planning.route import AGAIN, CHECK, FIT
-from casacal.planning.way import length_of, shortest_way
+from casacal.planning.route import AGAIN, CHECK, FIT, length_of, shortest_way
 from casacal.planning.written import plan_text
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
 from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
@@ -63,6 +62,7 @@ def test_no_measurement_is_planned_twice():
     assert 4 in found.rows
 
 
+@pytest.mark.long
 def test_forty_planned_touches_do_what_a_hundred_and_twenty_random_ones_do(hsr, forty):
     """Reference: 40 planned 0.520, 120 random 0.545, 40 random 1.00 mm (another pool, another tool)."""
     bound = bind(hsr.problem, forty.samples)
@@ -205,10 +205,10 @@ def test_so_many_touches_as_a_tolerance_takes(hsr):
         ({"starts": 0}, "as the starts"),
         ({"check": 1.0}, "as the part 'check'"),
         ({"again": -0.1}, "as the part 'again'"),
-        ({"check": 0.6, "again": 0.39}, "fewer than three are fitted"),
-        ({"targets": [[1.0, 2.0]]}, "Targets came with the shape"),
+        ({"check": 0.6, "again": 0.39}, "Fewer than three of"),
+        ({"targets": [[1.0, 2.0]]}, "Targets have the shape"),
         ({"box": ((0, 1), (0, 1), (5, 4))}, "is empty"),
-        ({"box": ((0, 1), (0, 1), (4, 5)), "targets": [[0.0] * 6]}, "A box and targets came"),
+        ({"box": ((0, 1), (0, 1), (4, 5)), "targets": [[0.0] * 6]}, "Got a box and targets"),
     ],
 )
 def test_what_makes_no_plan_is_said(hsr, given, said):

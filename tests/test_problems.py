@@ -104,6 +104,7 @@ def test_other_priors_share_what_was_compiled_and_nothing_else(hsr):
 EXAMPLES = sorted(path.parent for path in (ROOT / "problems" / "instruments").glob("*/problem.py"))
 
 
+@pytest.mark.long_unless("tracker")
 @pytest.mark.parametrize("folder", EXAMPLES, ids=lambda folder: folder.name)
 def test_every_instrument_has_an_example_that_is_as_its_page_says(folder, tmp_path):
     page = (folder.parent / "README.md").read_text(encoding="utf-8")
@@ -145,4 +146,4 @@ def test_a_tracker_whose_sessions_nobody_wrote_down_is_warned_of():
         found = check(source.problem, Samples.from_frame(pd.DataFrame({**joints, **columns, **session}), layout))
         assert ("labels absent" in [finding.about for finding in found]) is named
     said = next(finding for finding in found if finding.about == "labels absent")
-    assert "there is no column 'session', by which 'station' is declared to differ" in said.cause
+    assert "there is no column 'session', which 'station' is declared to depend on" in said.cause

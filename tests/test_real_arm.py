@@ -102,6 +102,7 @@ def test_the_referee_who_knows_poses_alone_agrees(motoman, motoman_data, contact
     assert one == pytest.approx(tracker_rms(arm_of(motoman, found), motoman_data / SETS[0]), rel=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("discrepancy", ["none", "kit"])
 def test_the_stated_noise_does_not_decide_how_much_better(motoman, motoman_data, contacts, discrepancy):
     """The contacts show what they err by; the tracker sees the same arm whatever was stated."""
@@ -130,6 +131,7 @@ def test_a_prior_of_any_arm_with_a_tenth_of_the_noise_is_refused(motoman, motoma
     assert "tip error" not in verdict.words
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise_std", [0.01, 0.45])
 def test_a_prior_of_any_arm_does_not_ruin_it_where_effects_are_known(motoman, motoman_data, contacts, noise_std):
     found, ratios = as_used(motoman, motoman_data, contacts, ANY_ARM, noise_std)
@@ -137,6 +139,7 @@ def test_a_prior_of_any_arm_does_not_ruin_it_where_effects_are_known(motoman, mo
     assert found.corrected == ()  # sag, told by faces but not by regions of postures
 
 
+@pytest.mark.long
 def test_rows_that_err_together_hide_no_gross_row(motoman, contacts):
     """The two that every look from outside finds: geometry alone, under its tight prior, hides one of them."""
     alone, found = (
@@ -152,6 +155,7 @@ def arm_of(motoman, found):
     return moved(motoman.robot, found.result)
 
 
+@pytest.mark.long
 def test_half_of_the_contacts_or_other_plates_do_not_harm_either(motoman, motoman_data, contacts):
     # poses and plates the default was not judged on: each half, and each plate left out
     labels = np.array(contacts.labels["plane"])

@@ -66,6 +66,7 @@ def opened(browser, report, request):
     return browser, WIDTHS[request.param]
 
 
+@pytest.mark.long
 def test_nothing_is_fetched_and_nothing_complained_of(opened, report):
     browser, _ = opened
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
@@ -102,6 +103,7 @@ def test_pictures_are_legible_and_hold_all_they_draw(opened):
     assert outside == []
 
 
+@pytest.mark.long
 def test_texts_stand_out_from_the_page(opened):
     """Contrast of every text with what is behind it, as WCAG 2 defines it."""
     browser, _ = opened
@@ -139,6 +141,7 @@ def printed(browser, report):
     raise failed[-1]
 
 
+@pytest.mark.long
 def test_it_prints(browser, report):
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})  # paper, not the screen of the test before
     pdf = printed(browser, report)

@@ -115,6 +115,7 @@ def test_a_line_that_is_no_operation_is_refused(line):
         graph_from(data)
 
 
+@pytest.mark.long_unless("adept_cobra600")
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "adept_cobra600"])
 def test_a_result_predicts_compensates_and_exports_from_anywhere(name, tmp_path, monkeypatch):
     shutil.copytree(ROOT / "problems" / name, tmp_path / "project" / name)
@@ -339,6 +340,7 @@ def mutated(document, rng):
     return changed
 
 
+@pytest.mark.long
 def test_a_damaged_result_is_refused_in_a_sentence(made, tmp_path):
     """Whatever one changes: an answer or a sentence, in all that is asked of a result."""
     document = json.loads((made / "dh" / "out" / "result.json").read_text())

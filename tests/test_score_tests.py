@@ -268,6 +268,7 @@ def test_joints_that_do_not_repeat(hsr):
     assert test.tip_mm / test.size == pytest.approx(math.sqrt(squares) / 1e-6, rel=2e-3)
 
 
+@pytest.mark.long
 def test_repeats_and_declared_errors():
     """Places that are touched three times are tested; what a dial declares is not."""
     source = load_problem(ROOT / "problems" / "hsr_jr680")
@@ -297,7 +298,7 @@ def test_a_calibration_says_it(hsr, tmp_path):
     assert listed[0]["shown"] == "yes"
     assert {each["expected_size"] for each in listed if each["key"] == "neighbours"} == {None}
     assert json.dumps(listed, allow_nan=False)
-    told = summary(found, "hsr").split("What arm and cell may do beside their geometry")[1]
+    told = summary(found, "hsr").split("Errors beside the geometry")[1]
     assert "drift" in told.splitlines()[2]
     found.report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -40,10 +40,9 @@ from casacal.compensation.seen_by import seen_by
 from casacal.errors import UnknownNameError
 from casacal.export.remark import remark
 from casacal.problem.as_data import problem_data, problem_from
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.priors import prior_tip_rms, scaled_to_accuracy
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.learned_priors import prior_tip_rms, scaled_to_accuracy
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 SOURCE = "from three_instruments import problem, CELL\n\ncell = CELL\n"
 
@@ -104,6 +103,7 @@ def test_all_instruments_together_are_the_sum_of_each(simulated):
     np.testing.assert_allclose(slopes.T @ e, gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
 
 
+@pytest.mark.long
 def test_the_minimum_is_that_of_ipopt(simulated, found):
     bound = bind(problem, simulated.measured)
     mine, theirs = lm(bound), ipopt(bound)
@@ -114,6 +114,7 @@ def test_the_minimum_is_that_of_ipopt(simulated, found):
     assert abs(found.reference.relative_gap) < 1e-8, "with effects beside the geometry, too"
 
 
+@pytest.mark.long
 def test_the_truth_is_recovered_and_covariances_are_right():
     """Over 40 arms: normalised errors, and tip errors against their Bayesian bound."""
     total, freedom, ratios = 0.0, 0, []
@@ -152,6 +153,7 @@ def test_instruments_measure_one_arm_with_noise_of_their_own(simulated):
     assert 20 < np.linalg.norm(far, axis=1).min() < 60, "the reflector is beside the tip"
 
 
+@pytest.mark.long
 def test_one_command_from_samples_to_a_verified_arm(tmp_path, capsys):
     place, out = tmp_path / "cell", tmp_path / "out"
     place.mkdir()
@@ -211,7 +213,7 @@ def test_samples_by_name_on_the_command_line(tmp_path, capsys):
     assert json.loads(out[out.index("{") :])["data"]["samples"] == 90
     for words, said in (
         ([], "There are no samples of the dial"),
-        ([str(tmp_path / "x-dial.csv")], "One file came for 3 instruments"),
+        ([str(tmp_path / "x-dial.csv")], "Got one file for 3 instruments"),
         (files[:4], "There are no samples of the spike"),
         ([*files, "--samples", "lamp=x.csv"], "There is no instrument named 'lamp'"),
         ([*files, "--samples", "dial=x.csv"], "--samples gives 'dial' twice"),
@@ -226,6 +228,7 @@ def test_samples_by_name_on_the_command_line(tmp_path, capsys):
         assert not (tmp_path / "y-dial.csv").exists()
 
 
+@pytest.mark.long
 def test_a_result_reads_back_and_its_parts_say_the_same(found, tmp_path):
     found.save(tmp_path / "out")
     back = load(tmp_path / "out")
@@ -267,6 +270,7 @@ def test_an_instrument_left_out_is_predicted_by_the_others(found):
     assert left.predicted_mm > 5 * 0.03
 
 
+@pytest.mark.long
 def test_what_is_wrong_with_one_instrument_is_said_of_it(simulated):
     """Metres, a mirrored frame, a wrong sign, a mislabelled place: named, with the instrument."""
     clean = check(problem, simulated.measured)
@@ -287,18 +291,20 @@ def test_what_is_wrong_with_one_instrument_is_said_of_it(simulated):
         assert verdict_of(calibrate(problem, samples, reference=False)).level == "do not use"
 
 
+@pytest.mark.long
 def test_instruments_that_contradict_one_another_are_named():
     """The spike is touched by a tip 4 mm longer than the dial's, and both are declared as one."""
     longer = tool_point(0, 0, 104, prior_std=0.5)
     true = Problem(problem.robot, {**INSTRUMENTS, "spike": FixedPoint(noise_std=0.03, tool=longer)})
     samples = simulate(true, CELL, samples=COUNTS, seed=3).measured
     errors = [finding for finding in check(problem, samples) if finding.severity == "error"]
-    assert [each.about for each in errors] == ["instruments contradict one another"]
+    assert [each.about for each in errors] == ["instruments contradict each other"]
     assert "'tool' is declared as the same for dial and spike" in errors[0].cause
     assert verdict_of(calibrate(problem, samples, reference=False)).level != "calibrated"
     assert all(each.severity != "error" for each in check(true, samples))
 
 
+@pytest.mark.long
 def test_a_gross_row_is_set_aside_and_named_by_its_instrument(simulated, tmp_path):
     spike = simulated.measured.sets[2]
     joints = spike.joints.copy()
@@ -340,27 +346,27 @@ def test_what_cannot_be_is_said_in_a_sentence(simulated):
     robot = problem.robot
     for make, said in (
         (lambda: Problem(robot, {"the dial": dial}), "An instrument is called 'the dial'"),
-        (lambda: Problem(robot, {"dial": 5}), "came as an instrument"),
+        (lambda: Problem(robot, {"dial": 5}), "as an instrument"),
         (lambda: Problem(robot, {}), "has no instrument"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": ("dial", "tracker")}), "declared in different ways"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": ("dial", "lamp")}), "named 'lamp'"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"tool": "dial"}), "shared by 'dial'"),
         (lambda: Problem(robot, INSTRUMENTS, shared={"lens": ("dial", "spike")}), "no unknown 'lens' to share"),
-        (lambda: Problem(robot, INSTRUMENTS, shared=("tool",)), "came as what instruments share"),
+        (lambda: Problem(robot, INSTRUMENTS, shared=("tool",)), "as what instruments share"),
         (lambda: problem.measured_by("lamp"), "named 'lamp'"),
         (lambda: problem.instrument, "measured by 3 instruments"),
-        (lambda: calibrate(problem, simulated.measured.sets[0]), "came as samples of 3 instruments"),
+        (lambda: calibrate(problem, simulated.measured.sets[0]), "as samples of 3 instruments"),
         (
             lambda: calibrate(problem, {"dial": simulated.measured.sets[0]}),
             "No samples came of the instrument 'tracker'",
         ),
         (lambda: calibrate(problem, {"lamp": 3}), "no instrument is called that"),
-        (lambda: calibrate(problem), "came as samples of 3 instruments"),
+        (lambda: calibrate(problem), "as samples of 3 instruments"),
         (lambda: check(problem, simulated.measured.sets[0]), "not those of the problem's instruments"),
         (lambda: simulate(problem, samples={"dial": 5}), "How many samples of the tracker"),
         (lambda: simulate(problem, samples={"lamp": 5}), "named 'lamp'"),
         (lambda: simulate(problem, dataclasses.replace(CELL, compliance=1.0)), "The cell has compliance"),
-        (lambda: bind(problem, *simulated.measured.sets[:2]), "2 sets of samples came for 3 instruments"),
+        (lambda: bind(problem, *simulated.measured.sets[:2]), "Got 2 sets of samples for 3 instruments"),
         (lambda: Problem(robot, dial, tracker).fix("tool_x"), "tool_x"),
     ):
         with pytest.raises((CasacalError, ProblemError, SimulationError)) as error:
@@ -428,6 +434,7 @@ def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):
     assert prior_tip_rms(narrow) == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_threads_share_a_problem_and_find_the_same(simulated):
     with ThreadPoolExecutor(4) as pool:
         jobs = [pool.submit(calibrate, problem, simulated.measured, reference=False) for _ in range(8)]
@@ -448,6 +455,7 @@ def test_the_arm_of_several_is_that_of_one_where_the_others_say_nothing():
     np.testing.assert_allclose(tips[0], tips[1], atol=1e-4)
 
 
+@pytest.mark.long
 def test_whose_noise_is_too_small_is_said(simulated):
     """The tracker stated ten times too good: it alone is named, with its own factor."""
     bold = dict(INSTRUMENTS, tracker=TrackedPoint(noise_std=0.003, tool=INSTRUMENTS["tracker"].tool))

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, load_problem, simulate
 from casacal.cli.main import main
 from casacal.errors import SimulationError
-from casacal.simulation.face_form import form_error
+from casacal.simulation.faults import form_error
 
 WAVES = {1: 1e-4, 2: 5e-5, 100: 2e-5}
 
@@ -295,7 +295,7 @@ def test_a_face_of_short_reach_lifts_neighbours_apart(hsr):
         ({"repeats": 0}, "0 times"),
         ({"repeats": 1.5}, "1.5 times"),
         ({"approach": "left"}, "'left'"),
-        ({"gear_waves": 3}, "gear waves"),
+        ({"gear_waves": 3}, "gear_waves"),
         ({"gear_waves": {1.5: 1e-4}}, "order 1.5"),
         ({"gear_waves": {1: -1e-4}}, "amplitude"),
         ({"gear_waves": {100: 0.01}}, "below 0.005"),

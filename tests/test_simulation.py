@@ -10,7 +10,7 @@ from oracles import dh_chain
 from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
 from casacal.errors import SimulationError
 from casacal.problem.cell import flatness_din_876
-from casacal.simulation.face_form import form_error
+from casacal.simulation.faults import form_error
 from casacal.simulation.places import default_cell
 
 

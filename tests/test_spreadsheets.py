@@ -12,8 +12,7 @@ from casacal.cli.main import main
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.text import joined_tables
-from casacal.tables.text import read_table
+from casacal.tables.text import joined_tables, read_table
 from casacal.tables.workbooks import read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
@@ -47,7 +46,7 @@ def test_a_workbook_is_read_like_the_csv_file_it_would_be_saved_as(tmp_path):
         ([HEADER], "no line of data"),
         ([HEADER, [1, 2, "=1+", "left", ""]], "line 2, column 'reading_mm'"),
         ([HEADER, [1, 2, None, "left", ""]], "the cell is empty"),
-        ([HEADER, [1, 2, 3, "left", "", "", 7]], "line 2: a cell stands where the header has no name"),
+        ([HEADER, [1, 2, 3, "left", "", "", 7]], "line 2: a cell has no name in the header"),
         ([["q1_deg", "q1_deg"], [1, 2]], "twice"),
     ],
 )
@@ -180,6 +179,7 @@ def test_poses_and_readings_that_do_not_match_are_refused(tmp_path, change, word
         joined_tables(*tables(tmp_path, **change))
 
 
+@pytest.mark.long
 def test_the_command_line_takes_both(hsr, tmp_path, capsys):
     text = hsr.samples.read_text().splitlines()[1:]
     cells = [line.split(",") for line in text]

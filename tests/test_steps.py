@@ -15,9 +15,8 @@ from test_kernels import BACKENDS, HAS_COMPILER, bounds
 from casacal import BoundProblem, DialOnPlane, Problem, Samples, TrackedPoint, bind, ekf, lm, sckf
 from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update
-from casacal.kernels.block_filter import BlockCubature
-from casacal.kernels.native_filter import NativeCubature
-from casacal.kernels.native_normal import NativeNormal
+from casacal.kernels.filter_passes import BlockCubature, NativeCubature
+from casacal.kernels.native_rows import NativeNormal
 from casacal.least_squares import information
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.restricted import Restricted
@@ -161,6 +160,7 @@ def test_all_filters_take_the_step_of_the_plain_filter_on_linear_rows(backend):
         np.testing.assert_allclose(result.covariance, covariance, rtol=0, atol=1e-13)
 
 
+@pytest.mark.long_unless("hsr-c")
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", ["hsr", "scara"])
 def test_the_downdate_in_passes_is_the_triangularisation(name, backend, monkeypatch):
@@ -181,8 +181,7 @@ def test_a_fused_filter_hands_over_the_rows_that_would_lose_digits(hsr, backend,
     rows = hsr.problem.read(hsr.samples)
     expected = sckf(bind(hsr.problem, rows, backend=backend))
     # as if much more of a variance had to remain: the first rows of each face then need the full triangularisation
-    for module in ("native_filter", "block_filter"):
-        monkeypatch.setattr(f"casacal.kernels.{module}.LEAST_LEFT", 0.2)
+    monkeypatch.setattr("casacal.kernels.filter_passes.LEAST_LEFT", 0.2)
     bound = bind(hsr.problem, rows, backend=backend)
     assert bound.filter_pass(0, np.zeros(bound.unknowns), np.eye(bound.unknowns)).stop < bound.rows
     mixed = sckf(bound)

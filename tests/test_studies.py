@@ -30,6 +30,7 @@ def file(request, monkeypatch):
     return request.param
 
 
+@pytest.mark.long_unless("what_sizes_mean")
 def test_a_study_runs_and_reports(file, tmp_path, capsys):
     few = "1" if file.stem == "real_arm_effects" else "2"  # five hundred contacts, and the whole check of each fit
     trials = ["--trials", few] if load_study(file).study is not None else []
@@ -47,6 +48,7 @@ def test_a_study_runs_and_reports(file, tmp_path, capsys):
         assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.long_unless("what_sizes_mean")
 def test_a_study_is_committed_with_the_report_that_its_records_make(file, tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", lambda *given, **options: None)  # the words alone are compared
     folder = ROOT / "studies" / file.stem
@@ -67,6 +69,7 @@ def _methods_that_never_answer(folder):
     return {record["method"] for record in records} - answered
 
 
+@pytest.mark.long
 def test_a_study_runs_as_a_module(tmp_path):
     command = [sys.executable, "-m", "studies.as_printed", "--quick", "--out", str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -21,8 +21,8 @@ from casacal.cli.main import main
 from casacal.errors import StudyError
 from casacal.study.records import appending, merged, read_records, records_digest, to_line
 from casacal.study.runs import RECORDS, merge, open_run, run
-from casacal.study.task import Task
 from casacal.study.tasks import perform
+from casacal.study.trial import Task
 
 TINY = ROOT / "tests" / "tiny_study.py"
 
@@ -82,6 +82,7 @@ def test_an_estimate_that_is_none_is_a_failure(estimate, said):
     assert said in record["error"]
 
 
+@pytest.mark.long
 def test_two_workers_make_the_same_records(serial, tmp_path):
     found = run(tiny_study.study, tmp_path, file=TINY, workers=2)
     assert found.digest == serial.digest
@@ -98,6 +99,7 @@ def test_three_shards_merged_make_the_same_records(serial, tmp_path):
     assert without_timings(tmp_path / "whole" / RECORDS) == without_timings(serial.out / RECORDS)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("default")  # the cluster's own, such as ports in use
 def test_a_cluster_of_two_workers_makes_the_same_records(serial, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
@@ -117,6 +119,7 @@ def test_no_scheduler_is_said(tmp_path, monkeypatch):
         run(tiny_study.study, tmp_path, file=TINY, scheduler="tcp://127.0.0.1:9")
 
 
+@pytest.mark.long
 def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_path):
     # slower trials, so that kills fall into the middle
     slow = tmp_path / "tiny_study.py"
@@ -140,6 +143,7 @@ def test_a_run_killed_again_and_again_ends_with_the_same_records(serial, tmp_pat
     assert open_run(tiny_study.study, tmp_path / "out").digest == serial.digest
 
 
+@pytest.mark.long
 def test_workers_end_with_the_process_that_is_killed(tmp_path):
     (tmp_path / "naps.py").write_text(
         "import os, sys, time\nfrom pathlib import Path\nfrom casacal.study.executors import in_processes\n"
@@ -407,9 +411,9 @@ def test_a_report_may_be_lines_or_one_text(tmp_path, returned, found):
     assert (tmp_path / "out" / "report.md").read_text().startswith(found)
 
 
-@pytest.mark.parametrize(("returned", "came"), [("None", "Nothing"), ("3", "An int")])
+@pytest.mark.parametrize(("returned", "came"), [("None", "nothing"), ("3", "an int")])
 def test_a_report_that_is_none_is_refused(tmp_path, capsys, returned, came):
     file = tmp_path / "told.py"
     file.write_text(f"def report(run):\n    return {returned}\n")
     assert main(["study", str(file), "--out", str(tmp_path / "out")]) == 2
-    assert f"{came} came from report(run)" in capsys.readouterr().err
+    assert f"Got {came} from report(run)" in capsys.readouterr().err

@@ -24,8 +24,8 @@ from casacal.errors import StudyError
 from casacal.study.records import LIMIT, merged, read_records, to_line
 from casacal.study.runs import RECORDS, open_run, run
 from casacal.study.study_file import load_study
-from casacal.study.task import Task
 from casacal.study.tasks import perform
+from casacal.study.trial import Task
 
 HOSTILE = ROOT / "tests" / "hostile_study.py"
 ENDED = "Ended: the process of the trial "
@@ -58,6 +58,7 @@ def lone(method, **options):
     return Study("lone", {"one": tiny_study.Linear()}, {"m": method}, trials=1, **options)
 
 
+@pytest.mark.long
 def test_every_way_to_fail_is_a_record_and_the_others_go_on(calm, tmp_path):
     made = run(hostile_study.study, tmp_path / "two", file=HOSTILE, timeout=1.5, workers=2)
     assert {(r["method"], r["trial"]): r["error"] for r in made.records} == {
@@ -87,6 +88,7 @@ def test_in_one_process_nothing_is_left_of_what_a_method_did(calm, tmp_path, mon
     assert hostile_study.RUDE["appends"].options == {"steps": []}
 
 
+@pytest.mark.long
 def test_a_process_for_each_trial_makes_the_same_records(tmp_path):
     few = Study("tiny", tiny_study.study.settings, tiny_study.METHODS, trials=2, details=2)
     here = run(few, tmp_path / "here")
@@ -94,6 +96,7 @@ def test_a_process_for_each_trial_makes_the_same_records(tmp_path):
     assert [list(r) for r in read_records(tmp_path / "apart" / RECORDS)] == [list(r) for r in here.records]
 
 
+@pytest.mark.long
 def test_what_a_short_limit_ended_is_tried_again_with_a_longer_one(tmp_path, monkeypatch):
     slow = tmp_path / "slow_study.py"
     slow.write_text(
@@ -131,6 +134,7 @@ def test_what_had_more_time_stands(tmp_path):
         merged([[done, {**done, "error": "other"}]])
 
 
+@pytest.mark.long
 def test_a_trial_that_cannot_be_made_in_time_fails_every_method_at_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = tmp_path / "stuck_study.py"
@@ -151,6 +155,7 @@ def test_a_trial_that_cannot_be_made_in_time_fails_every_method_at_once(tmp_path
     assert (tmp_path / "tried").read_text() == "x"
 
 
+@pytest.mark.long
 def test_what_a_method_started_ends_with_it(tmp_path, monkeypatch):
     monkeypatch.setenv("NOTE", str(tmp_path / "pid"))
     made = run(lone(hostile_study.starts_others), tmp_path / "out", timeout=2)
@@ -158,6 +163,7 @@ def test_what_a_method_started_ends_with_it(tmp_path, monkeypatch):
     assert within(5, lambda: not alive(int((tmp_path / "pid").read_text())))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="signals of Unix")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_run_leaves_no_process_and_goes_on(tmp_path, how):

@@ -104,6 +104,7 @@ def nominal_jacobian(bound):
     return bound.compact_jacobian(bound.x0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_threads_share_a_problem(hsr, backend):
     """One problem that nothing was traced or compiled of yet, used by four threads in all ways at once."""
@@ -127,6 +128,7 @@ def test_threads_share_a_problem(hsr, backend):
     assert [k for k, (one, other) in enumerate(zip(alone, at_once, strict=True)) if one != other] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_five_hundred_calibrations_on_eight_threads(hsr, backend):
     problem = load_problem(hsr.path).problem

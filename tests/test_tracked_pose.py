@@ -33,7 +33,7 @@ from casacal.discrepancy import Drift
 from casacal.instruments.orientations import QUATERNION, Orientation
 from casacal.instruments.tracked_pose import chord
 from casacal.kinematics import position
-from casacal.unknowns.hand_eye import hand_eye
+from casacal.unknowns.fits import hand_eye
 
 problem = PROBLEMS["TrackedPose"]
 SIX = Frame(np.eye(4), prior_std=(1e-3, 1.0))
@@ -110,6 +110,7 @@ def test_hand_eye_says_when_postures_do_not_fix_it():
         bind(problem, dataclasses.replace(samples, joints=joints))
 
 
+@pytest.mark.long
 def test_the_minimum_is_that_of_ipopt_with_quaternions_of_either_sign(rows):
     bound = bind(problem, rows)
     mine, theirs = lm(bound), ipopt(bound)
@@ -155,6 +156,7 @@ def test_the_tip_is_where_the_body_was_found(rows, tmp_path):
     np.testing.assert_allclose(found.predict(reached.joints, frame="tip").positions, drawn, atol=2e-3)
 
 
+@pytest.mark.long
 def test_what_is_written_otherwise_is_named(rows):
     values = quaternions(rows)
     for wrong, about in (
@@ -201,7 +203,7 @@ def test_noise_may_stand_in_a_column(rows):
     bound = bind(stated, dataclasses.replace(rows, columns={**rows.columns, **stds}))
     np.testing.assert_allclose(bound.noise.reshape(-1, 6)[:, :3], stds["std_mm"][:, None] * np.ones(3))
     np.testing.assert_allclose(bound.noise.reshape(-1, 6)[:, 3:], 2e-4)
-    with pytest.raises(SimulationError, match="stands in a column"):
+    with pytest.raises(SimulationError, match="comes from a column"):
         simulate(stated, samples=5)
     for wrong in (0.0, -0.05, np.nan):
         stds["std_mm"] = np.where(np.arange(len(rows)) == 7, wrong, 0.05)
@@ -230,7 +232,7 @@ class Blocks(Instrument):
 def test_blocks_that_cannot_be_are_refused():
     for blocks, said in (
         ((ResidualBlock("far", 1, "mm", 0.1),), "The blocks of Blocks hold 1 residuals, and it has 2"),
-        ((ResidualBlock("far", 2, "mm", "std"),), "said to stand in the column 'std', which it does not read"),
+        ((ResidualBlock("far", 2, "mm", "std"),), "declared to be in the column 'std', which it does not read"),
     ):
         with pytest.raises(CasacalError, match=said):
             _ = Problem(ROBOT, Blocks(*blocks)).models
@@ -286,6 +288,7 @@ def test_effects_along_the_residual_are_of_its_unit(rows):
     assert np.abs(moved[:, 3:]).max() == 0.0
 
 
+@pytest.mark.long
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Shift(Drift):
     """The same for each component."""
@@ -330,6 +333,7 @@ def test_however_an_orientation_is_written_the_fit_is_the_same(rows, orientation
     np.testing.assert_allclose(one.x, two.x, atol=1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("orientation", ["rotation vector", "ZYX"])
 def test_rows_are_simulated_so_written(orientation):
     made = Problem(ROBOT, instrument(orientation))
@@ -338,6 +342,7 @@ def test_rows_are_simulated_so_written(orientation):
     assert verdict_of(found).level == "calibrated"
 
 
+@pytest.mark.long
 def test_a_turn_of_nothing_is_one(rows):
     for orientation in WAYS[:3]:
         names = Orientation(orientation).columns
@@ -348,6 +353,7 @@ def test_a_turn_of_nothing_is_one(rows):
         assert np.isfinite(bound.jacobian(bound.x0)).all()
 
 
+@pytest.mark.long_unless("xyz-<lambda>-order of the turns")
 @pytest.mark.parametrize(
     ("orientation", "spoiled", "about"),
     [

@@ -31,9 +31,8 @@ from casacal import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, without_rigid, workspace_joints
 
 DATA = Path(os.environ.get("CASACAL_DATA", Path(__file__).parent.parent.parent / "shared" / "data"))
 BALL = (0.0, 0.0, 354.0)
@@ -62,6 +61,7 @@ def test_joints_that_both_share_come_once():
     np.testing.assert_allclose(bound.poses(bound.x0, joints), wanted, atol=1e-9)
 
 
+@pytest.mark.long
 def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
     simulated = simulate(problem, Disturbances(resolution=0.0), samples=90, seed=2)
     assert all(finding.severity != "error" for finding in check(problem, simulated.samples))
@@ -77,6 +77,7 @@ def test_touches_of_two_arms_are_simulated_fitted_and_read_back(tmp_path):
     np.testing.assert_allclose(back.predict(joints).positions, found.predict(joints).positions, atol=1e-9)
 
 
+@pytest.mark.long
 def test_the_whole_way_of_touches_of_two_arms(tmp_path, capsys):
     """Simulate, check, calibrate, verify, report, by the command line."""
     place, out = tmp_path / "cell", tmp_path / "out"
@@ -92,6 +93,7 @@ def test_the_whole_way_of_touches_of_two_arms(tmp_path, capsys):
     assert main(["verify", str(out), str(tmp_path / "fresh.csv")]) == 0, capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_estimates_of_two_arms_reach_their_bound_and_know_it():
     joints = workspace_joints(problem.robot)
     ratios, total, freedom = [], 0.0, 0
@@ -111,7 +113,7 @@ def test_estimates_of_two_arms_reach_their_bound_and_know_it():
 
 def test_what_cannot_face_is_refused():
     for make, said in (
-        (lambda: facing(ROBOT, 5), "came as an arm"),
+        (lambda: facing(ROBOT, 5), "as an arm"),
         (lambda: facing(ROBOT, ROBOT, shared=7), "Two arms share 7 joints"),
         (lambda: facing(ROBOT, ROBOT, shared=-1), "Two arms share -1 joints"),
         (lambda: facing(facing(ROBOT, ROBOT), ROBOT), "begin with 'other_'"),
@@ -159,6 +161,7 @@ def test_self_contact_starts_where_its_authors_say(touches):
         assert np.sqrt((bound.plain_residual(bound.x0) ** 2).mean()) == pytest.approx(rms, abs=5e-6)
 
 
+@pytest.mark.long
 def test_self_contact_alone_is_denied_where_no_prior_holds_the_arm(touches):
     """It fits to 0.1 mm and ruins the arm: a tracker then reads 1.3 to 2.5 times what it reads of the drawn one."""
     problem = self_touching(length_std=0.7, angle_std=1e-3)

@@ -153,6 +153,7 @@ def test_a_robot_by_a_lambda_pickles_as_its_graph():
     np.testing.assert_allclose(two.jacobian(x), one.jacobian(x), rtol=0, atol=1e-9)
 
 
+@pytest.mark.long_unless("held")
 @pytest.mark.parametrize("name", SOURCES)
 def test_what_a_problem_file_defines_travels_to_a_process_that_never_saw_it(tmp_path, name):
     """Results there are those here, bit by bit; the file may be gone by then."""
@@ -216,6 +217,7 @@ def test_a_result_does_not_share_memory_with_what_made_it(hsr, found):
     assert np.abs(started.x).max() > 0
 
 
+@pytest.mark.long
 def test_types_hold_for_a_user_of_the_package(tmp_path):
     """py.typed: a user's strict mypy sees casacal's types; a wrong one is an error."""
     pytest.importorskip("mypy")
@@ -231,6 +233,7 @@ def test_types_hold_for_a_user_of_the_package(tmp_path):
     assert 'has type "int", variable has type "str"' in bad.stdout
 
 
+@pytest.mark.long
 def test_a_study_of_values_needs_no_file_for_its_workers(hsr, tmp_path):
     from casacal import Simulated, Study, StudyError
     from casacal.study import run

@@ -66,6 +66,7 @@ def test_each_controller_reads_the_same_frame(cornered):
         np.testing.assert_allclose(place[:3], matrix[:3, 3], atol=1e-3)
 
 
+@pytest.mark.long
 def test_its_spread_is_that_of_many_arms():
     """Origin and turn over 20 simulated arms, each base moved to where its own tips fit best, over what is promised."""
     source = load_problem(ROOT / "problems" / "hsr_jr680")
@@ -103,6 +104,7 @@ def test_three_points_make_a_frame():
     assert 0.05 < frame.origin_std < 2, "a spike alone says little of how large the arm is"
 
 
+@pytest.mark.long
 def test_work_on_a_table_is_in_the_table_s_frame():
     robot = load_problem(ROOT / "problems" / "ur5").problem.robot
     turning = facing(robot, turntable(-3, 3, point=(600, 0, 0)))
@@ -149,6 +151,7 @@ def all_alike(calibration, labels):
     return document
 
 
+@pytest.mark.long
 def test_the_command_line_writes_it(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["calibrate", str(ROOT / "problems" / "hsr_jr680"), "--out", str(out)]) == 0

@@ -20,6 +20,7 @@ def with_lost_zero(hsr, joint, degrees, seed=0, **changes):
     return dataclasses.replace(samples, joints=joints)
 
 
+@pytest.mark.long_unless("0.6")
 @pytest.mark.parametrize("degrees", [0.6, 1.0, -3.0, 10.0])
 def test_a_lost_zero_is_named_with_its_size_and_the_advice_mends_it(hsr, degrees):
     samples = with_lost_zero(hsr, 3, degrees)

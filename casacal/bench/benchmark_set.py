@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casacal.bench.stated_split import checked_split
+from casacal.bench.splits import checked_split
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import load_problem
@@ -62,7 +62,9 @@ class BenchmarkSet(Value):
         if not path.is_file():
             raise CasacalError(f"The measurements of '{self.name}' are not at {path}", f"Get them from {self.source}")
         if hashlib.sha256(path.read_bytes()).hexdigest() != self.sha256:
-            raise CasacalError(f"{path} is not the file that '{self.name}' describes", "Get it anew, or mend its hash")
+            raise CasacalError(
+                f"{path} is not the file that '{self.name}' describes", "Fetch it again, or correct its hash"
+            )
         return path
 
     def read(self, data: Path, problem: Problem) -> Samples:

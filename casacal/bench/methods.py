@@ -16,10 +16,10 @@ from scipy.optimize import minimize
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.further import bind_further, extended
+from casacal.binding.marginal import bind_further, extended
 from casacal.calibration.calibrate import calibrate
 from casacal.calibration.verdict import verdict_of
-from casacal.discrepancy import GearWaves, LinkGive
+from casacal.discrepancy import LinkSag, TransmissionError
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.estimators.scipy_least_squares import scipy_least_squares
@@ -78,7 +78,7 @@ def casacal_layers(problem: Problem, fitted: Samples, unseen: Samples) -> Told:
 
     And with the set's own effects, such as measured torque.
     """
-    layers = (GearWaves(order=1), GearWaves(order=2), LinkGive())
+    layers = (TransmissionError(order=1), TransmissionError(order=2), LinkSag())
     own = tuple(effect for effect in problem.effects if effect.key not in {each.key for each in layers})
     found = calibrate(problem.with_effects(*layers, *own), fitted, reference=False)
     return Told(left(found.fit, found.result.x, unseen), verdict_of(found).level)

@@ -16,7 +16,7 @@ from casacal.discrepancy.effect import Site
 from casacal.discrepancy.survey import Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kernels.columnwise import Columnwise
+from casacal.kernels.batch import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -100,8 +100,8 @@ def make_block(
     if not good.all():
         bad = int(np.flatnonzero(~good)[0])
         raise ProblemError(
-            f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is {noise[bad][0]:g} "
-            "in this row, as when a plunger lies in the face or a residual does not change with what errs",
+            f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is "
+            f"{noise[bad][0]:g} in this row, as when the plunger is parallel to the face",
             "Declare a noise of the residual itself (contact_std, residual_std), or remove the row",
         )
     return block

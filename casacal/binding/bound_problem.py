@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import make_block
-from casacal.binding.limits import COMPACT
 from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.nominal import surveys_of
 from casacal.binding.postures import Postures
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.row_groups import RowGroups, places
 from casacal.binding.slots import Slot, coordinates, make_slots, nominals
-from casacal.binding.sums import Sums
+from casacal.binding.sums import COMPACT, Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.survey import Survey
-from casacal.kernels.native_filter import extended_pass
+from casacal.kernels.filter_passes import extended_pass
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.groups import Groups

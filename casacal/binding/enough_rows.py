@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.errors import ProblemError, counted
+from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
+from casacal.wording import counted
 
 
 def instances(

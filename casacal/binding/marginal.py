@@ -1,8 +1,9 @@
-"""A bound problem in the unknowns of arm and touches alone, others taken out: what figures of the arm need."""
+"""A bound problem in the unknowns of arm and touches alone, or of faces held out of a fit: others taken out."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -10,11 +11,14 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import Slot
+from casacal.binding.slots import Slot, make_slots
+from casacal.estimators import lm
 from casacal.least_squares.elimination import GroupRows, taken_out, triangle
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares, Normal
+from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
 
 
 class Marginal(LeastSquares):
@@ -141,3 +145,27 @@ def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
         return bound, x
     found = Marginal(bound, x, motion=True)
     return found, x[found.shared]
+
+
+def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
+    """Bind the same unknowns to other rows, and after them those of labels that are new; one set per instrument.
+
+    Raises ProblemError as `bind` does.
+    """
+    seen = {slot.name: slot.nominal for slot in bound.slots}
+    slots = list(bound.slots)
+    for slot in make_slots(bound.problem, samples, seen):
+        if slot.name not in seen:
+            slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
+    if len(slots) == len(seen):
+        return bound.on(*samples)
+    return BoundProblem(bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys)
+
+
+def extended(further: BoundProblem, x: Array) -> Array:
+    """All unknowns (n + k,) of such rows at x (n,): those of new labels are fitted to their rows, nothing else is."""
+    new = np.arange(further.unknowns) >= x.size
+    if not new.any():
+        return x
+    part = Restricted(further, new, np.concatenate([x, np.zeros(int(new.sum()))]))
+    return np.asarray(part.expand(lm(part).x))

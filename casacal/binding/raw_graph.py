@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
+from casacal.kernels.block_rows import Buffered
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
-from casacal.kernels.replay import Buffered
 from casacal.tables.columns import rows_by_code
 from casacal.unknowns import Parameter, Unknown
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
-from casacal.kernels.native_normal import NativePiece
-from casacal.kernels.native_rows import NativeKernels
+from casacal.kernels.native_rows import NativeKernels, NativePiece
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
 from casacal.tables.columns import rows_by_code

@@ -106,13 +106,13 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
     What is known, by name of its slot, has that nominal however few rows see it. Raises ProblemError as `bind` does.
     """
     if not isinstance(problem, Problem):
-        raise ProblemError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
+        raise ProblemError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
     for some in samples:
         if not isinstance(some, Samples):
-            raise ProblemError(f"{came(some)} came as samples", "Give Samples; problem.read(path) returns them")
+            raise ProblemError(f"Got {came(some)} as samples", "Give Samples; problem.read(path) returns them")
     if len(samples) != len(problem.instruments):
         raise ProblemError(
-            f"{len(samples)} sets of samples came for {len(problem.instruments)} instruments", "Give one set each"
+            f"Got {len(samples)} sets of samples for {len(problem.instruments)} instruments", "Give one set each"
         )
     slots: list[Slot] = []
     taken: set[str] = set()

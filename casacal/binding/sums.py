@@ -9,16 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.limits import MANY, MOST_SUMS
 from casacal.binding.row_groups import FEW, Piece, RowGroups
 from casacal.binding.slots import Slot
-from casacal.kernels.native_normal import NativeNormal, PackedPieces
-from casacal.kernels.steps import all_rows_in_c
+from casacal.kernels.backend import all_rows_in_c
+from casacal.kernels.native_rows import NativeNormal, PackedPieces
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.groups import Groups, grouped
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import Normal
+
+MOST_SUMS = 4_000_000
+"""Numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone."""
+
+COMPACT = 50_000
+"""Rows beyond which no whole Jacobian is held."""
+
+MANY = 300
+"""Unknowns from which those of one label alone are taken out, one label after the other."""
 
 
 class Sums:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.block_filter import BlockCubature
+from casacal.kernels.filter_passes import BlockCubature
 from casacal.problem.compile import RowModel
 
 
@@ -30,7 +30,7 @@ def damped_step(normal: ca.Function, x0: Array, information: Array, scale: Array
 def cubature_step(model: RowModel, columns: NDArray[np.intp], constants: Array, x0: Array, scale: Array) -> ca.Function:
     """(mean (n), root (n x n), d, w (m)) -> mean, root after all residuals of one row, over (x - x0) / scale.
 
-    The step itself is the one that `casacal.kernels.block_filter` takes.
+    The step itself is the one that `casacal.kernels.filter_passes` takes.
     """
     n, m, kept = x0.size, model.components, BlockCubature(model.residual)
     mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)

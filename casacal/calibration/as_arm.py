@@ -40,7 +40,7 @@ class AsArm(ABC):
             q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
             frame: "flange" is `robot.pose`, "tip" where the instrument touches.
             nominal: the arm as drawn in place of the calibrated one.
-            std: whether to add standard deviations, apart from where the base stands.
+            std: whether to add standard deviations, apart from the position of the base.
 
         Returns:
             Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations

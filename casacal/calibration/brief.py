@@ -1,14 +1,91 @@
-"""The answer on one screen: the verdict, why, what to expect, what to do next."""
+"""The answer on one screen: the verdict, why, the error to expect, and what to do next."""
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Sequence
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.next_step import best_cure, next_step, nothing_helps
-from casacal.calibration.verdict import Verdict
+from casacal.calibration.verdict import Verdict, wrong_with_samples
+from casacal.calibration.warnings import VERIFY, doubts, suspicious
+from casacal.planning.cures import Cure
+from casacal.wording import listed, lower
+
+
+def next_step(
+    calibration: Calibration, verdict: Verdict, *, about: str = "PROBLEM SAMPLES", out: str | None = None
+) -> str:
+    """One sentence.
+
+    Args:
+        calibration: what was found.
+        verdict: on it.
+        about: problem and samples, as a command line names them.
+        out: folder with the result's files; None when it was not kept.
+
+    """
+    check = f"casacal check {about}"
+    tool = calibration.hidden_tool if verdict.level != "do not use" else None
+    if tool is not None:
+        return f"measure {listed(tool.names)}, state it in the problem file with its prior_std, and calibrate again."
+    if verdict.level == "do not use":
+        return _repair(calibration.unjudged, check)
+    if verdict.level == "use with care":
+        kept = "" if out is not None else "; --out DIR keeps the result and its report"
+        step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
+        asked = suspicious(calibration)  # the data check, which named nothing, or the result would be denied
+        return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
+    if out is None:
+        return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
+    return f"correct joint targets with casacal compensate {out}/result.json TARGETS --out FILE."
+
+
+def best_cure(calibration: Calibration) -> str:
+    """The best cure and its figure, as a sentence; empty where none gains much. Not for who must not use the result."""
+    cure = _best(calibration)
+    if cure is None:
+        return ""
+    return f"{cure.words}; expected tip error {fall(calibration.tip_std[1], cure.expected_rms_mm)}."
+
+
+def nothing_helps(calibration: Calibration) -> str:
+    """That no cure gains much, as a sentence; empty where one does, or none is known."""
+    if not calibration.cures or _best(calibration) is not None:
+        return ""
+    least = calibration.cures[0].expected_rms_mm
+    return f"More touches help little: expected tip error {fall(calibration.tip_std[1], least)} at best."
+
+
+def fall(now: float, after: float) -> str:
+    """Two tip errors, with as many digits as show the difference."""
+    digits = 2 if now >= 0.1 and after >= 0.02 and round(now, 2) > round(after, 2) else 3
+    return f"{now:.{digits}f} -> {after:.{digits}f} mm"
+
+
+def _best(calibration: Calibration) -> Cure | None:
+    """The first of the cures that are worth it and bound the tip error."""
+    worth = (cure for cure in calibration.cures if cure.recommended and math.isfinite(cure.expected_rms_mm))
+    return next(worth, None)
+
+
+def _repair(calibration: Calibration, check: str) -> str:
+    reference = calibration.reference
+    wrong = wrong_with_samples(calibration)
+    if wrong:
+        return f"{lower(wrong[0].fix)}; then run {check}."
+    if not calibration.result.converged:
+        return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."
+    if reference is not None and not reference.agrees:
+        if calibration.method in MINIMISERS:
+            return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
+        return "use --method lm or sckf-lm, which go to the minimum."
+    if math.isfinite(calibration.tip_std[1]):
+        return f"run {check}, which looks closer at the samples."
+    cure = _best(calibration)
+    return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
+
 
 MOST_LINES = 15
 """Lines of the whole, files written included."""
@@ -86,8 +163,8 @@ def _residual(calibration: Calibration) -> str:
     said = calibration.fit.problem.words
     held = "" if part == "fit" else "held-out "
     return (
-        f"Residual on the {held}{said.things}, which is not accuracy: {after['rmse_mm']:.4f} {said.unit} RMS (as "
-        f"drawn: {before['rmse_mm']:.4f})."
+        f"Residual on the {held}{said.things}, not accuracy: {after['rmse_mm']:.3g} {said.unit} RMS (as drawn: "
+        f"{before['rmse_mm']:.3g})."
     )
 
 

@@ -11,12 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.further import bind_further
+from casacal.binding.marginal import bind_further
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.corrections import tried_corrections
 from casacal.calibration.given import problem_from, samples_from
-from casacal.calibration.methods import RANDOM, Method, Progress, chosen, estimate
-from casacal.calibration.reference import Reference
+from casacal.calibration.methods import RANDOM, Method, Progress, Reference, chosen, estimate
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
@@ -90,11 +89,11 @@ def calibrate(
     rows = samples_from(samples, source)
     run, name = chosen(method, loss)
     if noise not in ("found", "stated"):
-        raise CasacalError(f"{came(noise)} came as the noise", "Give 'found' or 'stated'")
+        raise CasacalError(f"Got {came(noise)} as the noise", "Give 'found' or 'stated'")
     if outliers not in ("set aside", "keep"):
-        raise CasacalError(f"{came(outliers)} came for the outliers", "Give 'set aside' or 'keep'")
+        raise CasacalError(f"Got {came(outliers)} for the outliers", "Give 'set aside' or 'keep'")
     if discrepancy not in ("kit", "none"):
-        raise CasacalError(f"{came(discrepancy)} came for the discrepancy", "Give 'kit' or 'none'")
+        raise CasacalError(f"Got {came(discrepancy)} for the discrepancy", "Give 'kit' or 'none'")
     began = time.perf_counter()
     single = Measurements.of(rows).map(without_copies)
     groups = [instrument.groups for instrument in source.problem.instruments]

@@ -14,22 +14,22 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubts import without_motion, without_predictions, without_tips
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
-from casacal.calibration.withheld import without_motion, without_predictions, without_tips
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import jsonable, write_text
 from casacal.planning.cures import Cure
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import Identifiability
-from casacal.uncertainty.left_out import LeftOut
 from casacal.uncertainty.prior_moves import PriorMoves
-from casacal.uncertainty.score_test import ScoreTest
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.transfer import LeftOut
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ class Calibrated(Calibration, AsArm):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now.
+        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now.
 
         NaN where the verdict is not to use this result.
         """

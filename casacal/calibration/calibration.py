@@ -9,12 +9,11 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.binding.marginal import Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
-from casacal.calibration.motion import Motion, among, used_arm
+from casacal.calibration.motion import HiddenTool, Motion, among, hidden_tool, used_arm
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.flange import flange_accuracy
 from casacal.uncertainty.identifiability import (
     Identifiability,
     NullDirection,
@@ -22,8 +21,8 @@ from casacal.uncertainty.identifiability import (
     identifiability,
 )
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
-from casacal.uncertainty.score_test import ScoreTest
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01
 """Tip motion (mm under the prior) below which an unseen direction needs no cure."""
@@ -69,7 +68,7 @@ class Calibration(Fitted):
 
     @cached_property
     def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from where the base stands: from priors, and now.
+        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now.
 
         An estimate that is not the minimum errs by what the posterior allows there, and by its own way to the minimum.
         """
@@ -85,6 +84,12 @@ class Calibration(Fitted):
         """
         before, now = flange_accuracy(self.motion.arm, self.motion.x, self.motion.off)
         return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
+
+    @cached_property
+    def hidden_tool(self) -> HiddenTool | None:
+        """What of the tool is not known and decides most of the tip error; None where the arm itself decides it."""
+        known = math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])
+        return hidden_tool(self.motion, self.workspace) if known else None
 
     @cached_property
     def tip_from_minimum(self) -> float:

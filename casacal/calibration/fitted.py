@@ -12,16 +12,16 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.further import extended
+from casacal.binding.marginal import extended
 from casacal.calibration.corrections import Tried
+from casacal.calibration.methods import Reference
 from casacal.calibration.metrics import Metrics, metrics_by_part, residual_metrics
 from casacal.calibration.motion import used_arm
-from casacal.calibration.reference import Reference
 from casacal.checks import Finding, check
-from casacal.checks.dial_sign import sign_before_fit
+from casacal.checks.dial import sign_before_fit
+from casacal.checks.fitted_faults import tool_elsewhere_at
 from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, repeated, rounded
-from casacal.checks.tool import tool_elsewhere_at
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
@@ -30,8 +30,8 @@ from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import HALF_WEIGHT
-from casacal.uncertainty.left_out import LeftOut, leave_one_face_out
 from casacal.uncertainty.noise import Noise, noise_over_stated
+from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
 from casacal.values import FrozenMapping, Value
 
 MINIMISERS = ("lm", "sckf-lm", "ipopt")

@@ -22,7 +22,7 @@ def problem_from(given: Any) -> ProblemFile:
         return ProblemFile.of(given)
     if isinstance(given, (str, Path)):
         return load_problem(given)
-    raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
+    raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
 
 
 def samples_from(given: Any, source: ProblemFile) -> Samples | Measurements:
@@ -38,7 +38,7 @@ def samples_from(given: Any, source: ProblemFile) -> Samples | Measurements:
     names, wanted = ", ".join(problem.names), f'such as {{"{problem.names[0]}": ...}}'
     if not isinstance(given, Mapping):
         fix = f"Give those of each by name: {names}, {wanted}"
-        raise CasacalError(f"{came(given)} came as samples of {len(problem.names)} instruments", fix)
+        raise CasacalError(f"Got {came(given)} as samples of {len(problem.names)} instruments", fix)
     for name in given:
         if name not in problem.names:
             fix = f"Give those of each by name: {names}, {wanted}"
@@ -67,6 +67,4 @@ def samples_of(given: Any, source: ProblemFile, i: int) -> Samples:
         return Samples.from_frame(given, layout)
     if isinstance(given, Mapping):
         return Samples.from_arrays(given, layout)
-    raise CasacalError(
-        f"{came(given)} came as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column"
-    )
+    raise CasacalError(f"Got {came(given)} as samples", "Give Samples, a file, a pandas DataFrame, or arrays by column")

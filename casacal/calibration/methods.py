@@ -1,10 +1,10 @@
-"""The methods by name, and one of them run: what it understands is passed on, what it returns is judged."""
+"""The methods by name, one of them run, and what an independent solver finds on the same objective."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from casacal.array_types import Array
@@ -13,6 +13,7 @@ from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.estimators import annealing, ekf, evolution, ipopt, lm, plane_only, sckf, sckf_lm, swarm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result, Status, as_result
+from casacal.values import Value
 
 Progress: TypeAlias = Callable[[int, float], None]
 Method: TypeAlias = Callable[..., Result | Array]
@@ -40,13 +41,13 @@ WORSE = 1e-9
 def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
     """The function that estimates, and what it is called."""
     if loss is not None and not isinstance(loss, Loss):
-        raise CasacalError(f"{came(loss)} came as the loss", "Give huber() or tukey()")
+        raise CasacalError(f"Got {came(loss)} as the loss", "Give huber() or tukey()")
     if method is None:
         method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):
         if not callable(method):
             raise CasacalError(
-                f"{came(method)} came as the method",
+                f"Got {came(method)} as the method",
                 f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
             )
         name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
@@ -90,3 +91,42 @@ def _is_far(found: Result) -> bool:
     """Whether the minimum beside an estimate is farther than its own spread explains, a chi-square of all unknowns."""
     step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
     return step is not None and step.squared_length > found.problem.unknowns
+
+
+AGREEMENT = 1e-8
+"""Largest relative gap between the costs of two solvers that found the same minimum."""
+
+NEGLIGIBLE = 1e-6
+"""A gap in cost that means nothing, however small the costs are.
+
+The cost is minus the logarithm of the posterior, so a gap g in it is a distance of sqrt(2 g) posterior standard
+deviations: here little more than a thousandth of one. Costs of data that fit exactly are rounding, and so
+is their ratio.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference(Value):
+    """What an independent solver found on the same objective."""
+
+    solver: str
+    result: Result
+    cost: float
+    """The objective as that solver itself evaluated it."""
+    relative_gap: float
+    """(cost of the method - cost of the reference) / cost of the reference."""
+
+    @property
+    def gap(self) -> float:
+        """Cost of the method less that of the reference."""
+        return self.relative_gap * max(self.cost, 1e-300)
+
+    @property
+    def limit(self) -> float:
+        """Largest gap of two solvers that found the same minimum."""
+        return max(AGREEMENT * self.cost, NEGLIGIBLE)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both found the same minimum."""
+        return self.result.converged and abs(self.gap) <= self.limit

@@ -14,11 +14,16 @@ from casacal.binding.marginal import Marginal, Seen, moving
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
+from casacal.uncertainty.identifiability import verdict
 from casacal.uncertainty.transfer import MOST_ROWS
-from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
 
 SMALLEST = 1e-3
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
+
+
+PART = 0.5
+"""Tip error with a tool that is exactly known over that as it is, below which the tool decides most of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +76,7 @@ def sees_the_tip(fit: BoundProblem) -> bool:
 
 
 def _over_workspace(arm: Marginal, x: Array) -> Array:
-    """Moves of the tip (3 M, s) by each unknown, apart from where the base stands; squares add up to the mean's."""
+    """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's."""
     joints = workspace_joints(arm.problem.robot)
     field = without_rigid(arm.tip_jacobian(x, joints), arm.tips(x, joints))
     return np.asarray(field / math.sqrt(len(joints)))
@@ -101,10 +106,40 @@ def among(result: Result, arm: Seen) -> Array:
     return found
 
 
+@dataclass(frozen=True)
+class HiddenTool:
+    """Coordinates of the tool that the samples hardly show and that decide most of the tip error.
+
+    std_mm: of the least known. tip_mm: the tip error to expect were the tool's point exactly known.
+    """
+
+    names: tuple[str, ...]
+    std_mm: float
+    tip_mm: float
+
+
+def hidden_tool(motion: Motion, workspace: tuple[Array, Array, Array]) -> HiddenTool | None:
+    """What of the tool the samples hardly show; None where most of the tip error is the arm's.
+
+    Of joint values, tips and slopes there, as `tip_extremes`; the covariance must be finite.
+    """
+    arm, covariance, (_, tips, slopes) = motion.arm, motion.covariance, workspace
+    tool, stds = tool_unknowns(arm, motion.x), np.sqrt(np.diagonal(covariance))
+    tool = np.array([j for j in tool if arm.units[j] == "mm"], dtype=int)
+    hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
+    if not hidden:
+        return None
+    with_tool = covariance[tool]
+    known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
+    field = without_rigid(slopes, tips)
+    now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
+    return HiddenTool(tuple(arm.names[j] for j in hidden), float(stds[hidden].max()), tip) if tip < PART * now else None
+
+
 def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:
     """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
 
-    Both apart from where the base stands; lengths of the three axes together. Of joint values, tips and slopes there.
+    Both apart from the position of the base; the three axes together. Of joint values, tips and slopes there.
     """
     joints, tips, slopes = workspace
     moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)

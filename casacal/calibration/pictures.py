@@ -91,7 +91,7 @@ def plot_convergence(calibration: Calibration, axes: Any) -> None:
 
 
 def plot_tip_std(calibration: Calibration, axes: Any) -> None:
-    """Standard deviation of the tip (mm, all axes, apart from where the base stands) over radius and height."""
+    """Standard deviation of the tip (mm, all axes, apart from the position of the base) over radius and height."""
     _, tips, slopes = calibration.workspace
     spread = np.linalg.norm(
         tip_stds(calibration.motion.covariance, without_rigid(slopes, tips), calibration.motion.off), axis=1
@@ -103,7 +103,7 @@ def plot_tip_std(calibration: Calibration, axes: Any) -> None:
     axes.set_xlabel("distance from the first axis, mm")
     axes.set_ylabel("height, mm")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title("How uncertain the tip is, apart from where the base stands", fontsize=10)
+    axes.set_title("How uncertain the tip is, apart from the position of the base", fontsize=10)
 
 
 def _short(label: str) -> str:

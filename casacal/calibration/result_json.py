@@ -15,6 +15,7 @@ import numpy as np
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import seen
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubts import without_predictions
 from casacal.calibration.provenance import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
@@ -31,11 +32,9 @@ from casacal.calibration.result_parts import (
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
-from casacal.calibration.withheld import without_predictions
-from casacal.compensation.seal import sealed
+from casacal.compensation.result_file import sealed
 from casacal.errors import CasacalError
-from casacal.file_sets import side_by_side, together
-from casacal.files import write_json, write_text
+from casacal.files import side_by_side, together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.copies import listing

@@ -87,5 +87,5 @@ def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibratio
 
     """
     if not isinstance(path, (str, Path)):
-        raise CasacalError(f"{came(path)} came as the path of a result", "Give a path")
+        raise CasacalError(f"Got {came(path)} as the path of a result", "Give a path")
     return SavedCalibration(read_result(path, problem=problem))

@@ -8,23 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.brief import together
+from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.corrected_words import corrected_words, tried_words
+from casacal.calibration.effect_words import corrected_words, size_words, tried_words
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.next_step import nothing_helps
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.measurements import Measurements
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.version import __version__
+from casacal.wording import METRE, mm
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
 PLANNED = (
-    "Planned touches are the best of those that were drawn. casacal plan PROBLEM --after SAMPLES chooses such ones; a "
-    "new face or step goes into the problem file first. Figures here count noise and effects as they were "
-    "found; those of plan trust what is stated."
+    "casacal plan PROBLEM --after SAMPLES plans such touches; a new face or step goes into the problem file first. "
+    "Figures here use noise and effects as found, those of plan as stated."
 )
 
 
@@ -71,7 +70,9 @@ def parameter_table(calibration: Calibration) -> str:
     if held:
         lines.append(f"held at nominal: {', '.join(held)}")
     if calibration.corrected:
-        lines.append("These go with what is corrected beside them. Alone they are best as casacal export writes them.")
+        lines.append(
+            "These values belong with the corrected effects. For a controller without them use casacal export."
+        )
     return "\n".join(lines)
 
 
@@ -138,17 +139,17 @@ def _figures(figures: Mapping[str, Any]) -> str:
 
 def _accuracy(calibration: Calibration) -> str:
     (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
-    alone, unseen = calibration.tip_std_without_prior
-    samples_alone = f"unbounded, with {unseen} unseen directions that move the tip" if unseen else f"{_mm(alone)} RMS"
+    alone, _ = calibration.tip_std_without_prior
+    samples_alone = f"the tip error is {mm(alone, 3)} RMS" if alone < METRE else "the tip error has no bound"
     return "\n".join(
         [
-            "The residuals above are not accuracy: a fit can look perfect on them and the arm be wrong elsewhere.",
-            f"Expected tip error over the workspace, apart from where the base stands: {_mm(after)} RMS (priors alone: "
-            f"{_mm(before)}),",
-            *([f"of the flange {_mm(flange)} (priors alone: {_mm(drawn)}),"] if math.isfinite(flange) else []),
-            f"if {calibration.assumed} are right and nothing else bends the arm.",
+            "The residuals above are not accuracy: they can be small while the arm is wrong elsewhere.",
+            f"Expected tip error over the workspace, apart from the position of the base: {mm(after, 3)} RMS (before: "
+            f"{mm(before, 3)}).",
+            *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
+            f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",
             *corrected_words(calibration),
-            f"From the samples alone, without any prior: {samples_alone}.",
+            f"From the samples alone, without priors, {samples_alone}.",
         ]
     )
 
@@ -156,8 +157,8 @@ def _accuracy(calibration: Calibration) -> str:
 def _blind_spots(calibration: Calibration, denied: bool) -> str:
     found = calibration.identifiability
     lines = [
-        f"What these samples can tell: rank {found.rank} of {found.unknowns} unknowns "
-        f"(condition {found.condition:.1e}); {len(found.null)} null and {len(found.weak)} weak directions"
+        f"What these samples show: {found.rank} of {found.unknowns} directions of the unknowns, {len(found.weak)} of "
+        f"them weakly; {len(found.null)} not at all (null)"
     ]
     named: list[tuple[float, str]] = []
     directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
@@ -165,7 +166,7 @@ def _blind_spots(calibration: Calibration, denied: bool) -> str:
         kind = direction.kind if isinstance(direction, NullDirection) else "weak"
         text = f"  {kind + ':':<11}{direction.words}"
         if cure != NOT_NEEDED:
-            costs = "" if denied else f"{direction.tip_mm:.2g} mm at the tip under the prior; "
+            costs = "" if denied else f"{mm(direction.tip_mm)} at the tip under the prior; "
             text += f"\n{'':<13}{costs}cure: {cure}"
         named.append((direction.tip_mm, text))
     named.sort(key=lambda entry: -entry[0])  # the costly ones first
@@ -186,11 +187,11 @@ def _cures(calibration: Calibration) -> str:
     """What to do next, best first; what gains little, or hardly more than touches of the same kind, is marked."""
     if not calibration.cures:
         return ""
-    lines = ["What to do next, best first, and the tip error to expect after it:"]
+    lines = ["What to do next, best first, with the tip error to expect afterwards:"]
     for cure in calibration.cures:
-        said = f"{_mm(cure.expected_rms_mm):>11}  {cure.words}"
+        said = f"{mm(cure.expected_rms_mm, 3):>11}  {cure.words}"
         lines.append(said if cure.recommended else f"{said} (not recommended)")
-    lines.append(f"{_mm(calibration.tip_std[1]):>11}  as it is")
+    lines.append(f"{mm(calibration.tip_std[1], 3):>11}  as it is")
     if any("planned" in cure.words for cure in calibration.cures):
         lines.append(PLANNED)
     if none := nothing_helps(calibration):
@@ -204,17 +205,17 @@ def _beside(calibration: Calibration, denied: bool) -> str:
     if not tests:
         return ""
     shown = [test for test in tests if test.shown != "no"]
-    lines = ["What arm and cell may do beside their geometry (each as if it were the only one):"]
+    lines = ["Errors beside the geometry (each as if it were the only one):"]
     if shown:
         wide = max(len(test.words) for test in shown)
         tip = "" if denied else f"{'at the tip':>12}"
-        lines.append(f"  {'':<{wide}}  {'shown':<9}{'chance':>9}{'size':>24}{tip}")
+        lines.append(f"  {'':<{wide}}  {'shown':<9}{'p':>9}{'size':>24}{tip}")
     for test in shown:
-        tip = "" if denied else f"{_mm(test.tip_mm):>12}"
-        lines.append(f"  {test.words:<{wide}}  {test.shown:<9}{test.p_holm:>9.1g}{test.shown_size:>24}{tip}")
+        size, at_tip = size_words(calibration, test)
+        tip = "" if denied else f"{at_tip:>12}"
+        lines.append(f"  {test.words:<{wide}}  {test.shown:<9}{test.p_holm:>9.1g}{size:>24}{tip}")
     left = len(tests) - len(shown)
-    nothing = f"nothing of {left}{' more' if shown else ''} that were looked for"
-    lines.append(f"  The rows show {nothing}; result.json has them all.")
+    lines.append(f"  {left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
     return "\n".join([*lines, *tried_words(calibration)])
 
 
@@ -224,12 +225,8 @@ def _reference(calibration: Calibration) -> str:
         return "Reference: not run" + ("; IPOPT knows no robust loss." if calibration.result.loss else ".")
     verdict = "agrees" if reference.agrees else "DIFFERS"
     words = (
-        f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.10g}, its cost {reference.cost:.10g} "
-        f"(gap {reference.gap:.1e}, agreement within {reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, "
+        f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.8g}, its cost {reference.cost:.8g} "
+        f"(difference {reference.gap:.1e}, limit {reference.limit:.0e}), KKT residual {reference.result.kkt:.1e}, "
         f"{reference.result.steps} iterations."
     )
     return words if reference.result.converged else f"{words}\n{reference.solver}: {reference.result.message}"
-
-
-def _mm(value: float) -> str:
-    return f"{value:.3f} mm" if math.isfinite(value) else "unbounded"

@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from casacal.calibration.beside_doubts import larger_than_any
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import Doubt
+from casacal.calibration.doubts import Doubt, larger_than_any
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, doubts, moves, suspicious
 from casacal.checks import Finding
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.wording import listed, mm, sentence, times
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
@@ -32,6 +32,9 @@ BENT = 10.0
 
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+
+SHOWN = 0.01
+"""Millimetres below which nobody asks how little a tip errs."""
 
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""
@@ -52,26 +55,36 @@ def verdict_of(calibration: Calibration) -> Verdict:
     against = _against(calibration)
     if against:
         return Verdict(
-            "do not use", f"Do not use this result: {against[0][0]}.", tuple(sentence for _, sentence in against)
+            "do not use", f"Do not use this result: {against[0][0]}.", tuple(reason for _, reason in against)
         )
     if not calibration.fit.unknowns:
         said = "every unknown is held, so nothing was estimated"
         words = f"Use with care: {said}; the residuals are those of the arm as drawn."
-        return Verdict("use with care", words, (_sentence(said),))
-    before, now = calibration.tip_std
-    found = [*doubts(calibration), *_further_doubts(calibration)]
-    trusting = calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale
-    least = "at least " if trusting else ""
-    alone = f"{before:.3f} mm" if math.isfinite(before) else "unbounded"
-    expected = (
-        f"expect a tip error{_whose(calibration)} of {least}{now:.3f} mm RMS over the workspace"
-        f"{_at_flange(calibration)}, apart from where the base stands (priors alone: {alone}), if "
-        f"{calibration.assumed} are right"
-    )
+        return Verdict("use with care", words, (sentence(said),))
+    found, expected = [*doubts(calibration), *_further_doubts(calibration)], _expected(calibration)
     if found:
-        words = f"Use with care: {expected}; but {' and '.join(doubt.clause for doubt in found[:2])}."
+        words = f"Use with care: {expected} But {' and '.join(doubt.clause for doubt in found[:2])}."
         return Verdict("use with care", f"{words}{_unchecked(calibration)}", tuple(doubt.sentence for doubt in found))
-    return Verdict("calibrated", f"Calibrated: {expected}.{_unchecked(calibration)}")
+    return Verdict("calibrated", f"Calibrated: {expected}{_unchecked(calibration)}")
+
+
+def _expected(calibration: Calibration) -> str:
+    """The error to expect, of flange and tip; what matters first."""
+    (before, now), (drawn, flange) = calibration.tip_std, calibration.flange_std
+    least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
+    trusted = f"apart from the base's position, if {calibration.assumed} are right"
+    tool = calibration.hidden_tool
+    if tool is not None:
+        return (
+            f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
+            f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "
+            f"(standard deviation {mm(tool.std_mm)}). Measure it; once it is known, expect {mm(tool.tip_mm)}."
+        )
+    at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
+    return (
+        f"expect a tip error{_whose(calibration)} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
+        f"{at_flange}, {trusted}."
+    )
 
 
 def _whose(calibration: Calibration) -> str:
@@ -87,28 +100,22 @@ def _unchecked(calibration: Calibration) -> str:
     return " No second solver checked that this is the minimum."
 
 
-def _at_flange(calibration: Calibration) -> str:
-    """What is expected of the flange, in brackets; nothing where that is not known."""
-    flange = calibration.flange_std[1]
-    return f" ({flange:.3f} mm at the flange)" if math.isfinite(flange) else ""
-
-
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
     found = [
-        (f"the samples look wrong ({error.about})", _sentence(str(error).removeprefix("error: ").removesuffix(".")))
+        (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
     ]
     if not calibration.result.converged:
         found.append(("the method did not finish", calibration.result.message))
-    found += [(words, _sentence(words)) for words in _missed_minimum(calibration)]
+    found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
     if not found:
-        found += [(words, _sentence(words)) for words in _unexplained(calibration)]
+        found += [(clause, sentence(clause)) for clause in _unexplained(calibration)]
     if not found:
-        found += [(words, _sentence(words)) for words in _priors_contradicted(calibration)]
+        found += [(clause, sentence(clause)) for clause in _priors_contradicted(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
-        clause = "the tip error has no bound with these samples"
-        found.append((clause, "Neither the samples nor a prior hold every direction that moves the tip."))
+        clause = "these samples do not bound the tip error"
+        found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
     return found
 
 
@@ -128,9 +135,7 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
     if reference is None or reference.agrees or not calibration.result.converged:
         return []
     if calibration.method in MINIMISERS:
-        return [
-            f"the costs of {calibration.method} and {reference.solver} differ, so one of them is not at the minimum"
-        ]
+        return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
         return []
     return [
@@ -147,17 +152,15 @@ def _unexplained(calibration: Calibration) -> list[str]:
     assert after is not None
     # where faces are held, what is not corrected may stand as a shift of the base, which no figure counts
     if calibration.fit.datum.any() and after["rmse_mm"] > WORSE * before["rmse_mm"]:
-        return [
-            f"the arm as calibrated misses the rows that were fitted by more than as drawn{_what_else(calibration)}"
-        ]
+        return [f"the calibrated arm fits its own rows worse than the arm as drawn{_what_else(calibration)}"]
     if low <= LACK_OF_FIT:
         return []
     moved = float(moves(calibration).max(initial=0.0))
-    said = f"the residuals are {ratio:.3g} times what the stated noise explains"
+    said = f"the residuals are {times(ratio)} times what the stated noise explains"
     if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
         return [f"{said}, and calibrating hardly lowered them"]
     if moved > FAR:
-        return [f"{said}, although parameters moved by up to {moved:.0f} prior standard deviations"]
+        return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
     return []
 
 
@@ -175,7 +178,7 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     if far > BENT:
         worst = calibration.fit.names[int(np.argmax(moves(calibration)))]
         return [
-            f"{worst} moved by {far:.3g} prior standard deviations; where an arm is really so far from its drawing, "
+            f"{worst} moved by {times(far)} prior standard deviations. If the arm really is so far from its drawing, "
             "state wider priors (--accuracy, --prior)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
@@ -184,15 +187,15 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         return [
-            f"the priors are too loose for this arm: they expect its tip to be {before:.3g} mm off as drawn, its "
-            f"touches look like {as_drawn:.2g} mm, and calibrated with them it may be {now:.3g} mm off (--accuracy, "
-            "--prior)"
+            f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its touches "
+            f"suggest {mm(max(as_drawn, SHOWN))} or less, and with these priors the calibrated tip may be off by "
+            f"{mm(now)} (--accuracy, --prior)"
         ]
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return []
     return [
         f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
-        "arm, and they decide most of where the tip is"
+        "arm, and yet most of the tip error depends on them"
     ]
 
 
@@ -201,12 +204,8 @@ def _further_doubts(calibration: Calibration) -> list[Doubt]:
     found = []
     if calibration.reference is None and calibration.method not in MINIMISERS:
         clause = "no second solver checked that this is the minimum"
-        found.append(Doubt(clause, f"{_sentence(clause)} Run it again without --no-reference."))
+        found.append(Doubt(clause, f"{sentence(clause)} Run it again without --no-reference."))
     if now > GAIN * before:
-        words = "Little was gained: these samples tell almost nothing about the tip that the priors did not."
+        words = "Little was gained: these samples say almost nothing about the tip beyond the priors."
         found.append(Doubt("little was gained", words))
     return found
-
-
-def _sentence(clause: str) -> str:
-    return f"{clause[:1].upper()}{clause[1:]}."

@@ -7,17 +7,16 @@ import math
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.calibration.beside_doubts import dial_is_off, larger_than_any
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubt import Doubt
+from casacal.calibration.doubts import Doubt, dial_is_off, larger_than_any
 from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.noise import noise_over_stated
-from casacal.uncertainty.prior_scatter import prior_scatter
-from casacal.uncertainty.score_test import sized
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.wording import chance, lower, mm, sized, times
 
 FAR = 4.0
 """Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""
@@ -39,11 +38,11 @@ SETTLED = 0.1
 
 SHOWN = 6
 
-VERIFY = "touch in other postures, and see with casacal verify whether the promise is kept there"
-WIDEN = f"state wider priors if the arm may be so far from its drawing (--accuracy, --prior); if it may not, {VERIFY}"
+VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
+WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
 REPEAT = (
-    "touch some places three times each, which tells the scatter of touches from what the model leaves out, or state "
-    "the noise if it is known to be larger (--set noise_std=MM)"
+    "touch some places three times each, which separates the scatter of touches from errors of the model; or state "
+    "the noise, if it is known to be larger (--set noise_std=MM)"
 )
 """What settles a doubt whose cause nobody knows."""
 
@@ -84,9 +83,9 @@ def suspicious(calibration: Calibration) -> bool:
 def _what_check_says(calibration: Calibration) -> str:
     """What the data check says of the cause, or that nobody asked it."""
     if not suspicious(calibration):
-        return "casacal check may tell"
+        return "casacal check looks for the cause"
     named = [error.about for error in calibration.data_errors if error.about != "misfit"]
-    return f"the data check names {', '.join(named)}" if named else "the data check, which was asked, names no cause"
+    return f"the data check found {', '.join(named)}" if named else "the data check found no cause"
 
 
 def moves(calibration: Calibration) -> Array:
@@ -112,18 +111,18 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
     together = calibration.prior_moves
     if not far and together.chance > TOO_TIGHT:
         return None
-    said = f"All together, parameters moved {together.factor:.1f} times as far as their priors allow"
+    said = f"Together, the parameters moved {together.factor:.1f} times as far as their priors allow"
     if far:
         named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
         more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
         said = (
-            f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}; all together they moved "
+            f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Together they moved "
+            f"{together.factor:.1f} times as far as their priors allow"
         )
-        said += f"{together.factor:.1f} times as far as their priors allow"
     return Doubt(
         "parameters moved far beyond their priors",
-        f"{said}. Either the priors are too tight for this arm by about as much (--accuracy, --prior), or the samples "
-        f"pull them where they do not belong; {_what_check_says(calibration)}.",
+        f"{said}. Either the priors are too tight for this arm by about that factor (--accuracy, --prior), or the "
+        f"samples are wrong; {_what_check_says(calibration)}.",
         WIDEN if suspicious(calibration) else "",
     )
 
@@ -136,8 +135,7 @@ def _rows_set_aside(calibration: Calibration) -> Doubt | None:
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
     each = " ".join(str(finding).removeprefix("error: ") for finding in found)
     it = "it" if len(rows) == 1 else "them"
-    step = f"measure {it} again, and calibrate with what is read then"
-    return Doubt(said, f"{said}, and the others were fitted without {it}: {each}", step)
+    return Doubt(said, f"{said} and not used: {each}", f"measure {it} again, and calibrate with the new readings")
 
 
 def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
@@ -145,12 +143,10 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
         return None
     (finding,) = calibration.tool_findings
     sentence = (
-        f"Tool elsewhere: {finding.cause}. {finding.fix}. Until then only the tip is promised, with this tool; of the "
-        "flange nothing is known, and compensate and predict need --frame tip."
+        f"Tool offset: {finding.cause}. {finding.fix}. Until then figures hold for the tip with this tool, not for the "
+        "flange; compensate and predict need --frame tip."
     )
-    return Doubt(
-        "the tool stands elsewhere than the problem says", sentence, f"{finding.fix[:1].lower()}{finding.fix[1:]}"
-    )
+    return Doubt("the tool is not where the problem file says", sentence, lower(finding.fix))
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
@@ -158,20 +154,19 @@ def _repeated_rows(calibration: Calibration) -> Doubt | None:
         return None
     said = " ".join(str(finding).removeprefix("warning: ").removesuffix(".") for finding in again)
     sentence = f"{said}; each was counted once."
-    return Doubt("some rows are copies of others", sentence, "remove the copies, or touch there again")
+    return Doubt("some rows are copies of others", sentence, "remove the copies, or touch those places again")
 
 
 def _lack_of_fit(calibration: Calibration) -> Doubt | None:
     again = calibration.noise.repeats
     if again is None or not again.shared:
         return None
-    chance = "less than 1e-6" if again.chance < 1e-6 else f"{again.chance:.1g}"
     return Doubt(
-        "repeated touches agree better than the fit",
-        f"Touches that were repeated, at {again.places} places, scatter {again.ratio:.2f} times the stated noise; the "
-        f"fit misses them by {math.sqrt(again.f):.3g} times that (F = {again.f:.3g}, chance {chance}). The instrument "
-        "is not to blame: something errs that the model does not describe. Repeats of a place count as little more "
-        "than one touch, and all figures say so.",
+        "the fit misses repeated touches by more than they scatter",
+        f"Repeated touches at {again.places} places scatter by {times(again.ratio)} times the stated noise; the fit "
+        f"misses them by {times(math.sqrt(again.f))} times that (F = {again.f:.3g}, {chance(again.chance)}). So the "
+        "instrument is not the cause, but an error that the model does not describe. Repeats of a place therefore "
+        "count as little more than one touch.",
     )
 
 
@@ -183,23 +178,23 @@ def _noise(calibration: Calibration) -> Doubt | None:
         return None
     if is_usual(fit, NOISE_BAND[1]):
         return None
-    said = f"The residuals are {ratio:.2f} times what the stated noise explains (95 % interval {low:.2f} to {high:.2f})"
+    said = f"The residuals are {ratio:.2f} times the stated noise (95 % interval {low:.2f} to {high:.2f})"
     if ratio < 1:
-        advice = "the stated noise is too large, and the standard deviations with it. Lower noise_std."
-        return Doubt("the stated noise is too large", f"{said}: {advice}")
+        advice = "The stated noise is too large, and so are the standard deviations. Lower noise_std."
+        return Doubt("the stated noise is too large", f"{said}. {advice}")
     if noise.scale:
-        found = "All figures use the noise as it was found. Something beside the instrument errs: joints that do not"
-        gears = "gears that wave with every turn of a motor (state their ratios)"
-        others = "a face that is not flat, a tool that is elsewhere"
-        advice = f"{more_than_stated(fit, NOISE_BAND[1])}{found} repeat, {gears}, {others}; "
-        advice += f"{_what_check_says(calibration)}."
+        advice = (
+            f"{more_than_stated(fit, NOISE_BAND[1])}All figures use the noise as found. Possible causes: poor joint "
+            "repeatability, transmission error of the motors' gears (state the gear ratios), a face that is not flat, "
+            f"a tool that is not where the problem file says; {_what_check_says(calibration)}."
+        )
         if (rad := repeats_to(fit)) > 0:
-            advice += f" It grows with what a touch sees of the joints, as where they repeat to {sized(rad, 'rad')}."
+            advice += f" The pattern fits a joint repeatability of {sized(rad, 'rad')}."
     else:
-        advice = "The standard deviations are too small by about as much. Raise noise_std, or find what is missing."
+        advice = "The standard deviations are too small by about that factor. Raise noise_std, or find the cause."
     return Doubt(
         "the residuals exceed the stated noise",
-        f"{said}: the noise is larger than stated, or there is an effect that the model does not describe. {advice}",
+        f"{said}. Either the noise is larger than stated, or the model leaves something out. {advice}",
         REPEAT if suspicious(calibration) else "",
     )
 
@@ -217,9 +212,9 @@ def _loose_priors(calibration: Calibration) -> Doubt | None:
     moved, _ = tip_extremes(calibration.motion, calibration.workspace)
     return Doubt(
         "the priors look too loose",
-        f"The priors expect the drawn arm to miss the {things} by {scatter.rms:.2f} mm RMS; it misses them by "
-        f"{before['rmse_mm']:.2f} mm. They look too loose, and the tip moves by up to {moved:.2f} mm somewhere. The "
-        "samples cannot vouch for that: tighten the priors (--accuracy, --prior), or verify there.",
+        f"By the priors the drawn arm would miss the {things} by {mm(scatter.rms)} RMS; it misses them by only "
+        f"{mm(before['rmse_mm'])}. So the priors look too loose, and calibration moves the tip by up to {mm(moved)} in "
+        "places that the samples do not cover. Tighten the priors (--accuracy, --prior), or verify there.",
     )
 
 
@@ -230,8 +225,8 @@ def _unknown_places(calibration: Calibration) -> Doubt | None:
         return None
     return Doubt(
         "in some places the tip is known no better than before",
-        f"Somewhere in the workspace the tip's standard deviation is {worst:.2f} mm; the drawn arm's is {before:.2f} "
-        "mm on average. The samples cannot vouch for that place: take samples there, or verify before you rely on it.",
+        f"In the worst place of the workspace the tip's standard deviation is {mm(worst)}; before calibration it was "
+        f"{mm(before)} on average. Take samples there, or verify before you rely on it.",
     )
 
 
@@ -244,5 +239,5 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
     rows = "1 row: line" if len(lines) == 1 else f"{len(lines)} rows: lines"
     return Doubt(
         f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
-        f"The robust loss gave less than half of its weight to {rows} {named}{more}. Measure there again.",
+        f"The robust loss gave less than half of its weight to {rows} {named}{more}. Measure them again.",
     )

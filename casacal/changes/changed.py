@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from casacal.calibration.as_arm import AsArm
 from casacal.changes.change import Change
-from casacal.changes.drift import with_drift
 from casacal.changes.explain import SURE, Explanation, contenders, explanations
 from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown
 from casacal.changes.look import Look
-from casacal.changes.memory import with_memory
+from casacal.changes.memory import with_drift, with_memory
 from casacal.changes.tell import telling
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
@@ -97,10 +96,10 @@ def changed_by(
 ) -> tuple[Opened, Change, Look]:
     """The same with what an update needs: rows and result as they were opened, and the last look at them."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
-        raise CasacalError(f"{came(alarm)} of {alarm!r} came as the rate of false alarms", "Give 0.001 to 0.5")
+        raise CasacalError(f"Got {came(alarm)}, {alarm!r}, as the false alarm rate", "Give 0.001 to 0.5")
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
-            raise CasacalError(f"{came(value)} came as the {what}", f"Give a whole number from 0 to {most}")
+            raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from 0 to {most}")
     given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
     if len(given.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"

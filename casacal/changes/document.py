@@ -18,13 +18,13 @@ from casacal.changes.state import State
 from casacal.changes.words import amount, name_of
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.predict import predict
-from casacal.compensation.seal import sealed
-from casacal.errors import counted
+from casacal.compensation.result_file import sealed
 from casacal.files import jsonable
 from casacal.samples.copies import listing
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
+from casacal.wording import counted
 
 KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")
 """What an update leaves as it was."""
@@ -121,7 +121,7 @@ def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
 
 
 def _tip(arm: CalibratedArm, old: Mapping[str, Any]) -> dict[str, Any]:
-    """Tip error to expect over the workspace, mm RMS, apart from where the base stands."""
+    """Tip error to expect over the workspace, mm RMS, apart from the position of the base."""
     joints = Samples.of_joints(workspace_joints(arm.source.problem.robot))
     before = old.get("tip") or {}
     errors = {}
@@ -142,8 +142,8 @@ def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> d
     earlier = (old.get("tip") or {}).get("expected_rms_mm")
     was = f" (before these rows: {earlier:.3f} mm)" if earlier is not None else ""
     expected = (
-        f"expect a tip error of {tip['expected_rms_mm']:.3f} mm RMS over the workspace, apart from where the base "
-        f"stands{was}, if the noise and the earlier result are right"
+        f"expect a tip error of {tip['expected_rms_mm']:.3f} mm RMS over the workspace, apart from the position of "
+        f"the base{was}, if the noise and the earlier result are right"
     )
     doubts = []
     if found.ended == CHANGED:

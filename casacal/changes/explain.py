@@ -15,7 +15,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.changes.causes import Cause
 from casacal.changes.look import Look
-from casacal.changes.posterior import Posterior, Prior
+from casacal.changes.state import Posterior, Prior
 from casacal.changes.whitened import chances, likelihood, occam
 from casacal.verification.fresh import Fresh
 

@@ -20,8 +20,7 @@ from casacal.changes.look import Look
 from casacal.errors import CasacalError
 from casacal.files import write_text
 from casacal.planning.pool import pool_of
-from casacal.planning.route import FIT
-from casacal.planning.way import shortest_way
+from casacal.planning.route import FIT, shortest_way
 from casacal.planning.written import postures_text
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
@@ -79,7 +78,7 @@ def telling(
         odds = float(max(gains))
     order = shortest_way(problem.robot, pool.joints[chosen])
     best = pool.take([chosen[k] for k in order])
-    return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="touches that would tell"), odds
+    return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
 def _expected(look: Look, found: Explanation, there: BoundProblem) -> _Expected:
@@ -139,7 +138,7 @@ def write_touches(path: str | Path, found: Change, layout: Layout, name: str) ->
     if found.touches is None:
         return
     notes = [
-        f"touches that would tell what changed, by casacal for {name}: not a measurement",
+        f"touches that would settle what changed, by casacal for {name}: not a measurement",
         f"between {' and '.join(cause.name for cause in found.causes)}",
         "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
         "that the controller shows and the reading that there is, not the expected one; give them with the other rows",

@@ -11,19 +11,17 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.as_arm import AsArm
 from casacal.calibration.saved import SavedCalibration
+from casacal.changes.causes import JOINTS, joint_direction, shift_columns
 from casacal.changes.change import Change
 from casacal.changes.changed import changed_by
-from casacal.changes.directions import joint_direction
 from casacal.changes.document import updated_document
-from casacal.changes.drift import with_drift
 from casacal.changes.figures import ROWS, UNDECIDED, CauseFound
 from casacal.changes.look import Look
-from casacal.changes.shifts import JOINTS, shift_columns
+from casacal.changes.memory import with_drift
 from casacal.changes.state import updated_state
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
-from casacal.file_sets import together
-from casacal.files import write_json
+from casacal.files import together, write_json
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh
 from casacal.verification.opened import Opened
@@ -84,7 +82,7 @@ def _refuse(given: Opened, found: Change) -> None:
         )
     if given.other or (document.get("data") or {}).get("instruments"):
         raise CasacalError(
-            f"{given.arm.file}: a result is updated by rows of its own, only instrument",
+            f"{given.arm.file}: a result can be updated only by rows of its own instrument",
             "Calibrate again with all rows",
         )
     if found.ended == ROWS or found.bad_lines:
@@ -92,8 +90,8 @@ def _refuse(given: Opened, found: Change) -> None:
         raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
     if found.ended == UNDECIDED:
         raise CasacalError(
-            f"{found.samples}: what changed cannot be told from these rows, so nothing was updated",
-            "Take touches that tell (--touches FILE), or calibrate again",
+            f"{found.samples}: these rows do not show what changed, so nothing was updated",
+            "Take the touches of --touches FILE, or calibrate again",
         )
 
 
@@ -147,8 +145,8 @@ def _of_tool(fresh: Fresh, look: Look) -> list[Array]:
     ]
     if not columns:
         raise CasacalError(
-            "The tool stands elsewhere, and this problem holds it",
-            "Say where it stands in the problem, or free it (--free tool), and calibrate again",
+            "The tool has moved, but this problem holds it",
+            "Correct its position in the problem, or free it (--free tool), and calibrate again",
         )
     del look
     return [np.eye(bound.unknowns)[j] for j in columns]

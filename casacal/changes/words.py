@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from casacal.changes.figures import CHANGED, NOTHING, ROWS, CauseFound, Figures
-from casacal.errors import counted
-
-LEAST = 1e-6
-"""Chance below which nobody asks how small."""
+from casacal.wording import capital, chance, counted, listed, numbered_lines, times
 
 INTERVAL = 1.96
 """Standard deviations of an interval of 95 %."""
@@ -35,10 +31,10 @@ def name_of(cause: CauseFound) -> str:
     """A cause as a sentence calls it."""
     return {
         "joint": f"the zero of {cause.name}",
-        "tool": "where the tool stands",
-        "base": "where the base stands",
-        "place": f"where '{cause.name}' stands",
-        "row": f"{cause.name} alone, as a row that is off",
+        "tool": "the position of the tool",
+        "base": "the position of the base",
+        "place": f"the position of '{cause.name}'",
+        "row": f"{cause.name} alone, as a faulty row",
     }[cause.kind]
 
 
@@ -57,29 +53,24 @@ def amount(cause: CauseFound) -> str:
 
 def _answer(found: Figures) -> str:
     said = f"{counted(found.rows, 'fresh row')} of {found.samples}"
-    rate = f"at a rate of false alarms of {100 * found.alarm:g} %"
+    rate = f"False alarm rate {100 * found.alarm:g} %."
     if found.ended == NOTHING:
-        return f"No change found: {said} lie as the calibration of {found.robot} promised, {rate}."
+        return f"No change found: {said} agree with the calibration of {found.robot}. {rate}"
     if found.ended == ROWS:
-        which = _lines(found)
-        return f"Look at {which} first: without {_it(found)} no change is found in {said}, {rate}."
+        return f"Look at {numbered_lines(found.bad_lines)} first: without {_it(found)}, {said} show no change. {rate}"
     if found.ended == CHANGED:
         (cause,) = found.causes
-        return f"Changed: {name_of(cause)}, by {amount(cause)}; {said}, {_chance(found.p)}, {rate}."
+        return f"Changed: {name_of(cause)}, by {amount(cause)}; {said}, {chance(found.p)}. {rate}"
+    start = f"Undecided: {said} do not agree with the calibration ({chance(found.p)})"
     if not found.causes:
-        return (
-            f"Undecided: {said} do not lie as promised, {_chance(found.p)}, and no cause that is known explains them."
-        )
+        return f"{start}, and no known cause explains them."
     if len(found.causes) == 1:
         (cause,) = found.causes
         return (
-            f"Undecided: {said} do not lie as promised, {_chance(found.p)}. {_capital(name_of(cause))} explains them "
-            f"best and leaves what is hardly chance ({_chance(cause.left)}): more than one thing changed, or another."
+            f"{start}. {capital(name_of(cause))} explains them best, but not fully ({chance(cause.left)} for the "
+            "rest): more than one thing changed, or something else did."
         )
-    return (
-        f"Undecided: {said} do not lie as promised, {_chance(found.p)}, and cannot tell "
-        f"{_listed([name_of(cause) for cause in found.causes])} apart."
-    )
+    return f"{start}. They cannot distinguish between {listed([name_of(cause) for cause in found.causes])}."
 
 
 def _own_verdict(found: Figures) -> list[str]:
@@ -90,8 +81,8 @@ def _own_verdict(found: Figures) -> list[str]:
 def _left_out(found: Figures) -> list[str]:
     said = []
     for lines, why in (
-        (found.copied_lines, "repeat others to the last digit and count once"),
-        (found.fitted_lines, "are among those that the arm was calibrated from and do not count"),
+        (found.copied_lines, "repeat other rows to the last digit and are counted once"),
+        (found.fitted_lines, "were used for the calibration and are not counted"),
     ):
         if lines:
             said.append(f"{counted(len(lines), 'row')} of {found.samples} {why}.")
@@ -102,9 +93,9 @@ def _causes(found: Figures) -> list[str]:
     if found.ended == CHANGED or not found.causes:
         return []
     return [
-        f"  {_capital(name_of(cause))}: {100 * cause.share:.0f} % of the evidence"
-        + (f"; then by {amount(cause)}" if cause.kind != "row" else "")
-        + f"; what it leaves: {_chance(cause.left)}"
+        f"  {capital(name_of(cause))}: {100 * cause.share:.0f} % of the evidence"
+        + (f"; size {amount(cause)}" if cause.kind != "row" else "")
+        + f"; rest {chance(cause.left)}"
         for cause in found.causes
     ]
 
@@ -112,22 +103,22 @@ def _causes(found: Figures) -> list[str]:
 def _bad(found: Figures) -> list[str]:
     if not found.bad_lines:
         return []
-    lies = "lies" if len(found.bad_lines) == 1 else "lie"
+    fit = "fits" if len(found.bad_lines) == 1 else "fit"
     return [
-        f"{_capital(_lines(found))} {lies} where no other row and no change of the arm expects {_it(found)}: measure "
-        "there again."
+        f"{capital(numbered_lines(found.bad_lines))} {fit} neither the other rows nor any change of the arm. Measure "
+        f"{_it(found)} again."
     ]
 
 
 def _rests_on(found: Figures) -> str:
     own = counted(len(found.own), "unknown")
     fitted = f"{own} fitted to these rows" if found.own else "nothing fitted to these rows"
-    still = f"; taken to stand where calibrated: {', '.join(found.standing)}" if found.standing else ""
+    still = f"; assumed not to have moved: {', '.join(found.standing)}" if found.standing else ""
     drift = ", ".join(f"{name} {std:g}" for name, std in found.drift)
     return (
-        f"Smallest chance of all tests {_number(found.p)}; an alarm below {_number(found.level)}. All residuals: "
-        f"chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {_chance(found.p_all)}. "
-        f"{_capital(fitted)}{still}{f'; drift {drift}' if drift else ''}."
+        f"Smallest p of all tests {chance(found.p).split()[-1]}; alarm below {found.level:.2g}. All residuals: "
+        f"chi-square {found.chi_square:.1f} with {found.freedom} degrees of freedom, {chance(found.p_all)}. "
+        f"{capital(fitted)}{still}{f'; drift {drift}' if drift else ''}."
     )
 
 
@@ -138,12 +129,12 @@ def _shown(found: Figures) -> str:
             size = f"{1e3 * joint.shift:.2g} mrad" if joint.unit == "rad" else f"{joint.shift:.2g} mm"
             parts.append(f"{joint.name} {size}")
     if not parts:
-        return "No shift of any joint would show in these rows."
-    return f"Shift of a joint's zero that these rows would have shown with 90 %: {', '.join(parts)}."
+        return "These rows would not show a shift of any joint."
+    return f"Smallest shift of an encoder zero that these rows show with 90 % probability: {', '.join(parts)}."
 
 
 def _unseen(found: Figures) -> list[str]:
-    return [f"A shift of {_listed(found.unseen, 'or')} does not show here."] if found.unseen else []
+    return [f"These rows do not show a shift of {listed(found.unseen, 'or')}."] if found.unseen else []
 
 
 def _next(found: Figures) -> list[str]:
@@ -151,46 +142,29 @@ def _next(found: Figures) -> list[str]:
         return []
     if found.ended == CHANGED:
         return [
-            "Next: see what was done to the arm; --update DIR writes a result from the old one and these rows, or "
-            "calibrate again; then verify with fresh rows."
+            "Next: find out what was done to the arm. Then update the old result with these rows (--update DIR) or "
+            "calibrate again, and verify with fresh rows."
         ]
     if found.ended == ROWS:
-        return [f"Next: measure {_lines(found)} again, and ask again."]
+        return [f"Next: measure {numbered_lines(found.bad_lines)} again, and run this command again."]
     if any(cause.kind == "row" for cause in found.causes):
-        lines = _listed([cause.name for cause in found.causes if cause.kind == "row"])
-        return [f"Next: measure {lines} again: where it reads the same, the arm changed."]
+        lines = listed([cause.name for cause in found.causes if cause.kind == "row"])
+        return [f"Next: measure {lines} again. If the reading is the same, the arm has changed."]
     if len(found.causes) < 2:
         return [
-            f"Next: casacal check PROBLEM {found.samples} looks for mistakes in these rows; where there are none, "
+            f"Next: casacal check PROBLEM {found.samples} looks for mistakes in these rows. If there are none, "
             "calibrate again with old and new rows."
         ]
     if found.touches is None:
-        return ["Next: --touches FILE writes touches that would tell; give them together with these rows."]
+        return ["Next: --touches FILE plans touches that would settle it. Pass them together with these rows."]
     if found.tells < 1.0:
-        return ["Next: no touch of these faces tells them apart; what was done to the arm may."]
-    sure = f"odds of about {math.exp(min(found.tells, 14.0)):.0f} to 1"
-    return [f"Next: {len(found.touches)} touches would tell, with {sure}; give them together with these rows."]
-
-
-def _lines(found: Figures) -> str:
-    return f"{'line' if len(found.bad_lines) == 1 else 'lines'} {_listed([str(line) for line in found.bad_lines])}"
+        return ["Next: no touch of these faces would settle it. Find out what was done to the arm."]
+    odds = f"{times(math.exp(min(found.tells, 14.0)))} to 1"
+    return [
+        f"Next: {len(found.touches)} planned touches would settle it, at odds of about {odds}. Pass them with these "
+        "rows."
+    ]
 
 
 def _it(found: Figures) -> str:
     return "it" if len(found.bad_lines) == 1 else "them"
-
-
-def _listed(names: Sequence[str], word: str = "and") -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
-def _chance(p: float) -> str:
-    return f"p {'=' if p >= LEAST else '<'} {_number(p)}".replace("< < ", "< ")
-
-
-def _number(p: float) -> str:
-    return f"{p:.2g}" if p >= LEAST else f"{LEAST:g}"

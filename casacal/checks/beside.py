@@ -8,9 +8,9 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.noise import found_noise
-from casacal.uncertainty.score_test import CLEAR
+from casacal.uncertainty.scores import CLEAR
 
-COUNTED = "Calibrate all the same: its kit of effects takes this into account"
+COUNTED = "Calibrate anyway: the kit of effects accounts for this"
 
 FIXES = {
     "gain": "Declare gain=dial_gain(0.15), or give its certificate",
@@ -18,15 +18,15 @@ FIXES = {
     "form": "Clean the faces, or use a better plate",
     "neighbours": "Clean the faces, or use a better plate",
     "play": "Approach every touch from the same side",
-    "give": f"{COUNTED}; measure with the load that the arm will carry",
+    "give": f"{COUNTED}. Measure with the load that the arm will carry",
     "wave1": COUNTED,
     "wave2": COUNTED,
-    "field": "Look for what depends on posture, such as hoses, cables or a soft base",
-    "drift": "Let the dial warm up, fasten it and the faces, and touch one place again now and then",
-    "growth": "Let the arm warm up in the program that it will run, before it is measured",
-    "succession": "Take the touches in another order, and let arm and dial warm up",
-    "repeatability": "State the joints' repeatability (Joint(..., repeatability_std=...)), which weighs rows by it",
-    "repeats": "Look for what touches of one place have in common; more repeats of it will not help",
+    "field": "Look for causes that depend on posture, such as hoses, cables or a soft base",
+    "drift": "Let the dial warm up, fasten it and the faces, and repeat one touch from time to time",
+    "growth": "Let the arm warm up by running its production program before measuring",
+    "succession": "Take the touches in a different order, and let arm and dial warm up",
+    "repeatability": "State the joint repeatability (Joint(..., repeatability_std=...)); rows are then weighted by it",
+    "repeats": "Look for what repeated touches of one place have in common; more repeats will not help",
 }
 
 OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
@@ -45,8 +45,8 @@ def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
     found: dict[str, Finding] = {}
     for test in leading_tests(bound, problem, CLEAR):
         cause = (
-            f"the rows show it (the chance of such rows without it is {test.p_holm:.1g}): its likeliest size is "
-            f"{test.shown_size}, which left alone moves the tip by {test.tip_mm:.2g} mm RMS"
+            f"the rows show it (p = {test.p_holm:.1g}): its most likely size is "
+            f"{test.shown_size}, which moves the tip by {test.tip_mm:.2g} mm RMS"
         )
         fix = FIXES.get(test.key, OTHERWISE)
         found.setdefault(fix, Finding("warning", test.words, cause, fix))  # one that calls for the same says no more

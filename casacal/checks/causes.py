@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 
-from casacal.checks.finding import Finding, times
+from casacal.checks.finding import Finding
 from casacal.checks.suspects import columns_and_joints, parts_of_the_cell
 from casacal.checks.undone import FIRST_STEPS, STEPS, Fault, Undone, misfit
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.wording import times
 
 SUSPICIOUS = 2.0
 """Misfit, in stated standard deviations, above which something systematic is looked for."""
@@ -26,7 +27,7 @@ PROMISING = 12
 PAIRED = 3
 """Single faults, beside the usual ones, that are tried together with others."""
 RIVALS = 3
-"""Faults that would explain it as well and are named."""
+"""Faults that would explain it equally well and are named."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def _told(best: _Trial, base: float, tried: list[_Trial]) -> Cause:
     names = " and ".join(fault.about for fault in best.faults)
     others = [" and ".join(fault.about for fault in trial.faults) for trial in tried if trial.size <= ALIKE * best.size]
     rivals = [name for name in dict.fromkeys(others) if set(name.split(" and ")) != set(names.split(" and "))][:RIVALS]
-    also = f"; {', '.join(rivals)} would explain it as well" if rivals else ""
+    also = f"; {', '.join(rivals)} would explain it equally well" if rivals else ""
     causes = " and ".join(fault.cause for fault in best.faults)
     undone = "with that undone" if len(best.faults) == 1 else "with both undone"
     cause = (

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.beside import beside_geometry
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
-from casacal.checks.dial_sign import WRONG_SIGN, sign_before_fit
-from casacal.checks.finding import Finding, times
+from casacal.checks.dial import WRONG_SIGN, sign_before_fit
+from casacal.checks.finding import Finding
+from casacal.checks.fitted_faults import tool_moved
 from casacal.checks.labels import absent_labels, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
@@ -19,7 +20,6 @@ from casacal.checks.rows import outside, repeated, rounded
 from casacal.checks.setup import setup_findings
 from casacal.checks.several import check_several
 from casacal.checks.suspects import flips
-from casacal.checks.tool import tool_moved
 from casacal.checks.undone import misfit
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
@@ -27,7 +27,8 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.wording import times
 
 MOST_ROWS = 600
 """Rows used to look for systematic faults; more add time, not insight."""
@@ -58,9 +59,9 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     Raises CasacalError for what is no problem or no samples.
     """
     if not isinstance(problem, Problem):
-        raise CasacalError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
     if not isinstance(samples, (Samples, Measurements)):
-        raise CasacalError(f"{came(samples)} came as samples", "Give Samples; problem.read(path) returns them")
+        raise CasacalError(f"Got {came(samples)} as samples", "Give Samples; problem.read(path) returns them")
     if len(problem.instruments) > 1:
         if not isinstance(samples, Measurements) or samples.names != problem.names:
             fix = f"Give Measurements of {', '.join(problem.names)}"
@@ -146,15 +147,13 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
 
 def _unexplained(base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
-    cause = f"the residuals of a robust fit are {times(base)} times what the stated noise explains"
+    cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
     if known:
-        return Finding(
-            "remark", "misfit", f"{cause}, which {', '.join(known)} would account for", "Correct those first"
-        )
+        return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
     return Finding(
         "error",
         "misfit",
-        f"{cause}, and no sign, unit, swap, flip, coupling, drift or other place of the tool accounts for it",
+        f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it",
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause",
     )
@@ -171,7 +170,7 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
         Finding(
             "remark",
             f"{about}?",
-            "these samples would look the same if it were, so they cannot tell",
+            "these samples would look the same, so they cannot show it",
             "Check it by hand",
         )
         for about in unseen
@@ -194,9 +193,7 @@ def _rows(bound: BoundProblem) -> list[Finding]:
         Finding(
             "warning",
             "noise",
-            f"the residuals are {ratio:.2f} times what the stated noise explains (95 % {low:.2f} to {high:.2f})",
-            "Correct noise_std in the problem"
-            if ratio < 1
-            else "Raise noise_std, or find the effect that the model does not describe",
+            f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})",
+            "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out",
         )
     ]

@@ -7,9 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
-from casacal.checks.finding import Finding, counted
+from casacal.checks.finding import Finding
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.wording import counted
 
 MARGIN = 2
 """Rows that a label needs beside one for each unknown of its own."""
@@ -32,7 +33,9 @@ def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:
         usual = getattr(getattr(type(problem.instrument), key, None), "per", None)
         column = unknown.per
         if column is not None and column != usual and samples.labels[column].names == (column,):
-            cause = f"there is no column '{column}', by which '{key}' is declared to differ; all rows count as one"
+            cause = (
+                f"there is no column '{column}', which '{key}' is declared to depend on; all rows count as one group"
+            )
             found.append(Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it"))
     return found
 
@@ -55,7 +58,7 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
             other = alike[name]
             cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
             what = problem.instrument.words.group
-            fix = f"Write '{other}' there if it is the same {what}; as it stands it is a {what} of its own"
+            fix = f"Write '{other}' there if it is the same {what}; now it counts as a separate {what}"
             findings.append(Finding("warning", "labels alike", cause, fix, lines))
         elif said := _rare(problem, name, counts, column, totals.get(name, counts[name])):
             findings.append(Finding("warning", "rare label", *said, lines))
@@ -71,7 +74,7 @@ def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, tota
     if not few and not rare:
         return None
     others = [repr(other) for other in counts if other != name]
-    slip = f"Correct it if {' or '.join(others[:FEW])} is meant, or take" if others else "Take"
+    slip = f"Correct it if you mean {' or '.join(others[:FEW])}, or take" if others else "Take"
     beside = f"; each {group} has {counted(own, 'unknown')} of its own" if own else ""
     least = -(-(own + MARGIN) // components)
     return f"'{name}' occurs in {counted(counts[name])}{beside}", f"{slip} {least} rows or more there"

@@ -41,7 +41,7 @@ def numbers(problem: Problem) -> Iterator[Fault]:
     Of more freedom than a tool elsewhere, which is commoner: among so many, one or the other may fit by chance.
     """
     for name, _, _, unit in _priors(problem):
-        cause = f"{name} seems to be another than the problem says"
+        cause = f"{name} seems to differ from the problem file"
         yield Fault(f"{name} elsewhere", cause, _fix(name, unit), partial(_freed, name=name), 4, common=False)
 
 
@@ -64,9 +64,8 @@ def wrong_number(bound: BoundProblem) -> list[Finding]:
         by, std = float(found.x[j]), math.sqrt(found.covariance[j, j]) * noise
         if found.converged and abs(by) > WRONG * float(bound.prior_std[j]) + SURE * std:
             cause = (
-                f"{name} seems to be another than the problem says{_by(bound.problem, key, name, by)}, which is "
-                f"{abs(by) / float(bound.prior_std[j]):.2g} times the standard deviation of its prior; no other number "
-                "contradicts its own so far"
+                f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
+                f"{abs(by) / float(bound.prior_std[j]):.2g} prior standard deviations; no other parameter is so far off"
             )
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit))]
     return []
@@ -122,4 +121,4 @@ def _by(problem: Problem, key: str, name: str, by: float) -> str:
 
 def _fix(name: str, unit: str) -> str:
     tried = f" (--prior {name}={WIDE[unit]} tries it)" if unit in WIDE else ""
-    return f"Correct {name} in the problem, or set that joint's zero again{tried}"
+    return f"Correct {name} in the problem file, or re-master that joint{tried}"

@@ -13,15 +13,16 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import times
 from casacal.binding.nominal import nominal_tips
-from casacal.checks.finding import Finding, counted
-from casacal.checks.revolutions import lost_turns
+from casacal.checks.dial import lost_turns
+from casacal.checks.finding import Finding
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.leverage import leverages
+from casacal.uncertainty.figures import leverages
 from casacal.unknowns.fits import fitted_plane
+from casacal.wording import counted
 
 SUBSETS = 300
 """Random planes through three tips tried for the least median of squares."""
@@ -78,7 +79,7 @@ def exchanged_labels(
     findings = [
         Finding(
             "error", "labels exchanged",
-            f"{counted(len(lines))} labelled '{label}' lie{'s' if len(lines) == 1 else ''} on '{fits}'",
+            f"{counted(len(lines))} labelled '{label}' fit{'s' if len(lines) == 1 else ''} '{fits}'",
             "Correct the labels" + (", or the joints, if they are another row's" if len(lines) <= ONES_OWN else ""),
             tuple(lines),
         )
@@ -87,7 +88,7 @@ def exchanged_labels(
     if lost:
         findings.append(
             Finding(
-                "error", "outliers", "the tips lie far off every plane, even with the arm as drawn",
+                "error", "outliers", "the tips are far from every plane, even with the arm as drawn",
                 "Check joints and readings of these rows, or remove them", tuple(lost),
             )
         )  # fmt: skip
@@ -185,9 +186,9 @@ def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int,
         Finding(
             "error",
             "lost revolution",
-            f"read {by:+.3g} mm, {'this row fits' if len(rows) == 1 else 'these rows fit'}: "
+            f"with {by:+.3g} mm added to the reading {'this row fits' if len(rows) == 1 else 'these rows fit'}: "
             f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm",
-            "Measure there again, or correct the reading where the pointer was misread",
+            "Measure again, or correct the reading if the pointer was misread",
             tuple(sorted(samples.lines[k] for k in rows)),
             name,
         )
@@ -196,8 +197,10 @@ def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int,
     explained = {k for rows in turns.values() for k in rows}
     lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
     if lines:
-        cause = f"{counted(len(lines))} up to {found.worst:.0f} standard deviations off; beyond {found.limit:.1f} is "
-        fix = "Measure them again or remove them; calibrate sets them aside where they are few"
+        cause = (
+            f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations; more than {found.limit:.1f} is "
+        )
+        fix = "Measure them again or remove them; calibrate leaves them out if they are few"
         findings.append(Finding("error", "outliers", f"{cause}not chance", fix, lines, name))
     return findings
 

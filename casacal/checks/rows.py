@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.checks.finding import Finding, counted
+from casacal.checks.finding import Finding
 from casacal.problem.problem import Problem
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
+from casacal.wording import counted
 
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -30,9 +31,8 @@ def repeated(samples: Samples) -> list[Finding]:
         Finding(
             "warning",
             "repeated rows",
-            f"{counted(int(again.sum()))} with the same joints and readings as an earlier row would count its noise "
-            "again",
-            "Remove them, unless the arm really went there twice and the dial read the same",
+            f"{counted(int(again.sum()))} with the same joints and readings as an earlier row",
+            "Remove them, unless the arm really went there twice and the dial read the same; each counts once",
             _lines(samples, again),
         )
     ]
@@ -78,12 +78,12 @@ def _within_travel(low: float, high: float, travel: float) -> str:
     longer = f", and declare the travel (--set travel={math.ceil(high - low)})" if high - low > travel else ""
     if high < 0:
         return (
-            "Check whether the sign of the column is reversed: readings count from zero up, so write them without the "
-            f"minus; or, where the dial's zero is off, add the same {-low:g} mm or more to all{longer}"
+            "If the sign of the column is reversed, write the readings without the minus. If the dial was zeroed "
+            f"elsewhere, add the same {-low:g} mm or more to all{longer}"
         )
     return (
-        f"Check the rows below zero and the column's unit; if they are right, the dial's zero is off by {-low:g} mm or "
-        f"more: readings must be zero or more, so add the same {-low:g} mm or more to all{longer}"
+        f"Check the rows below zero and the unit of the column. If they are right, the dial was zeroed elsewhere: add "
+        f"the same {-low:g} mm or more to all{longer}"
     )
 
 
@@ -103,9 +103,9 @@ def rounded(bound: BoundProblem) -> list[Finding]:
                 Finding(
                     "error" if effect > 2 * noise else "warning",
                     "joints rounded",
-                    f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which blurs the "
-                    f"tip by {effect:.2g} mm; the stated noise is {noise:.2g} mm",
-                    "Log the joints with more digits, or declare the joints' repeatability",
+                    f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which moves the "
+                    f"tip by up to {effect:.2g} mm; the stated noise is {noise:.2g} mm",
+                    "Log the joints with more digits, or declare the joint repeatability",
                 )
             )
     lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]

@@ -24,7 +24,7 @@ from casacal.checks.outliers import (
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
-from casacal.uncertainty.prior_scatter import prior_scatter
+from casacal.uncertainty.prior_moves import prior_scatter
 
 MOST = 0.1
 """Part of the rows that may be set aside; where more are wrong, it is not single rows that are."""

@@ -47,8 +47,8 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             Finding(
                 "warning",
                 "tilt too small",
-                f"the tool stands within {tilt:.1f} degrees of the normal in every touch, which leaves combinations of "
-                "parameters that move the tip elsewhere unseen",
+                f"the tool is within {tilt:.1f} degrees of the normal in every touch, so some combinations of "
+                f"parameters that move the tip stay unseen",
                 "Tilt the tool by 10 degrees or more, in several directions",
             )
         )
@@ -57,7 +57,7 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             Finding(
                 "warning",
                 "faces too small",
-                f"the touches span little for an arm that reaches {reach:.0f} mm: {', '.join(small)}",
+                f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}",
                 "Use larger faces, or spread the touches over them",
             )
         )
@@ -101,7 +101,7 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
             Finding(
                 "remark",
                 NO_LENGTH,
-                "faces fix angles; the size of the arm comes from the prior"
+                "faces determine angles; the size of the arm comes from the prior"
                 + (" and a few millimetres of dial travel" if probe.column is not None else ""),
                 "Measure one known length, such as a gauge block's step, declared as a Step in the problem",
             )

@@ -9,12 +9,13 @@ from dataclasses import replace
 from casacal.binding.alone import Alone, each_alone
 from casacal.binding.bound_problem import bind
 from casacal.checks.causes import SUSPICIOUS
-from casacal.checks.finding import Finding, times
+from casacal.checks.finding import Finding
 from casacal.checks.setup import NO_LENGTH, enough_rows
 from casacal.checks.undone import misfit
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
+from casacal.wording import times
 
 UNBOUND = "cannot be bound"
 
@@ -66,10 +67,10 @@ def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:
     return [
         Finding(
             "error",
-            "instruments contradict one another",
-            f"each fits by itself (residuals up to {times(worst)} times the stated noise), all together do not "
+            "instruments contradict each other",
+            f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
             f"({times(together)} times){shared}",
-            "Check that arm, tool and base were the same for all, and that what is shared is the same thing; a noise "
-            "that is stated too small for one of them can also be the cause",
+            "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+            "same; too small a stated noise of one instrument can also be the cause",
         )
     ]

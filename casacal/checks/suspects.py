@@ -36,14 +36,14 @@ def columns_and_joints(problem: Problem) -> Iterator[Fault]:
         yield Fault(suspect.about, suspect.cause, suspect.fix, _rewritten(suspect))
     if turns.any():
         for factor, words in ANGLE_UNITS.items():
-            cause, fix = f"the joint angles seem to be {words}", "Correct the unit in the columns' names"
+            cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
             yield Fault("unit of the joints", cause, fix, _turned(np.diag(np.where(turns, factor, 1.0))))
     yield from flips(problem)
     for i, j in combinations(range(len(turns)), 2):
         if turns[i] == turns[j]:
             order = np.eye(len(turns))
             order[[i, j]] = order[[j, i]]
-            cause, fix = f"columns q{i + 1} and q{j + 1} seem to hold each other's values", "Swap the two column names"
+            cause, fix = f"columns q{i + 1} and q{j + 1} seem to be swapped", "Swap the two column names"
             yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
 
 
@@ -63,7 +63,7 @@ def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     probe, turns = problem.instrument.probe, problem.robot.revolute
     if names := ",".join(tool_keys(problem)):
         fix = f"Measure the tool again, and correct it in the problem (--free {names} --prior {names}=20 tries it)"
-        cause = "the tool seems to stand elsewhere"
+        cause = "the tool seems to be elsewhere"
         yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:
         yield from _signs_of_faces(samples, probe.column, probe.label, probe.travel)
@@ -94,8 +94,8 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, travel: fl
     if len(faces.names) < 2:
         return
     for name in faces.names:
-        cause = f"on '{name}' a larger reading seems to be a smaller one"
-        fix = f"Reverse the readings of '{name}'"
+        cause = f"the readings on '{name}' seem to have the wrong sign"
+        fix = f"Reverse the sign of the readings on '{name}'"
         for end in (0.0, travel):
 
             def undo(problem: Problem, samples: Samples, name: str = name, end: float = end) -> Undone:

@@ -1,4 +1,4 @@
-"""A problem as the options change it: what is held, freed, set, and how far it may be from the drawing."""
+"""Options that several commands share: what is held, freed and set in a problem, and what an arm must keep clear of."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from casacal.cli.common import box_of
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.planning.clearance import Clearance
     from casacal.problem.problem import Problem
 
 
@@ -39,7 +41,7 @@ def add_adjustments(parser: argparse.ArgumentParser) -> None:
 def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     """The problem as the options want it; raises CasacalError for what cannot be read or does not exist."""
     if options.accuracy is not None:
-        from casacal.uncertainty.priors import scaled_to_accuracy
+        from casacal.uncertainty.learned_priors import scaled_to_accuracy
 
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
@@ -51,7 +53,7 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     left = problem.free_names() if fix else free
     for name in free:
         if name not in left:
-            raise CasacalError(f"'{name}' is to be freed (--free) and held (--fix)", "Name it in one of the two")
+            raise CasacalError(f"'{name}' is both freed (--free) and held (--fix)", "Give it in one of the two")
     return problem
 
 
@@ -89,3 +91,40 @@ def numbers_of(option: str, settings: Sequence[str], form: str, example: str) ->
         if not equals or math.isnan(found.get(name.strip(), math.nan)):
             raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}")
     return found
+
+
+def add_clearance(parser: argparse.ArgumentParser) -> None:
+    """Boxes, the thickness of links, and shapes of a URDF."""
+    parser.add_argument(
+        "--keep-out",
+        action="append",
+        default=[],
+        metavar="X0:X1,Y0:Y1,Z0:Z1",
+        help="a box, mm, base frame, that arm and tool must avoid; may be repeated",
+    )
+    parser.add_argument(
+        "--link-radius",
+        type=float,
+        metavar="MM",
+        help="radius of the links, to keep clear of boxes, faces and each other",
+    )
+    parser.add_argument(
+        "--ignore-shapes",
+        action="store_true",
+        help="ignore the collision shapes of a URDF",
+    )
+
+
+def clearance_of(options: argparse.Namespace, problem: Problem) -> Clearance | None:
+    """What was said, and the shapes that a URDF has; None where there is nothing."""
+    from casacal.planning.clearance import Clearance
+    from casacal.planning.link_shapes import LinkShapes
+    from casacal.robots.urdf_chain import UrdfChain
+
+    shapes = None
+    if isinstance(problem.robot.arm, UrdfChain) and not options.ignore_shapes:
+        shapes = LinkShapes.of(problem.robot)
+    if not options.keep_out and options.link_radius is None and shapes is None:
+        return None
+    boxes = tuple(box_of(text, option="--keep-out") for text in options.keep_out)
+    return Clearance(boxes, options.link_radius, shapes)

@@ -1,4 +1,4 @@
-"""`casacal bench`: methods compared on public data sets, on rows that they have not seen."""
+"""`casacal bench`: compare methods on public data sets, on rows they have not seen."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from casacal.errors import CasacalError, UnknownNameError
 if TYPE_CHECKING:
     from casacal.bench.methods import Way
 
-HELP = "methods compared on public data sets, on rows that they have not seen"
+HELP = "compare methods on public data sets, on rows they have not seen"
 WHERE = "CASACAL_DATA"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal bench` takes."""
     parser.description = (
-        "Fit every method to a part of every data set, and judge it by the rest: as the set's page says, at random, "
-        "and in blocks. The measurements are not part of casacal. Folds are recorded one by one; a run can be resumed."
+        "Fit every method to part of every data set and judge it by the rest: split as the set's page says, at "
+        "random, and in blocks. The measurements are not part of casacal. A run that was interrupted can be resumed."
     )
     parser.add_argument("sets", metavar="SETS", help="a folder of sets, such as studies/bench, or one set's own folder")
     parser.add_argument("--data", metavar="DIR", help=f"where the measurements are; default: {WHERE}")
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--methods",
         metavar="FILE",
-        help="a Python file whose `methods`, functions (problem, fitted, unseen) by name, are compared, too",
+        help="a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well",
     )
     parser.add_argument("--method", action="append", default=[], metavar="NAME", help="this method; may be repeated")
     parser.add_argument("--quick", action="store_true", help="few rows, one block of each set: less than a minute")

@@ -1,4 +1,4 @@
-"""`casacal calibrate`: fit the arm's parameters to samples, and say how far to trust them."""
+"""`casacal calibrate`: calibrate the arm from samples, and say how far to trust them."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ from casacal.cli.common import (
 )
 from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
+from casacal.wording import mm
 
 if TYPE_CHECKING:
     from casacal.calibration.calibration import Calibration
     from casacal.problem.problem_file import ProblemFile
     from casacal.uncertainty.expectation import Box
 
-HELP = "fit the arm's parameters to samples"
+HELP = "calibrate the arm from samples"
 METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal calibrate` takes."""
     parser.description = (
-        "Fit the arm's parameters to samples, cross-check the minimum with IPOPT, and say how far to trust the result. "
-        "Exit 1 when the result must not be used."
+        "Fit the arm's parameters to samples, cross-check the minimum with IPOPT, and say how far the result can be "
+        "trusted. Exit 1 if it must not be used."
     )
     add_problem(parser)
     add_samples(parser)
@@ -59,17 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also give the tip error expected inside this box, mm, base frame"
     )
     parser.add_argument(
-        "--noise", choices=("found", "stated"), help="found (default): at least as stated, and what the rows show"
+        "--noise", choices=("found", "stated"), help="found (default): from the rows, but at least as stated"
     )
-    parser.add_argument(
-        "--keep-outliers", action="store_true", help="fit all rows, also those that chance does not explain"
-    )
+    parser.add_argument("--keep-outliers", action="store_true", help="fit all rows, including outliers")
     parser.add_argument(
         "--discrepancy",
         choices=("kit", "none"),
         default="kit",
-        help="kit (default): what arm and cell do beside their geometry counts, and is corrected where it wins by "
-        "transfer; none: geometry is all there is",
+        help="kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
+        "those that improve held-out rows; none: geometry alone",
     )
     parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
     parser.add_argument(
@@ -96,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     if options.holdout_by is not None and not options.holdout_by.strip():
         raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
     if options.holdout_by is not None and not options.holdout:
-        raise CasacalError(f"--holdout-by {options.holdout_by} came without --holdout", "Say which part: --holdout 0.3")
+        raise CasacalError(f"Got --holdout-by {options.holdout_by} without --holdout", "Say which part: --holdout 0.3")
     source = load_problem(options.problem)
     problem = adjusted(source.problem, options)
     given = sample_files(source, options)
@@ -128,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
     from casacal.calibration.brief import MOST_LINES, brief
-    from casacal.calibration.corrected_words import corrected_words
+    from casacal.calibration.effect_words import corrected_words
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import summary
     from casacal.calibration.verdict import verdict_of
@@ -142,13 +141,13 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
         inside = accuracy_in_box(motion.arm, motion.x, box, motion.off)
     expected = []
     if inside is not None:
-        expected = [f"Inside {options.box} mm: a tip error of {inside[0]:.3f} mm RMS, {inside[1]:.3f} mm at worst."]
+        expected = [f"Inside {options.box} mm: a tip error of {mm(inside[0])} RMS, {mm(inside[1])} at worst."]
     if not denied:
         expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
     folder = None if options.out is None else Path(options.out).as_posix()
-    last = "Parameters and what the samples cannot tell: --verbose"
+    last = "Parameters and what the samples do not show: --verbose"
     if folder is not None:
-        last = f"Written: {folder}/report.html, with result.json and the rest beside it"
+        last = f"Written: {folder}/report.html and result.json"
     if options.json:
         found = (
             {} if inside is None else {"box": {"range_mm": box, "expected_rms_mm": inside[0], "worst_mm": inside[1]}}

@@ -10,7 +10,7 @@ from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
-HELP = "whether the robot has changed since, what, and by how much"
+HELP = "tell whether the robot has changed since, what, and by how much"
 
 TOUCHES = 6
 """How many touches are proposed where causes cannot be told apart."""
@@ -19,10 +19,11 @@ TOUCHES = 6
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal changed` takes."""
     parser.description = (
-        "Look by fresh rows whether a joint's zero, the tool, the base or a face has changed since the calibration, "
-        "name it and by how much, or which touches would tell. Exit 1 when something changed or cannot be told."
+        "Tell from fresh rows whether an encoder zero, the tool, the base or a face has changed since the "
+        "calibration, which one and by how much. Where the rows cannot tell, plan the touches that would. Exit 1 if "
+        "something changed or is undecided."
     )
-    add_fresh_rows(parser, "faces that still stand where they were calibrated, unless they are what moved")
+    add_fresh_rows(parser, "faces that have not been moved since the calibration")
     parser.add_argument(
         "--alarm", type=float, default=0.01, metavar="RATE", help="rate of false alarms, 0.001 to 0.5; default: 0.01"
     )
@@ -31,13 +32,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=STD",
-        help="what may have drifted since, a standard deviation in mm or rad, such as theta=2e-5",
+        help="allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
     )
-    parser.add_argument("--update", metavar="DIR", help="write a result from the old one and these rows there")
+    parser.add_argument("--update", metavar="DIR", help="write an updated result from the old one and these rows")
     parser.add_argument(
-        "--touches", metavar="FILE", help=f"write {TOUCHES} touches that would tell causes apart, where that is needed"
+        "--touches", metavar="FILE", help=f"write {TOUCHES} touches that would settle the cause, where needed"
     )
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="of all that is drawn; default: 0")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
     add_json(parser)
 
 
@@ -91,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
         for place in written:
             say_paragraph(f"Written: {place}")
         if options.touches is not None and found.touches is None:
-            say_paragraph(f"{options.touches} was not written: no touches are needed, or none that tell are in reach.")
+            say_paragraph(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
     return DONE if found.changed is False else FAILED
 
 

@@ -1,4 +1,4 @@
-"""`casacal check`: what is wrong with samples, before anyone trusts a fit."""
+"""`casacal check`: find mistakes in samples before fitting."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from casacal.cli.adjust import add_adjustments, adjusted
 from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, read_samples
 from casacal.cli.terminal import say_json, say_paragraph
 
-HELP = "what is wrong with samples, before anyone trusts a fit"
+HELP = "find mistakes in samples before fitting"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal check` takes."""
-    parser.description = (
-        "Say what is wrong, weak or worth knowing about samples. Exit 1 when a result from them would be wrong."
-    )
+    parser.description = "Find mistakes and weaknesses in samples. Exit 1 if a result from them would be wrong."
     add_problem(parser)
     add_samples(parser)
     add_adjustments(parser)

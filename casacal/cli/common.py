@@ -50,7 +50,7 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
 def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
     add_result(parser)
-    add_instrument(parser, "which one took these rows; default: the one whose columns they have")
+    add_instrument(parser, "instrument that took these rows; default: the one with these columns")
     parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
     parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
     parser.add_argument(
@@ -69,7 +69,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="take a result whose verdict is not to use it, and write that into the file",
+        help="accept a result that must not be used; the file says so",
     )
 
 
@@ -149,7 +149,7 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
         return {names[0]: _only_file(source, options.samples)}
     if options.samples is not None:
         wanted = " ".join(f"--samples {name}=FILE" for name in names)
-        raise CasacalError(f"One file came for {len(names)} instruments", f"Name one for each: {wanted}")
+        raise CasacalError(f"Got one file for {len(names)} instruments", f"Name one for each: {wanted}")
     if options.readings is not None:
         raise CasacalError("--readings is for one instrument", "Join readings and poses in one file for each")
     given = dict[str, str]()

@@ -1,4 +1,4 @@
-"""`casacal compensate`: joint targets at which the calibrated arm hits the poses, with their proof."""
+"""`casacal compensate`: correct joint targets for the calibrated arm, with their proof."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from casacal.cli.terminal import say_json, say_paragraph
 if TYPE_CHECKING:
     from casacal.compensation.outcome import Compensation
 
-HELP = "joint targets at which the calibrated arm hits the poses"
+HELP = "correct joint targets for the calibrated arm"
 SHOWN = 5
 """Targets not reached that are named one by one."""
 
@@ -20,13 +20,13 @@ SHOWN = 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal compensate` takes."""
     parser.description = (
-        "Write joint targets for which the calibrated robot takes the poses that the nominal one was meant to take. "
-        "Joint targets keep their branch. Pose targets (with a column qw) take the branch of the joint columns beside "
-        "them; without such columns each takes the posture nearest to that of the row before, and the first the one "
-        "nearest to the middle of the joints' ranges. Exit 1 when a target is not reached; every row is written."
+        "Write joint targets that bring the calibrated robot to the poses meant for the nominal one. Joint targets "
+        "keep their branch. Pose targets (with a column qw) take the branch of the joint columns beside them; without "
+        "such columns each takes the posture nearest to that of the row before, and the first the one nearest to the "
+        "middle of the joints' ranges. Exit 1 if a target is not reached; every row is written."
     )
     add_result(parser)
-    add_instrument(parser, "whose tip is meant; default: the first")
+    add_instrument(parser, "instrument whose tip is meant; default: the first")
     parser.add_argument(
         "targets", metavar="TARGETS", help="CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz"
     )
@@ -36,14 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frame",
         choices=("flange", "tip"),
         default="flange",
-        help="what pose targets are of: the flange, or the tip, where the instrument touches; default: flange",
+        help="pose targets are of the flange, or of the tip that touches; default: flange",
     )
     parser.add_argument(
         "--largest",
         type=float,
         default=10.0,
         metavar="DEG",
-        help="correction of a joint above which a target counts as a jump; default: 10",
+        help="joint correction above which a target counts as a jump, degrees; default: 10",
     )
     add_force(parser)
     add_json(parser)
@@ -51,11 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
-    from casacal.compensation.caution import verdict_part
     from casacal.compensation.compensate import compensate
     from casacal.compensation.outcome import Outcome
     from casacal.compensation.programs import notes, rounding_of, text_of
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
     from casacal.compensation.targets import read_targets
     from casacal.errors import CasacalError

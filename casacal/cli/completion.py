@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from casacal.cli.common import DONE
 from casacal.cli.terminal import say
 
-HELP = "a script that completes casacal's commands and options in a shell"
+HELP = "print a shell completion script"
 PLACES = ("FILE", "DIR", "PROBLEM", "SAMPLES", "RESULT", "JOINTS", "TARGETS", "POSES", "STUDY")
 """What the arguments are called that name files or folders."""
 

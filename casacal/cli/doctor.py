@@ -1,4 +1,4 @@
-"""`casacal doctor`: a controller's conventions, from poses that its pendant shows."""
+"""`casacal doctor`: find a controller's conventions from poses on its pendant."""
 
 from __future__ import annotations
 
@@ -17,30 +17,34 @@ if TYPE_CHECKING:
     from casacal.doctor.diagnosis import Diagnosis
 
 
-HELP = "a controller's conventions, from poses that its pendant shows"
+HELP = "find a controller's conventions from poses on its pendant"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal doctor` takes."""
     parser.description = (
-        "Find joint signs, quarter-turn offsets, joints measured against others, units and the convention of "
-        "orientation from poses that the pendant shows, and print them as a [conventions] block. Where "
-        "none fits for one number copied wrongly, say which one. Exit 1 when they are not certain or none fits."
+        "Find joint signs, quarter-turn offsets, coupled joints, units and the convention of orientation from poses "
+        "that the pendant shows, and print them as a [conventions] block. If one number was copied wrongly, name it. "
+        "Exit 1 if the answer is not certain or nothing fits."
     )
     add_problem(parser)
     parser.add_argument(
         "poses", metavar="POSES", help="CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c"
     )
     parser.add_argument(
-        "--tool", metavar="POSE", help="frame whose pose the pendant shows, seen from the flange; default: the flange"
+        "--tool", metavar="POSE", help="tool frame of the pendant, relative to the flange; default: the flange"
     )
     parser.add_argument(
         "--base",
         metavar="POSE",
-        help="pose of the robot's base in the frame in which the pendant shows poses; default: that frame",
+        help="pose of the robot's base in the pendant's user frame; default: the same frame",
     )
     parser.add_argument(
-        "--tolerance", type=float, default=3.0, metavar="MM", help="how far a row may miss, in mm and mrad; default: 3"
+        "--tolerance",
+        type=float,
+        default=3.0,
+        metavar="MM",
+        help="largest allowed error of a row, in mm and mrad; default: 3",
     )
     add_json(parser)
     parser.epilog = (

@@ -1,4 +1,4 @@
-"""`casacal export`: a calibrated arm as DH table, URDF, zero offsets or C."""
+"""`casacal export`: write a calibrated arm as DH table, URDF, zero offsets or C."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     pass
 
 
-HELP = "a calibrated arm as DH table, URDF, zero offsets or C"
+HELP = "write a calibrated arm as DH table, URDF, zero offsets or C"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal export` takes."""
     parser.description = "Write a calibrated arm in a form that other programs read."
     add_result(parser)
-    add_instrument(parser, "whose tip is meant; default: the first")
+    add_instrument(parser, "instrument whose tip is meant; default: the first")
     parser.add_argument(
         "--to",
         required=True,
@@ -30,11 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", required=True, metavar="FILE", help="file to write")
     parser.add_argument(
-        "--source", metavar="FILE", help="for dh and urdf: a file to write back with only its numbers changed"
+        "--source", metavar="FILE", help="for dh and urdf: a file of yours to copy with only its numbers changed"
     )
-    parser.add_argument(
-        "--prefix", metavar="WORD", help="for c: what names of functions begin with; default: the problem's name"
-    )
+    parser.add_argument("--prefix", metavar="WORD", help="for c: prefix of function names; default: the problem's name")
     parser.add_argument("--faces", metavar="A,B,C", help="for frame: z of the first face, x of the second, all three")
     parser.add_argument("--points", metavar="A,B,C", help="for frame: origin, a point along x, a point beside it")
     add_force(parser)
@@ -43,8 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.compensation.caution import verdict_part
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export

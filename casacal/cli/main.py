@@ -53,7 +53,8 @@ COMMANDS = {
 """Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
 
 EPILOG = (
-    "The flange is what robot.pose of the problem gives; the tip is where the instrument touches. Lengths are in mm "
+    "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
+    "are in mm "
     "and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not be used, a "
     "check failed or a target was not reached; 2 bad input."
 )

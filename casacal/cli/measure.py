@@ -13,19 +13,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.clear_of import add_clearance, clearance_of
+from casacal.cli.adjust import add_clearance, clearance_of
 from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.measuring.gauges import Gauge
-    from casacal.measuring.serial_line import SerialLine
+    from casacal.measuring.gauges import Gauge, SerialLine
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
     from casacal.problem.problem_file import ProblemFile
 
-HELP = "a session at the machine: each touch judged when it is made"
+HELP = "take touches at the machine, each judged at once"
 
 EVERY = 10
 """Touches beyond the plan between two words about how many more it takes."""
@@ -34,9 +33,9 @@ EVERY = 10
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal measure` takes."""
     parser.description = (
-        "Go through the touches of a plan, take each reading from the keyboard or a gauge, and write it at once. A "
-        "touch that does not agree with the others is named, with what would explain it. Cut off, it goes on where it "
-        "was. Exit 1 when a tolerance was asked for and is not met, or a touch is left in doubt."
+        "Go through the touches of a plan, take each reading from the keyboard or a gauge, and save it at once. A "
+        "touch that does not agree with the others is named, with the likely causes. An interrupted session continues "
+        "where it stopped. Exit 1 if a tolerance was asked for and is not met, or if a touch is left in doubt."
     )
     add_problem(parser)
     add_instrument(parser, "which one takes the readings")
@@ -45,29 +44,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", required=True, metavar="FILE", help="samples to write; those to check with go to FILE_check"
     )
     parser.add_argument(
-        "--tolerance", type=float, metavar="MM", help="end when the tip error is below this 19 times of 20"
+        "--tolerance", type=float, metavar="MM", help="end when the tip error is below this with 95 %% probability"
     )
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="where the tip is wanted, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values at which it is wanted, in place of a box")
+    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
+    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
     parser.add_argument(
         "--best-first",
         action="store_true",
-        help="go to the touch of the plan that lowers the tip error most, not to the next on its way, which was short",
+        help="choose the touch that lowers the tip error most, not the next on the planned way",
     )
     add_clearance(parser)
     parser.add_argument("--serial", metavar="PORT", help="where a gauge is connected, such as COM3 or /dev/ttyUSB0")
     parser.add_argument("--gauge", default="plain", metavar="NAME", help="digimatic, sylvac or plain; default: plain")
-    parser.add_argument("--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) round the number")
+    parser.add_argument(
+        "--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) around the number"
+    )
     parser.add_argument("--unit", metavar="UNIT", help="of readings that say none: mm, in or um; default: mm")
-    parser.add_argument("--ask", metavar="TEXT", help="what makes the gauge send a reading, sent at an empty line")
+    parser.add_argument(
+        "--ask", metavar="TEXT", help="text that makes the gauge send a reading, sent when you press Enter"
+    )
     parser.add_argument("--baud", type=whole_number, default=9600, metavar="N", help="of the line; default: 9600")
     parser.add_argument("--frame", default="8N1", metavar="8N1", help="bits, parity and stop bits; default: 8N1")
 
 
 def run(options: argparse.Namespace) -> int:
     """Hold a session; returns 0, or 1 where a tolerance is not met."""
-    from casacal.measuring.gauges import gauge
-    from casacal.measuring.serial_line import SerialLine
+    from casacal.measuring.gauges import SerialLine, gauge
     from casacal.problem.problem_file import load_problem
 
     source = of_instrument(load_problem(options.problem), options.instrument)
@@ -111,7 +113,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     if file.begun():
         touches, cut = file.read()
         if cut:
-            say_paragraph("The last line of the file was cut off; that touch is to be made again")
+            say_paragraph("The last line of the file was cut off; make that touch again")
         if touches:
             session = session.resumed(touches)
             say_paragraph(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
@@ -154,7 +156,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
         answer = answered(session, proposed, entered, meter)
         if answer.change != "none" and file.sizes() != sizes:
             raise CasacalError(
-                f"'{file.path}' was changed by somebody else since",
+                f"another program changed '{file.path}'",
                 "End the other session, and go on with this command",
             )
         if answer.change == "added":
@@ -181,11 +183,11 @@ def _further(session: Session) -> bool:
     needed = session.needed()
     if needed is None:
         say_paragraph(
-            f"The plan is at its end, and {MOST} more touches would not bring the tip error below "
-            f"{session.tolerance:g} mm: it takes another face, a step of known height or a better instrument"
+            f"The plan is finished, and {MOST} more touches would not bring the tip error below "
+            f"{session.tolerance:g} mm. It takes another face, a step of known height or a better instrument"
         )
         return False
-    say_paragraph(f"The plan is at its end; about {needed} more touches to {session.tolerance:g} mm")
+    say_paragraph(f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm")
     return True
 
 

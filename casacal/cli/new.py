@@ -1,4 +1,4 @@
-"""`casacal new`: a problem folder from a DH table or a URDF."""
+"""`casacal new`: make a problem folder from a DH table or a URDF."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from casacal.cli.common import DONE
 from casacal.cli.terminal import say_paragraph
 from casacal.errors import CasacalError
 
-HELP = "a problem folder from a DH table or a URDF"
+HELP = "make a problem folder from a DH table or a URDF"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal new` takes."""
-    parser.description = "Write a problem folder for an arm that comes as a DH table or as a URDF."
+    parser.description = "Write a problem folder for an arm given as a DH table or a URDF."
     parser.add_argument("name", metavar="NAME", help="name of the folder, which must not exist yet")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--dh", metavar="FILE", help="DH table in CSV or TOML")
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sign", choices=("-1", "+1", "1"), help="-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
     )
     parser.add_argument(
-        "--accuracy", type=float, metavar="MM", help="absolute accuracy of the arm, as its maker states"
+        "--accuracy", type=float, metavar="MM", help="absolute accuracy of the arm as its maker states it"
     )
     parser.add_argument("--out", metavar="DIR", default=".", help="where to make the folder; default: here")
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.problem.new import new_from_dh, new_from_urdf
-    from casacal.problem.new_dial import Given
+    from casacal.problem.problem_text import Given
 
     sign = None if options.sign is None else int(options.sign)
     given = Given(tool=None if options.tool is None else _triple(options.tool), sign=sign, accuracy=options.accuracy)
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     following = f"casacal simulate {place} --out out/{options.name}.csv"
     for words in given.missing:
         say_paragraph(f"To fill in: {words}")
-    say_paragraph(f"Next: {f'fill these in in {place}/problem.py, then ' if given.missing else ''}{following}")
+    say_paragraph(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
     return DONE
 
 

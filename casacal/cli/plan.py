@@ -1,4 +1,4 @@
-"""`casacal plan`: which touches to make, and what they will bring."""
+"""`casacal plan`: plan which touches to make."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import stds_of
-from casacal.cli.clear_of import add_clearance, clearance_of
+from casacal.cli.adjust import add_clearance, clearance_of, stds_of
 from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from casacal.planning.setups import SetUp
     from casacal.problem.problem_file import ProblemFile
 
-HELP = "which touches to make, and what they will bring"
+HELP = "plan which touches to make"
 
 TOUCHES = 60
 """How many where nothing is said."""
@@ -27,48 +26,52 @@ TOUCHES = 60
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal plan` takes."""
     parser.description = (
-        "Choose the touches that leave the least error of the tip, among many that the arm as drawn can make in the "
-        "problem's cell, and write them in the order of a short way. Some repeat others, some are kept to verify."
+        "Choose the touches that leave the smallest tip error, among many that the drawn arm can make in the "
+        "problem's cell, and write them in the order of a short path. Some repeat others, some are kept to verify."
     )
     add_problem(parser)
     add_instrument(parser, "for which one")
     parser.add_argument("--out", required=True, metavar="FILE", help="plan to write, such as plan.csv")
-    parser.add_argument("--touches", type=whole_number, metavar="N", help=f"how many in all; default: {TOUCHES}")
+    parser.add_argument(
+        "--touches", type=whole_number, metavar="N", help=f"number of touches in all; default: {TOUCHES}"
+    )
     parser.add_argument(
         "--tolerance",
         type=float,
         metavar="MM",
-        help="in place of --touches: as many as it takes to expect this tip error",
+        help="instead of --touches: as many as this expected tip error takes",
     )
     _add_choice(parser)
     _add_cell(parser)
     _add_written(parser)
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="of all that is drawn; default: 0")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
     add_json(parser)
 
 
 def _add_choice(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="where the tip is wanted, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values at which it is wanted, in place of a box")
+    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
+    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
     parser.add_argument(
         "--criterion",
         default="tip",
         metavar="NAME",
-        help="tip: the least mean error of the tip (default); parameters: the least volume of what they may be",
+        help="tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
     )
-    parser.add_argument("--after", metavar="FILE", help="touches that were made already, on top of which these come")
+    parser.add_argument("--after", metavar="FILE", help="samples that were taken already; the plan adds to them")
     parser.add_argument(
         "--loose",
         action="append",
         default=[],
         metavar="NAME=STD",
-        help="with --after: what may have moved since, such as theta4=0.01 after a new motor; rad or mm",
+        help="with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
     )
     parser.add_argument(
-        "--pool", type=whole_number, default=3000, metavar="N", help="among how many is chosen; default: 3000"
+        "--pool", type=whole_number, default=3000, metavar="N", help="number of candidates; default: 3000"
     )
     parser.add_argument("--check", type=float, default=0.15, metavar="F", help="part kept to verify; default: 0.15")
-    parser.add_argument("--again", type=float, default=0.05, metavar="F", help="part that repeats; default: 0.05")
+    parser.add_argument(
+        "--again", type=float, default=0.05, metavar="F", help="part repeated at the end; default: 0.05"
+    )
 
 
 def _add_cell(parser: argparse.ArgumentParser) -> None:
@@ -77,27 +80,27 @@ def _add_cell(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_written(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sheet", metavar="FILE", help="a sheet to print and write on, such as sheet.html")
+    parser.add_argument("--sheet", metavar="FILE", help="write a sheet to print and fill in, such as sheet.html")
     parser.add_argument(
         "--program",
         action="append",
         default=[],
         metavar="LANGUAGE",
-        help="also a program beside the plan: rapid, krl or urscript; may be given several times",
+        help="also write a robot program: rapid, krl or urscript; may be repeated",
     )
     parser.add_argument(
-        "--retreat", type=float, default=20.0, metavar="MM", help="how far programs stand back; default: 20"
+        "--retreat", type=float, default=20.0, metavar="MM", help="standoff of programs from the face; default: 20"
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.enough import rows_needed
-    from casacal.planning.words import document, told
+    from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
     if options.touches is not None and options.tolerance is not None:
-        raise CasacalError("--touches and --tolerance came", "Give one of them")
+        raise CasacalError("Got --touches and --tolerance", "Give one of them")
     if not 0 < options.retreat < 1000:
         raise CasacalError(f"--retreat is {options.retreat:g}", "Give a number of mm from 1 to 999")
     source = of_instrument(load_problem(options.problem), options.instrument)
@@ -117,8 +120,8 @@ def run(options: argparse.Namespace) -> int:
     fitted, least = rows_needed(source.problem, found)
     if fitted < least and options.after is None:
         say_paragraph(
-            f"warning: {fitted} touches are fitted, and casacal calibrate takes at least {least} for all unknowns; ask "
-            "for more, check fewer, or hold parameters"
+            f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
+            f"Ask for more, keep fewer to verify, or hold parameters"
         )
     for place in written:
         say_paragraph(f"Written: {place}")
@@ -135,7 +138,7 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
     touches = TOUCHES if options.touches is None else options.touches
     loose = stds_of("--loose", options.loose)
     if loose and after is None:
-        raise CasacalError("--loose came without --after", "Name the touches from which the arm was calibrated")
+        raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
     if options.tolerance is not None:
         fitted = touches_for(
             source.problem, source.cell, options.tolerance, box=box, targets=targets, after=after, loose=loose
@@ -178,8 +181,8 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
         if blocked and not options.json:
             say_paragraph(
-                f"warning: no clear way was found to {'touch' if len(blocked) == 1 else 'touches'} "
-                f"{', '.join(blocked)}; the program stops before"
+                f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
+                f"{', '.join(blocked)}; the program stops before it"
             )
     if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
         raise CasacalError("Two of the files to write have the same name", "Name others")

@@ -1,4 +1,4 @@
-"""`casacal predict`: poses of a calibrated arm at joint values."""
+"""`casacal predict`: predict poses of the calibrated arm."""
 
 from __future__ import annotations
 
@@ -7,38 +7,40 @@ import argparse
 from casacal.cli.common import DONE, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
-HELP = "poses of a calibrated arm at joint values"
+HELP = "predict poses of the calibrated arm"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal predict` takes."""
     parser.description = (
         "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
-        "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, tool included, "
-        "and the reading where JOINTS has that column."
+        "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
+        "and, where JOINTS has that column, the reading."
     )
     add_result(parser)
-    add_instrument(parser, "whose tip is meant; default: the first")
+    add_instrument(parser, "instrument whose tip is meant; default: the first")
     parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
     parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
     parser.add_argument(
-        "--frame", choices=("flange", "tip"), default="flange", help="what the poses are of; default: flange"
+        "--frame",
+        choices=("flange", "tip"),
+        default="flange",
+        help="poses of the flange or of the tip; default: flange",
     )
     parser.add_argument(
         "--std",
         action="store_true",
-        help="add a column std_mm: standard deviation of the position, apart from where the base stands",
+        help="add a column std_mm: standard deviation of the position, apart from the position of the base",
     )
-    parser.add_argument("--nominal", action="store_true", help="the arm as drawn, not as calibrated")
+    parser.add_argument("--nominal", action="store_true", help="use the arm as drawn, not as calibrated")
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.arm import denial
-    from casacal.compensation.caution import caution, verdict_part
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.result_file import read_result
+    from casacal.compensation.result_file import caution, read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
 
     spare([options.out], options.result, options.joints)

@@ -1,4 +1,4 @@
-"""`casacal simulate`: samples of a simulated cell, with the truth behind them."""
+"""`casacal simulate`: simulate samples, with the true arm."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from casacal.problem.disturbances import Disturbances
     from casacal.problem.problem_file import ProblemFile
 
-HELP = "samples of a simulated cell, with the truth behind them"
+HELP = "simulate samples, with the true arm"
 
 
 NUMBERS = {
     "tilt": ("DEG", "largest angle between plunger and face normal"),
     "travel": ("MM", "range of the dial"),
     "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
-    "resolution": ("MM", "step of the dial's display; 0 for none"),
+    "resolution": ("MM", "resolution of the dial; 0 for none"),
     "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
-    "dial-cycle": ("MM", "error that comes back with every turn of the pointer"),
-    "hysteresis": ("MM", "of the dial: readings lag by half of it"),
-    "drift": ("MM", "growth of the readings from the first row to the last"),
+    "dial-cycle": ("MM", "amplitude of the error that repeats with every turn of the pointer"),
+    "hysteresis": ("MM", "hysteresis of the dial; readings lag by half of it"),
+    "drift": ("MM", "drift of the readings from the first row to the last"),
     "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
     "backlash": ("RAD", "backlash of each joint"),
-    "encoder-step": ("RAD", "step in which joint values are said"),
+    "encoder-step": ("RAD", "resolution of the joint values in the file"),
     "flatness": ("MM", "peak-to-valley form error of the faces"),
-    "flatness-reach": ("X", "half widths of a face over which heights are alike"),
-    "compliance": ("MM", "RMS sag of the tip under gravity"),
-    "thermal": ("X", "growth of the arm from the first row to the last: 3e-5 is 30 um for each metre"),
+    "flatness-reach": ("X", "correlation length of the form error, in half widths of the face"),
+    "compliance": ("MM", "RMS gravity sag of the tip"),
+    "thermal": ("X", "thermal growth of the arm from the first row to the last: 3e-5 is 30 um per metre"),
     "outliers": ("F", "fraction of rows with a gross error"),
     "outlier-size": ("MM", "size of those errors"),
     "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="N",
-        help="how many touches; default: 120; of several instruments dial=120, once for each",
+        help="number of touches; default: 120; with several instruments dial=120, once for each",
     )
     parser.add_argument(
         "--seed",
@@ -70,13 +70,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         dest="gear_waves",
         metavar="ORDER=RAD",
-        help="error of every turning joint that comes back so many times a turn, such as 1=1e-4; may be repeated",
+        help="transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated",
     )
-    parser.add_argument("--repeats", type=whole_number, metavar="N", help="times that each place is touched in a row")
+    parser.add_argument("--repeats", type=whole_number, metavar="N", help="touches of each place in a row")
     parser.add_argument(
         "--approach",
         choices=("same", "alternating", "random"),
-        help="side from which joints and plunger come to a place; same: from the row before, the plunger pushed in",
+        help="side from which joints and plunger approach; same: from the row before, with the plunger pushed in",
     )
     add_json(parser)
 
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     _spare_measurements(out)
     if out.suffix.lower() not in (".csv", ".txt", ""):
         raise CasacalError(
-            f"simulate writes CSV, and '{out}' is called otherwise", f"Name it {out.with_suffix('.csv').name}"
+            f"simulate writes CSV, but '{out}' does not end in .csv", f"Name it {out.with_suffix('.csv').name}"
         )
     source = load_problem(options.problem)
     for place in sample_paths(out, source.problem.names):
@@ -116,12 +116,13 @@ def run(options: argparse.Namespace) -> int:
     each = [f"{count} samples" + (f" of the {name}" if len(counts) > 1 else "") for name, count in counts.items()]
     say_paragraph(f"Simulated, not measured: {', '.join(each)} {where}")
     say_paragraph(
-        "Samples like these can bring the tip error over the workspace, apart from where the base stands, from "
+        "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
     )
     if simulation.moves_beyond_geometry:
         say_paragraph(
-            "The truth file holds the geometry alone: what else moves the tip, such as sag and gear waves, is in "
+            "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
+            "error, is in "
             "Simulation.true_tips (Python)"
         )
     say_paragraph(f"Written: {', '.join(written)}")
@@ -144,7 +145,7 @@ def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
             count = int(number)
         except ValueError:
             wanted = "120" if len(names) == 1 else f"120, or {names[0]}=120"
-            raise CasacalError(f"--samples {text} is no number of samples", f"Give {wanted}") from None
+            raise CasacalError(f"--samples {text} is not a number of samples", f"Give {wanted}") from None
         if equals:
             source.problem.number(name)
         found |= {name: count} if equals else dict.fromkeys(names, count)
@@ -157,7 +158,7 @@ def _wave(text: str) -> tuple[int, float]:
     try:
         return int(order), float(amplitude)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no ORDER=RAD, such as 1=1e-4") from None
+        raise argparse.ArgumentTypeError(f"'{text}' is not ORDER=RAD, such as 1=1e-4") from None
 
 
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from casacal.study import Run, Study
     from casacal.study.study_file import StudyFile
 
-HELP = "many trials of many methods, recorded and reported"
+HELP = "run a study of many trials and methods"
 SAID_EVERY = {True: 0.5, False: 20.0}
 """Seconds between progress lines, on a terminal (they overwrite one another) and in a log."""
 
@@ -28,18 +28,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Run a study file and write its report. Trials are recorded one by one, so a run can be resumed."
     )
     parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
-    parser.add_argument("--quick", action="store_true", help="the study's small form, which takes less than a minute")
-    parser.add_argument("--trials", type=int, metavar="N", help="trials per setting; default: what the study says")
+    parser.add_argument("--quick", action="store_true", help="the short form of the study, less than a minute")
+    parser.add_argument("--trials", type=int, metavar="N", help="trials per setting; default: the study's own")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
     parser.add_argument("--shard", metavar="I/N", help="run only the I-th of N parts of the trials, to be merged later")
-    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing; put the records of shards together")
+    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing; merge the records of shards")
     parser.add_argument(
         "--timeout",
         type=float,
         metavar="SECONDS",
-        help="a process for each trial, and the longest that a method may take in it; one that takes longer or crashes "
-        "is recorded as a failure, and --resume with a longer time tries it again",
+        help="run each trial in its own process with this time limit; a method that takes longer or crashes is "
+        "recorded as a failure, and --resume with a longer time tries it again",
     )
     parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only the missing trials")
     parser.add_argument("--report", action="store_true", help="run nothing; write the report from the records in DIR")
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         return _study(options)
     except KeyboardInterrupt:
-        complain("Interrupted. The records so far are kept; --resume goes on from there.")
+        complain("Interrupted. The records so far are kept; --resume continues from there.")
         return INTERRUPTED
 
 
@@ -120,7 +120,7 @@ def _shard(text: str | None) -> tuple[int, int]:
     except ValueError:
         number = count = 0
     if not 1 <= number <= count:
-        raise CasacalError(f"--shard {text} is not I/N", "Give the part and their number, such as 2/3")
+        raise CasacalError(f"--shard {text} is not I/N", "Give part/parts, such as 2/3")
     return number, count
 
 

@@ -1,4 +1,4 @@
-"""`casacal verify`: whether a calibration keeps its promise on fresh rows."""
+"""`casacal verify`: test a calibration on fresh rows."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from casacal.errors import CasacalError
 HEAD = 20_000
 """Characters of a page in which its title stands."""
 
-HELP = "whether a calibration keeps its promise on fresh rows"
+HELP = "test a calibration on fresh rows"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal verify` takes."""
     parser.description = (
-        "Judge a calibration by rows that it has not seen, without fitting the arm again: only where the faces stand, "
-        "or the tracker and its reflector, is estimated from them. Exit 1 when the residuals are larger than the "
-        "calibration promised, or where the arm is not accepted by the tolerance: rejected or undecided."
+        "Judge a calibration by rows that it has not seen, without fitting the arm again: only the positions of "
+        "faces, or of tracker and reflector, are estimated from them. Exit 1 if the residuals are larger than the "
+        "calibration promised, or if the arm is not accepted by the tolerance."
     )
-    add_fresh_rows(parser, "faces that still stand where they were calibrated, and are not fitted again")
+    add_fresh_rows(parser, "faces that have not been moved since the calibration and are not fitted again")
     parser.add_argument(
         "--tolerance",
         type=float,
         metavar="MM",
-        help="largest RMS error that the arm may have in what these rows see: accept, reject or undecided (JCGM 106)",
+        help="largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
     )
     parser.add_argument(
         "--risk",
         type=float,
         metavar="P",
-        help="chance of a wrong decision of an arm at the tolerance; default: 0.05",
+        help="chance of a wrong decision for an arm at the tolerance; default: 0.05",
     )
-    parser.add_argument("--report", metavar="FILE", help="write a page about it there: HTML that needs no other file")
+    parser.add_argument("--report", metavar="FILE", help="write a self-contained HTML page")
     parser.add_argument(
         "--into-report",
         action="store_true",
-        help="write it into the report.html beside RESULT, after its verdict; an earlier one there is replaced",
+        help="add it to the report.html beside RESULT, in place of an earlier one",
     )
     add_json(parser)
 
@@ -52,14 +52,14 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
     from casacal.problem.problem_file import load_problem
     from casacal.verification.decision import RISK
-    from casacal.verification.into_report import REPORT, with_section
     from casacal.verification.opened import measured_by
+    from casacal.verification.page import REPORT, with_section
     from casacal.verification.verify import verify
 
     if not options.samples.strip():
         raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     if options.risk is not None and options.tolerance is None:
-        raise CasacalError("--risk came without --tolerance", "Say the tolerance that it is a risk of")
+        raise CasacalError("Got --risk without --tolerance", "Give the tolerance as well")
     result = read_result(options.result)
     other = None if options.problem is None else load_problem(options.problem)
     if options.report is not None:

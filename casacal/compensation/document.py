@@ -99,7 +99,7 @@ def check_document(file: str, document: Any) -> None:
     for what, rows in (("parameters", parameters), ("unknowns", unknowns)):
         twice = sorted(name for name, count in Counter(row["name"] for row in rows).items() if count > 1)
         if twice:
-            raise CasacalError(f"{file}: '{twice[0]}' stands twice among its {what}", FIX)
+            raise CasacalError(f"{file}: '{twice[0]}' appears twice among its {what}", FIX)
     values = {row["name"]: row["value"] for row in unknowns}
     for row in parameters:
         change = row["estimate"] - row["nominal"]
@@ -133,7 +133,7 @@ def _check_discrepancy(file: str, part: Any) -> None:
         raise CasacalError(f"{file}: the 'corrected' of its discrepancy is {_short(corrected)}", FIX)
     alone = _rows(file, "values without corrections", part.get("without_corrections", []))
     if corrected and not alone:
-        raise CasacalError(f"{file}: its discrepancy does not say how the arm stands without corrections", FIX)
+        raise CasacalError(f"{file}: its discrepancy does not give the arm without corrections", FIX)
     for row in alone:
         _check(file, "values without corrections", row, UNKNOWN)
         _check_size(file, row["name"], row["value"])

@@ -36,7 +36,7 @@ _MEANINGS = {
     Outcome.LIMIT: "a joint would have to pass its limit",
     Outcome.SINGULAR: "near a singularity: no small joint motion takes the pose",
     Outcome.UNREACHABLE: "no posture takes the pose",
-    Outcome.OUTSIDE: "the target's own joint values lie outside the limits",
+    Outcome.OUTSIDE: "the target's own joint values are outside the limits",
     Outcome.NOT_FINITE: "the model gives values that are not finite",
 }
 
@@ -71,7 +71,7 @@ class Compensation(Value):
     correction_mm: miss at `start`, which the correction removes. correction: largest joint motion from `start`, rad, a
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
-    position that is left, apart from where the base stands.
+    position that is left, apart from the position of the base.
     """
 
     targets: Targets

@@ -10,8 +10,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates, row_constants
-from casacal.compensation.given import arm_from
 from casacal.compensation.motion import moved_arm
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
@@ -139,7 +139,7 @@ def predict(
 
 
 def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, apart from where the base stands.
+    """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
     Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
     corrected count as errors, by what they do and by how well that is known.

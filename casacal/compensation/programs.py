@@ -16,9 +16,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, denial
-from casacal.compensation.caution import caution
 from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
+from casacal.compensation.result_file import caution
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping
@@ -146,8 +146,8 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     if reached.any() and words is None:
         lines.append(
             f"position error of the {compensation.frame} to expect: "
-            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from where the base "
-            "stands, which must be taught"
+            f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
+            f"base, which must be taught"
         )
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")

@@ -1,15 +1,12 @@
-"""result.json and truth.json, read back: the document, and the arm that it holds. No code is run for that.
-
-A result carries its own problem as data. Files that the arm was made from, where they still stand, must be what they
-were: an arm that somebody edited since is another one.
-"""
+"""result.json and truth.json, read back: the document, its seal, and the arm that it holds. No code is run for that."""
 
 from __future__ import annotations
 
 import ast
+import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +15,9 @@ import numpy as np
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.document import check_document
-from casacal.compensation.seal import check_seal
+from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, came
+from casacal.files import jsonable
 from casacal.problem.as_data import problem_from
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
@@ -28,6 +26,39 @@ from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.robot import Arm
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Parameter
+
+FREE = ("seal", "seconds")
+"""Keys that are not sealed."""
+
+FIX = "Restore it, or calibrate again"
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with its seal, made anew where it has one."""
+    keys = sorted(key for key in document if key not in FREE)
+    kept = {key: item for key, item in document.items() if key != "seal"}
+    return {**kept, "seal": {"of": keys, "sha256": _digest(jsonable(kept), keys)}}
+
+
+def check_seal(file: str, document: Mapping[str, Any]) -> None:
+    """Raise CasacalError unless a document, as read from its file, is what was sealed."""
+    seal = document.get("seal")
+    if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
+        raise CasacalError(f"{file}: its seal is gone, so it was changed after it was written", FIX)
+    keys = seal["of"]
+    try:
+        same = all(isinstance(key, str) for key in keys) and seal.get("sha256") == _digest(document, keys)
+    except (ValueError, RecursionError):
+        same = False
+    if not same:
+        raise CasacalError(f"{file}: it was changed after it was written", FIX)
+
+
+def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """Hash of the list of keys and of what stands there, as JSON with sorted keys and without spaces."""
+    told = [list(keys), {key: document[key] for key in keys if key in document}]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
 
 SCHEMA = 2
 """Of the files that this version writes. Those without a number are older: they need their problem.py."""
@@ -47,7 +78,7 @@ def read_result(path: str | Path, *, problem: Problem | None = None) -> Calibrat
     its arm has changed since.
     """
     if not isinstance(path, (str, Path)):
-        raise CasacalError(f"{came(path)} came as a result", "Give the path of a result.json, or of its folder")
+        raise CasacalError(f"Got {came(path)} as a result", "Give the path of a result.json, or of its folder")
     place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
     document = _read(place)
     if problem is not None:
@@ -87,7 +118,7 @@ def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object of JSON; raises ValueError where a key stands in it twice."""
     made = dict(pairs)
     if len(made) < len(pairs):
-        raise ValueError("a key stands there twice")
+        raise ValueError("a key appears twice")
     return made
 
 
@@ -170,3 +201,26 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
                     f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})",
                     "Calibrate again, or restore the file that the problem reads",
                 )
+
+
+def verdict_part(result: CalibratedArm) -> dict[str, str] | None:
+    """The verdict on a result as {level, words}; None for a truth, and for a result from before there were verdicts."""
+    verdict = result.document.get("verdict")
+    return None if not verdict else {"level": str(verdict["level"]), "words": str(verdict["words"])}
+
+
+def caution(result: CalibratedArm) -> str | None:
+    """The words of a verdict to use a result with care; None for any other."""
+    verdict = verdict_part(result)
+    return verdict["words"] if verdict is not None and verdict["level"] == "use with care" else None
+
+
+def arm_from(given: Any) -> CalibratedArm:
+    """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
+    arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
+    if not isinstance(arm, CalibratedArm):
+        raise CasacalError(
+            f"Got {came(given)} as the calibrated arm",
+            "Give a calibration, or what casacal.load or casacal.read_result returns",
+        )
+    return seen_by(arm)

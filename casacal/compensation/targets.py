@@ -77,11 +77,11 @@ def read_targets(path: str | Path, source: ProblemFile | Problem) -> Targets:
     CasacalError for what is no path or no problem.
     """
     if not isinstance(path, (str, Path)):
-        raise CasacalError(f"{came(path)} came as the path of targets", "Give a path")
+        raise CasacalError(f"Got {came(path)} as the path of targets", "Give a path")
     if isinstance(source, Problem):
         source = ProblemFile.of(source)
     if not isinstance(source, ProblemFile):
-        raise CasacalError(f"{came(source)} came as the problem", "Give a Problem, or what load_problem returns")
+        raise CasacalError(f"Got {came(source)} as the problem", "Give a Problem, or what load_problem returns")
     return _of_table(read_any_table(path), source)
 
 

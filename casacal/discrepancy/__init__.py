@@ -1,12 +1,11 @@
 """What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines."""
 
-from casacal.discrepancy.arm import GravityGive, ThermalGrowth
+from casacal.discrepancy.arm import GravitySag, ThermalGrowth
+from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
 from casacal.discrepancy.effect import Effect, weighted
-from casacal.discrepancy.gears import Backlash, GearRipple, GearWaves
+from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.kit import kit, rich_kit
-from casacal.discrepancy.link_give import LinkGive
-from casacal.discrepancy.measured_give import MeasuredGive
 from casacal.discrepancy.smooth import Drift, FaceForm
 
 __all__ = [
@@ -15,12 +14,12 @@ __all__ = [
     "Effect",
     "FaceForm",
     "GearRipple",
-    "GearWaves",
-    "GravityGive",
+    "GravitySag",
     "JointField",
-    "LinkGive",
-    "MeasuredGive",
+    "LinkSag",
     "ThermalGrowth",
+    "TorqueCompliance",
+    "TransmissionError",
     "kit",
     "rich_kit",
     "weighted",

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.over_time import OverTime
+from casacal.discrepancy.smooth import OverTime
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
@@ -18,7 +18,7 @@ from casacal.unknowns import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravityGive(Effect):
+class GravitySag(Effect):
     """Joints that give under a weight: each in proportion to the lever of that weight about it.
 
     The weight hangs at the flange or at the tip, or between; all joints give alike, and each a little differently.
@@ -38,7 +38,7 @@ class GravityGive(Effect):
     elastic = True
     unit = "mm"
     key = "give"
-    words = "giving under gravity"
+    words = "gravity sag"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "down", direction(self.down))

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.columns_of import read_columns_of
+from casacal.discrepancy.compliance import read_columns_of
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.survey import Rows
 from casacal.errors import ProblemError
@@ -27,7 +27,7 @@ def per_radian(robot: Robot) -> list[float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearWaves(Effect):
+class TransmissionError(Effect):
     """A wave of each turning joint, once or more often per turn: eccentric encoders, run-out of wheels.
 
     Args:
@@ -51,7 +51,8 @@ class GearWaves(Effect):
     @property
     def words(self) -> str:
         """As people call it."""
-        return "gear waves once per turn" if self.order == 1 else f"gear waves {self.order} times per turn"
+        named = {1: "first", 2: "second", 3: "third"}.get(self.order, f"{self.order}th")
+        return f"{named}-harmonic transmission error"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Cosine and sine of each turning joint, rad."""
@@ -88,7 +89,7 @@ class GearRipple(Effect):
 
     moves = True
     key = "ripple"
-    words = "ripple of the gears"
+    words = "gear ripple"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Cosine and sine of one and of two waves per turn of each motor, rad."""
@@ -156,7 +157,9 @@ class Backlash(Effect):
             if not np.isin(told, (-1, 0, 1)).all():
                 line = rows.samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
                 said = f"{rows.samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
-                raise ProblemError(said, "Write 1 where the joint's value grew, -1 where it fell, 0 where nobody knows")
+                raise ProblemError(
+                    said, "Write 1 where the joint's value grew, -1 where it fell, 0 where that is not known"
+                )
             return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
         order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
         ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))

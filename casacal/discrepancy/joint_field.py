@@ -51,7 +51,7 @@ class JointField(Effect):
     moves = False
     most = 1e3  # what else errs has no physical size
     key = "field"
-    words = "errors alike in like postures"
+    words = "posture-dependent error"
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What each of these rows has of it beyond those before, component by component of the residual, mm."""

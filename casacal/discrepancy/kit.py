@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from casacal.discrepancy.arm import GravityGive, ThermalGrowth
+from casacal.discrepancy.arm import GravitySag, ThermalGrowth
 from casacal.discrepancy.effect import Effect
-from casacal.discrepancy.gears import Backlash, GearRipple, GearWaves
+from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
 from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.smooth import Drift, FaceForm
 
@@ -27,10 +27,10 @@ def rich_kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:
 
 def _with(field: JointField, down: tuple[float, float, float]) -> tuple[Effect, ...]:
     return (
-        GearWaves(order=1),
-        GearWaves(order=2),
+        TransmissionError(order=1),
+        TransmissionError(order=2),
         GearRipple(),
-        GravityGive(down=down),
+        GravitySag(down=down),
         Backlash(),
         FaceForm(),
         field,

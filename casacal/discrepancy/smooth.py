@@ -1,8 +1,9 @@
-"""Errors that are smooth over a face, and over time."""
+"""Errors that are smooth over a face, or over time, and what changes over a session."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,10 +12,24 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.over_time import OverTime
 from casacal.discrepancy.survey import Rows
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter
+
+
+class OverTime(Effect, ABC):
+    """An effect that wants to know when a row was measured."""
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """When a row was measured, 0 to 1."""
+        del site
+        return ("when",)
+
+    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+        """By the number of its line."""
+        del site
+        return {"when": rows.survey.when(rows.samples)}
+
 
 WIDER = 1.5
 """Times its half width over which a face's form is a series of sines: where it ends, the series need not vanish."""
@@ -49,7 +64,7 @@ class FaceForm(Effect):
     moves = False
     most = 1e3  # a plate may be anything
     key = "form"
-    words = "form of the faces"
+    words = "flatness error of the faces"
 
     @property
     def _terms(self) -> list[tuple[int, int, float]]:

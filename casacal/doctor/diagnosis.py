@@ -10,10 +10,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.doctor.axes import Axes, axes_of
 from casacal.doctor.family import Family
-from casacal.doctor.further_pose import FurtherPose, further_pose
-from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows
-from casacal.doctor.rotations import angle_between, rotations_of
-from casacal.doctor.same_arm import MOST_MEANINGS, Meaning, changes, conventions_of, distinct
+from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, angle_between, rotations_of
+from casacal.doctor.same_arm import MOST_MEANINGS, FurtherPose, Meaning, changes, conventions_of, distinct, further_pose
 from casacal.doctor.search import Halves, poses_of
 from casacal.doctor.slips import Slip, slips_in
 from casacal.errors import CasacalError

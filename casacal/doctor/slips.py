@@ -9,8 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.doctor.axes import Axes
-from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows
-from casacal.doctor.rotations import rotations_as
+from casacal.doctor.pendant_rows import ANGLES, LENGTHS, PendantRows, rotations_as
 from casacal.doctor.same_arm import Meaning
 from casacal.doctor.search import poses_of
 

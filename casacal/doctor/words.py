@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
-from casacal.doctor.rotations import MEANINGS
+from casacal.doctor.pendant_rows import MEANINGS
 from casacal.doctor.same_arm import Meaning
 from casacal.robots.conventions import Conventions
-from casacal.robots.files.dh_toml import conventions_toml
+from casacal.robots.files.dh_text import conventions_toml
 from casacal.robots.joints import Joint
 
 SHOWN = 4
@@ -32,8 +32,8 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     ways = len(best.conventions)
     if ways > 1:
         lines.append(
-            f"Equivalent: {ways} ways to write it give the same pose at all joint values, as the twin of a spherical "
-            "wrist does; the one with the fewest changes is given"
+            f"Equivalent: {ways} ways to write it give the same pose at all joint values, as with the two branches of "
+            f"a spherical wrist; the one with the fewest changes is given"
         )
     lines += [*_further(found), ""]
     if not found.certain:
@@ -43,7 +43,7 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     lines.append(f"# the pendant shows joints in {best.joint_unit}, lengths in {best.length_unit}{turned}")
     lines.append("# joint values of the problem = signs * (the controller's + coupling) + offsets")
     if best.simplest == Conventions.plain(len(best.simplest.signs)):
-        lines.append("# nothing to change: the problem's joint values mean what the controller shows")
+        lines.append("# nothing to change: the controller's joint values are those of the problem")
     return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
 
 
@@ -56,7 +56,7 @@ def _verdict(found: Diagnosis) -> str:
         return f"Ambiguous: {_count(found)} conventions fit within {found.tolerance:g} mm and mrad; the simplest: {fit}"
     if found.postures < ENOUGH:
         return f"Not certain: one convention fits, {fit}, with {found.postures} different postures, not {ENOUGH}"
-    return f"Ambiguous: the joints' conventions are one, {fit}, but {len(best.rotations)} of orientation fit"
+    return f"Ambiguous: one convention of the joints fits, {fit}, but {len(best.rotations)} of the orientation do"
 
 
 def _count(found: Diagnosis) -> str:
@@ -128,20 +128,20 @@ def _further(found: Diagnosis) -> list[str]:
         return []
     least = f"{pose.least_mm:.3g} mm and {math.degrees(pose.least_rad):.3g} deg"
     if pose.separates == 0:
-        return [f"No posture tells them apart: the most alike differ by {least} where they differ most"]
+        return [f"No posture distinguishes them: the closest two never differ by more than {least}"]
     values = ", ".join(f"q{i} = {value:g}" for i, value in enumerate(pose.joints, 1))
     what = "the conventions that fit" if len(found.meanings) > 1 else "this convention and those next to it"
     all_or = "all" if pose.separates == 1 else f"{100 * pose.separates:.0f} % of"
     return [
-        f"To settle it, move to {values} ({best.joint_unit}), if nothing is in the way, and add a row: it tells "
-        f"{all_or} pairs of {what} apart, the most alike by {least}"
+        f"To settle it, move to {values} ({best.joint_unit}), if nothing is in the way, and add a row: it "
+        f"distinguishes {all_or} pairs of {what}, the closest by {least}"
     ]
 
 
 def _nothing_fits(found: Diagnosis) -> Iterable[str]:
     if found.more:
-        yield f"{len(found.rows)} rows of {found.rows.file}: too many conventions fit to look at all of them"
-        yield f"Give {ENOUGH} rows or more in which every joint stands at another value, none at zero"
+        yield f"{len(found.rows)} rows of {found.rows.file}: too many conventions fit to check them all"
+        yield f"Give {ENOUGH} rows or more in which every joint has a different value, none at zero"
         return
     yield f"{len(found.rows)} rows of {found.rows.file}: no convention fits within {found.tolerance:g} mm and mrad"
     if found.slips:
@@ -153,12 +153,12 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         near = found.nearest
         yield f"The nearest one misses by {near.mm:.1f} mm and {math.degrees(near.rad):.2f} deg at worst"
         if near.mm <= found.tolerance:
-            yield "Positions fit and orientations do not: the tool on the pendant may be turned against the flange"
+            yield "Positions fit, orientations do not: the pendant's tool may be rotated relative to the flange"
     lines = ", ".join(map(str, found.odd_lines))
     if len(found.odd_lines) == 1:
         yield f"Without line {lines} the others fit: look for a copying mistake there"
     elif lines:
-        yield f"The others fit without any one of the lines {lines}"
+        yield f"The others fit if any one of these lines is left out: {lines}"
     yield (
         "Check that this is the problem's robot, that the pendant shows the flange in the robot's base (else give "
         "--tool and --base), and that every row was read while the arm stood still"
@@ -176,7 +176,7 @@ def _slip(found: Diagnosis) -> str:
         for slip in found.slips
     ]
     if len(listed) == 1:
-        return f"All rows fit but for one number: {listed[0]}. Compare it with the pendant; no other number would do"
+        return f"All rows fit but for one number: {listed[0]}. Compare it with the pendant; no other number explains it"
     if len(listed) <= SHOWN:
         return f"All rows fit but for one number, either {' or '.join(listed)}. Compare them with the pendant"
     where = ", ".join(map(str, sorted({slip.line for slip in found.slips})))

@@ -1,6 +1,6 @@
 """Extended Kalman filter for constant parameters and scalar measurements (M3).
 
-The step as it is to be read; C takes the same one for all rows at once where casacal.kernels.steps says so.
+The step as it is to be read; C takes the same one for all rows at once where casacal.kernels.backend says so.
 """
 
 from __future__ import annotations

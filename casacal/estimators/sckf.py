@@ -1,6 +1,6 @@
 """Square-root cubature Kalman filter for constant parameters and scalar measurements (M5).
 
-The step as it is to be read; C or MX takes the same one for many rows at once where casacal.kernels.steps says so.
+The step as it is to be read; C or MX takes the same one for many rows at once where casacal.kernels.backend says so.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
 from casacal.export.functions import pose_at
 from casacal.export.remark import remark

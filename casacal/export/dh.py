@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, ProblemError
-from casacal.export.advice import other_forms
 from casacal.export.dh_layout import written_into_csv, written_into_toml
-from casacal.export.remark import MARK, remark
+from casacal.export.remark import MARK, other_forms, remark
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_csv import decode
 from casacal.robots.files.dh_file import dh_file_text, is_toml, read_dh_file
+from casacal.robots.files.dh_text import decode
 
 SAME = {"alpha": 1e-8, "a": 1e-6, "d": 1e-6, "theta": 1e-8}
 """Difference, rad or mm, below which a file's number is the one that the calibration began with."""

@@ -6,8 +6,7 @@ import math
 import re
 
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.decimals import plain
-from casacal.robots.files.dh_fields import UNITS
+from casacal.robots.files.dh_fields import UNITS, plain
 
 TOML_TOKEN = re.compile(
     r"""(?P<text>"(?:\\.|[^"\\\n])*"|'[^'\n]*')|(?P<comment>\#[^\r\n]*)|"""

@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, check_usable, corrections, denial
-from casacal.compensation.caution import caution
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from, caution
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.c_code import c_text
 from casacal.export.dh import dh_text
@@ -49,7 +48,7 @@ def export(
         raise UnknownNameError("form", str(form), FORMS)
     for place in (path, source):
         if place is not None and not isinstance(place, (str, Path)):
-            raise CasacalError(f"{came(place)} came as a path", "Give a path, or nothing")
+            raise CasacalError(f"Got {came(place)} as a path", "Give a path, or nothing")
     if source is not None and form not in ("dh", "urdf"):
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":

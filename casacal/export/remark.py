@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm, corrections, denial
-from casacal.compensation.caution import caution
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from, caution
+from casacal.robots.dh_table import DHTable
+from casacal.robots.robot import Robot
+from casacal.robots.urdf_chain import UrdfChain
 from casacal.version import __version__
 
 MARK = "casacal: "
@@ -39,9 +41,17 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     if (care := caution(result)) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if keys and form != 'c' else care}")
-    shown = "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from where the base stands"
+    shown = (
+        "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
+    )
     return [
         *lines,
         f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",
-        f"{MARK}what the samples could not tell stands where the prior held it; the result names it",
+        f"{MARK}what the samples do not determine is as the prior has it; the result names it",
     ]
+
+
+def other_forms(robot: Robot) -> str:
+    """Advice to export an arm in the forms that hold it."""
+    own = {DHTable: "dh, ", UrdfChain: "urdf, "}
+    return f"Export it as {own.get(type(robot.arm), '')}zeros or c"

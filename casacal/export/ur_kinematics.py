@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -11,15 +12,35 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
-from casacal.export.advice import other_forms
-from casacal.export.remark import MARK, remark
-from casacal.export.rotations import roll_pitch_yaw
+from casacal.export.remark import MARK, other_forms, remark
 from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
 from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import NEARLY, DHTable
 from casacal.robots.urdf_chain import UrdfChain
+
+
+def roll_pitch_yaw(matrix: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[float, float, float]:
+    """Angles (rad) with RotZ(yaw) RotY(pitch) RotX(roll) = matrix (3, 3), of all such the nearest to `near`.
+
+    Where the pitch is a quarter turn, only the sum or difference of roll and yaw is known: the yaw stays as it is.
+    """
+    upright = math.hypot(matrix[0, 0], matrix[1, 0])
+    yaw = math.atan2(matrix[1, 0], matrix[0, 0]) if upright > 1e-10 else near[2]
+    pitch = math.atan2(-matrix[2, 0], upright)
+    c, s = math.cos(yaw), math.sin(yaw)
+    roll = math.atan2(s * matrix[0, 2] - c * matrix[1, 2], c * matrix[1, 1] - s * matrix[0, 1])
+    twins = ((roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi))
+    turned = [_wrapped(twin, near) for twin in twins]
+    return min(turned, key=lambda angles: sum((a - b) ** 2 for a, b in zip(angles, near, strict=True)))
+
+
+def _wrapped(angles: Sequence[float], near: Sequence[float]) -> tuple[float, float, float]:
+    """Angles less whole turns, each within half a turn of `near`."""
+    x, y, z = (a - 2 * math.pi * round((a - b) / (2 * math.pi)) for a, b in zip(angles, near, strict=True))
+    return x, y, z
+
 
 JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 
@@ -56,7 +77,7 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
         shift = " ".join(_fixed(v, 6) for v in rest[:3, 3])
         turn = " ".join(_fixed(math.degrees(v), 6) for v in roll_pitch_yaw(rest[:3, :3]))
         lines += [
-            f"# {MARK}behind wrist_3 the calibrated flange stands at x y z {shift} mm, roll pitch yaw {turn} deg:",
+            f"# {MARK}the calibrated flange relative to wrist_3: x y z {shift} mm, roll pitch yaw {turn} deg:",
             f"# {MARK}this format has no place for that; put it before your tool",
         ]
     block = []

@@ -11,11 +11,11 @@ from xml.parsers import expat
 import numpy as np
 
 from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
-from casacal.export.advice import other_forms
-from casacal.export.rotations import roll_pitch_yaw
-from casacal.robots.files.decimals import plain
+from casacal.export.remark import other_forms
+from casacal.export.ur_kinematics import roll_pitch_yaw
+from casacal.robots.files.dh_fields import plain
 from casacal.robots.urdf_chain import MM, UrdfChain, origin_matrix
 
 ATTRIBUTE = re.compile(rb"""\s([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")

@@ -19,10 +19,10 @@ from casacal.compensation.arm import (
     named_covariance,
     row_constants,
 )
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.remark import remark
-from casacal.robots.two_arms import Facing
+from casacal.robots.carriers import Facing
 from casacal.uncertainty.workspace import rigid_fields, workspace_joints
 from casacal.unknowns import Plane
 from casacal.values import Value
@@ -39,8 +39,8 @@ class WorkFrame(Value):
     """Where a work object stands in the base frame of the calibrated arm.
 
     matrix: its frame (4, 4; mm). origin_std: standard deviation of its origin, mm, its three axes together, as the arm
-    comes to it: apart from where the base stands. turn_std: of its orientation, rad, likewise. Both are NaN where the
-    result holds none.
+    comes to it, apart from the position of the base. turn_std: of its orientation, rad, likewise. Both are NaN where
+    the result holds none.
     """
 
     matrix: Array
@@ -112,7 +112,7 @@ def frame_text(
     lines = [
         *(f"# {line}" for line in remark(result)),
         f"# work object of {what}, in {_base_words(result)}",
-        "# standard deviation, apart from where the base stands: "
+        "# standard deviation, apart from the position of the base: "
         + (spread if math.isfinite(frame.origin_std) else "not known"),
         f'ABB, RAPID: PERS wobjdata work := [FALSE, TRUE, "", [[{x:.4f}, {y:.4f}, {z:.4f}], '
         f"[{w0:.9f}, {w1:.9f}, {w2:.9f}, {w3:.9f}]], [[0, 0, 0], [1, 0, 0, 0]]];",
@@ -185,7 +185,9 @@ def _of_faces(faces: Array) -> Array:
     normals, points = faces[:, :3], faces[:, 3:]
     z, across = normals[0], normals[1] - (normals[1] @ normals[0]) * normals[0]
     if np.linalg.norm(across) < SKEW or abs(np.linalg.det(normals)) < SKEW:
-        raise CasacalError("These three faces do not meet in one point", "Name three that stand across one another")
+        raise CasacalError(
+            "These three faces do not meet in one point", "Name three that are at an angle to each other"
+        )
     return _frame(across, z, np.linalg.solve(normals, (normals * points).sum(axis=1)))
 
 

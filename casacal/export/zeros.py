@@ -10,9 +10,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values
-from casacal.compensation.given import arm_from
+from casacal.compensation.result_file import arm_from
 from casacal.export.remark import MARK, remark
-from casacal.robots.files.decimals import plain
+from casacal.robots.files.dh_fields import plain
 from casacal.uncertainty.workspace import workspace_joints
 
 LEVER = 100.0
@@ -70,8 +70,8 @@ def zeros_text(result: CalibratedArm) -> str:
     slides = any(joint.kind == "prismatic" for joint in axes)
     lines = [f"# {line}" for line in remark(result, form="zeros")]
     lines += [
-        f"# {MARK}where the controller shows q, the arm stands as the drawn arm would at q + correction; so do one of "
-        "two, never both:",
+        f"# {MARK}where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of "
+        f"these, never both:",
         f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
         f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
         "leave the targets as they are",

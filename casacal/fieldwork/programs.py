@@ -125,7 +125,7 @@ def _written(joints: Array, form: Language) -> list[str]:
 def _notes(name: str) -> list[str]:
     return [
         f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
-        "ways were looked at for the tip and the faces as drawn, and for what plan was told to keep clear of; nothing "
-        "else is known of the cell: try it slowly, with a hand on the stop, the indicator drawn back",
+        "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
+        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
         "at each stop take the reading with casacal measure, or write it down; then let the program go on",
     ]

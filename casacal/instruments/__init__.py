@@ -1,5 +1,7 @@
 """Instruments: how rows are measured."""
 
+from casacal.instruments.ball_touch import SelfContact as SelfContact
+from casacal.instruments.ball_touch import SphereTouch as SphereTouch
 from casacal.instruments.dial_on_body import DialOnBody as DialOnBody
 from casacal.instruments.dial_on_plane import DialOnPlane as DialOnPlane
 from casacal.instruments.dial_parts import Step as Step
@@ -13,10 +15,8 @@ from casacal.instruments.instrument import Instrument as Instrument
 from casacal.instruments.instrument import Probe as Probe
 from casacal.instruments.instrument import Sight as Sight
 from casacal.instruments.instrument import Words as Words
-from casacal.instruments.known_point import KnownPoint as KnownPoint
+from casacal.instruments.points import KnownPoint as KnownPoint
+from casacal.instruments.points import TrackedPoint as TrackedPoint
 from casacal.instruments.residual_block import ResidualBlock as ResidualBlock
-from casacal.instruments.self_contact import SelfContact as SelfContact
-from casacal.instruments.sphere_touch import SphereTouch as SphereTouch
 from casacal.instruments.suspect import Suspect as Suspect
-from casacal.instruments.tracked_point import TrackedPoint as TrackedPoint
 from casacal.instruments.tracked_pose import TrackedPose as TrackedPose

@@ -14,17 +14,17 @@ from casacal.unknowns import Unknown
 def check_declaration(instrument: object) -> None:
     """Raise ProblemError for what is no instrument, or says of itself what cannot be."""
     if isinstance(instrument, type) and issubclass(instrument, Instrument):
-        raise ProblemError(f"{instrument.__name__} came as a class", f"Make one: {instrument.__name__}(...)")
+        raise ProblemError(
+            f"Got the class {instrument.__name__}, not an instrument", f"Make one: {instrument.__name__}(...)"
+        )
     if not isinstance(instrument, Instrument):
         raise ProblemError(
-            f"{came(instrument)} came as an instrument", "Give instruments one by one, such as DialOnPlane"
+            f"Got {came(instrument)} as an instrument", "Give instruments one by one, such as DialOnPlane"
         )
     name = type(instrument).__name__
     for what in ("columns", "column_stds", "known_columns", "unknowns"):
         if not isinstance(getattr(instrument, what), Mapping):
-            raise ProblemError(
-                f"{what} of {name} is {came(getattr(instrument, what)).lower()}", "Make it a dict by name"
-            )
+            raise ProblemError(f"{what} of {name} is {came(getattr(instrument, what))}", "Make it a dict by name")
     for column, dimension in instrument.columns.items():
         if dimension not in get_args(Dimension):
             raise ProblemError(
@@ -36,9 +36,7 @@ def check_declaration(instrument: object) -> None:
             raise ProblemError(f"column_stds of {name} names '{column}', which is no column", f"Its columns: {known}")
     for key, unknown in instrument.unknowns.items():
         if not isinstance(unknown, Unknown):
-            raise ProblemError(
-                f"Unknown '{key}' of {name} is {came(unknown).lower()}", "Make it a Parameter or its like"
-            )
+            raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
 
 
 def with_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:

@@ -90,7 +90,7 @@ class DialOnBody(DialOnPlane):
         """
         normals = np.column_stack([sight.columns[name] for name in ("nx", "ny", "nz")])
         if (np.linalg.norm(normals, axis=1) < 0.5).any():
-            raise ProblemError("Some rows are labelled with a face of which the body has no normal", "Add its normal")
+            raise ProblemError("Some rows are labelled with a face that the body does not have", "Add its normal")
         if key == "body":
             seen = []
             distinct, which = np.unique(normals, axis=0, return_inverse=True)

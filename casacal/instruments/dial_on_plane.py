@@ -78,7 +78,7 @@ class DialOnPlane(Instrument):
         for label, step in self.steps.items():
             if step.on in self.steps or step.on == label:
                 raise ProblemError(
-                    f"Step '{label}' stands on '{step.on}', itself a step", "Name a face that is not a step"
+                    f"Step '{label}' is on '{step.on}', which is a step itself", "Name a face that is not a step"
                 )
             if not 0 < abs(step.height) < math.inf or not 0 < step.std < math.inf:
                 raise ProblemError(f"Step '{label}' is {step.height!r} +- {step.std!r} mm", "Give its certified height")
@@ -240,7 +240,7 @@ def touched_normal(sight: Sight, rows: NDArray[np.bool_]) -> Array:
     plane = fitted_plane(sight.tips[rows])
     if not plane.flat:
         raise ProblemError(
-            f"A plane was touched at {int(rows.sum())} tips that lie on a line", "Spread the touches over the face"
+            f"A plane was touched at {int(rows.sum())} tips on one line", "Spread the touches over the face"
         )
     if sight.plungers is None:
         return np.asarray(plane.normal)

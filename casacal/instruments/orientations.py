@@ -51,7 +51,7 @@ class Orientation:
         turns = len(told) == 3 and not set(axes) - set("xyz") and told in (axes, axes.upper())
         if not turns or any(one == two for one, two in pairwise(axes)):
             raise ProblemError(
-                f"{came(self.name)} came as an orientation" if not told else f"An orientation is written as '{told}'",
+                f"Got {came(self.name)} as an orientation" if not told else f"An orientation is written as '{told}'",
                 "Give 'quaternion', 'rotation vector', or three axes such as 'ZYX' (A, B, C of KUKA) or 'xyz'",
             )
 

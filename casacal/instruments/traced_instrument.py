@@ -15,7 +15,7 @@ from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight
 from casacal.instruments.residual_block import ResidualBlock
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Plane, Unknown
-from casacal.unknowns.packed import packed_symbols
+from casacal.unknowns.fits import packed_symbols
 from casacal.values import FrozenMapping, frozen
 
 DECLARED = (

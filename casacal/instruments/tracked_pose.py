@@ -18,7 +18,7 @@ from casacal.instruments.residual_block import ResidualBlock
 from casacal.instruments.suspect import Suspect
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame, Unknown
-from casacal.unknowns.hand_eye import hand_eye
+from casacal.unknowns.fits import hand_eye
 from casacal.values import is_real
 
 POSITION = ("x", "y", "z")
@@ -67,7 +67,7 @@ class TrackedPose(Instrument):
         for name in named:
             if not name.isidentifier() or name in taken or named.count(name) > 1:
                 raise ProblemError(
-                    f"The noise of TrackedPose is to stand in the column '{name}'",
+                    f"The noise of TrackedPose is declared to be in the column '{name}'",
                     "Name a column of its own for each, such as 'position_std' and 'angle_std'",
                 )
 

@@ -1,7 +1,8 @@
-"""Which kernels a row model gets: C where it can be printed and compiled, blocks elsewhere."""
+"""Which of C, CasADi's blocks and NumPy evaluates rows and takes an estimator's step, and when."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import os
@@ -15,8 +16,9 @@ from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kernels.block_rows import BlockKernels
 from casacal.kernels.compiler import CompilerError
+from casacal.kernels.filter_passes import BlockCubature, NativeCubature
 from casacal.kernels.lanes import lane_data
-from casacal.kernels.native_rows import NativeKernels
+from casacal.kernels.native_rows import NativeKernels, NativePiece, PackedPieces
 from casacal.kernels.program import Program, Role
 from casacal.kernels.reading import read_program
 
@@ -101,3 +103,20 @@ def _read(slopes: str, roles: tuple[Role, ...]) -> Program:
 def _notice(reason: str) -> None:
     """One line, once per process: kernels are slower, not different."""
     logging.getLogger("casacal").warning("casacal: no C kernels (%s); using blocks, which are slower", reason)
+
+
+def cubature_pass(residual: ca.Function, backend: str) -> NativeCubature | BlockCubature:
+    """The cubature filter's pass for a residual of (z, c, d) whose rows a back end evaluates: C's, else MX's."""
+    if backend == "c":
+        with contextlib.suppress(CompilerError):
+            return NativeCubature(residual)
+    return BlockCubature(residual)
+
+
+def all_rows_in_c(instruments: Sequence[Sequence[NativePiece] | None]) -> PackedPieces | None:
+    """Rows as C's extended and damped steps take them; None where NumPy takes these steps.
+
+    `instruments`: the pieces of each one's rows, None where C does not evaluate them.
+    """
+    pieces = [piece for some in instruments if some is not None for piece in some]
+    return None if None in instruments or not pieces else PackedPieces(pieces)

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.kernels.block_rows import Buffered, product, replayed
 from casacal.kernels.lanes import BlockLanes, lane_data
 from casacal.kernels.reading import read_program
-from casacal.kernels.replay import Buffered, product, replayed
 from casacal.threads import shared_out
 
 TOGETHER = 16

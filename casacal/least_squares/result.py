@@ -166,7 +166,7 @@ def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str)
     try:
         x = np.array(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
     except (TypeError, ValueError):
-        raise CasacalError(f"{came(outcome)} came from the method '{method}'", wanted) from None
+        raise CasacalError(f"Got {came(outcome)} from the method '{method}'", wanted) from None
     if x.shape != problem.x0.shape:
         raise CasacalError(f"The estimate of '{method}' has the shape {x.shape}", wanted)
     if not np.isfinite(x).all():

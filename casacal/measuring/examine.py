@@ -15,8 +15,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.estimators.sckf import Belief
+from casacal.measuring.belief import LinearRows
 from casacal.measuring.known import Known
-from casacal.measuring.linear_rows import LinearRows
 from casacal.measuring.slips import Slip
 from casacal.measuring.touch import Touch, rows_of
 from casacal.uncertainty.fresh_rows import chance
@@ -111,7 +111,7 @@ def refuse_along(known: Known, touch: Touch) -> None:
     if (noise < ALONG * np.median(known.bound.block.noise)).any():
         where = ", ".join(touch.labels.values()) or "the face"
         raise CasacalError(
-            f"At these joint values the plunger lies along '{where}', so that it cannot touch it",
+            f"At these joint values the plunger is parallel to '{where}' and cannot touch it",
             "Look at the joint values and the face",
         )
 

@@ -9,8 +9,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators.sckf import Belief
+from casacal.measuring.belief import error_below, spectrum
 from casacal.measuring.known import Known
-from casacal.measuring.tip_error import error_below, spectrum
 from casacal.measuring.touch import Touch
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import gains

@@ -1,13 +1,18 @@
-"""What gauges send: lines of text with a reading, as makers write them, and as one's own pattern has it."""
+"""What gauges send, and a serial line to one by pyserial, which is an extra."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from casacal.errors import CasacalError, UnknownNameError
+
+if TYPE_CHECKING:
+    import serial
+
 
 INCH = 25.4
 UNITS: Mapping[str, float] = {"mm": 1.0, "in": INCH, '"': INCH, "inch": INCH, "um": 1e-3}
@@ -34,7 +39,9 @@ class Gauge:
         """Raise CasacalError where a line says that there is no reading."""
         text = _stripped(line)
         if re.fullmatch(self.errors, text, re.IGNORECASE):
-            raise CasacalError(f"The gauge says {text!r}, which is an error", "Look at it, and send the reading again")
+            raise CasacalError(
+                f"The gauge says {text!r}, which is an error", "Check the gauge, and send the reading again"
+            )
 
     def reading(self, line: str) -> float:
         """The reading of a line, mm; raises CasacalError where there is none."""
@@ -43,13 +50,13 @@ class Gauge:
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
             raise CasacalError(
-                f"{text!r} is no reading of a gauge called {self.name}",
+                f"{text!r} is not a reading of a gauge called {self.name}",
                 "Look at --gauge and --pattern, or send it again",
             )
         said = found.groupdict().get("unit")
         value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * UNITS[(said or self.unit).lower()]
         if not math.isfinite(value):
-            raise CasacalError(f"{text!r} is no finite reading", "Send it again")
+            raise CasacalError(f"{text!r} is not a finite reading", "Send it again")
         return value
 
 
@@ -79,7 +86,9 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
         except re.error as error:
             raise CasacalError(f"The pattern {pattern!r} is none ({error})", "Write a regular expression") from None
         if "value" not in groups:
-            raise CasacalError(f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) round the number")
+            raise CasacalError(
+                f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
+            )
         known = Gauge("of this pattern", pattern)
     return Gauge(
         known.name, known.pattern, known.errors, unit or known.unit, known.asks if asks is None else _unescaped(asks)
@@ -93,3 +102,52 @@ def _stripped(line: str) -> str:
 def _unescaped(text: str) -> str:
     """Text in which the ends of lines were typed as a backslash and a letter."""
     return text.replace("\\r", "\r").replace("\\n", "\n")
+
+
+Parity = Literal["N", "E", "O"]
+
+
+class SerialLine:
+    """Lines that a gauge sends, and questions to it.
+
+    port: such as COM3 or /dev/ttyUSB0. baud, bits, parity, stops: as the gauge's page says. Raises CasacalError where
+    pyserial is missing or the port cannot be opened.
+    """
+
+    def __init__(self, port: str, *, baud: int = 9600, bits: int = 8, parity: Parity = "N", stops: int = 1) -> None:
+        try:
+            import serial
+        except ImportError:
+            raise CasacalError("pyserial is not installed", 'Install it with pip install "casacal[serial]"') from None
+        try:
+            self._line: serial.Serial = serial.Serial(port, baud, bits, parity, stops, timeout=0.2)
+        except (serial.SerialException, ValueError, OSError) as error:
+            said = " ".join(str(error).split())
+            raise CasacalError(f"The port {port} cannot be used ({said})", "Check its name and settings") from None
+
+    def ask(self, text: str) -> None:
+        """Send something, such as a request for a reading; raises CasacalError when the line is gone."""
+        try:
+            self._line.write(text.encode("ascii", errors="replace"))
+        except OSError as error:
+            raise CasacalError(
+                f"The connection to the gauge was lost ({error})", "Plug it in again and continue"
+            ) from None
+
+    def lines(self) -> Iterator[str]:
+        """Lines as they come, ended by a carriage return, a line feed or both; ends when the line is closed or gone."""
+        held = b""
+        while True:
+            try:
+                held += self._line.read(self._line.in_waiting or 1)
+            except (OSError, TypeError):  # pyserial's word for a port that was closed meanwhile
+                return
+            held = held.replace(b"\r", b"\n")
+            while b"\n" in held:
+                line, _, held = held.partition(b"\n")
+                if line.strip():
+                    yield line.decode("ascii", errors="replace")
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.close()

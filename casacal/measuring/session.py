@@ -8,10 +8,9 @@ from dataclasses import replace
 from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.measuring.examine import Alarm, Suspected, refuse_along
-from casacal.measuring.given import columns_of, joints_of, labels_of
 from casacal.measuring.standing import Standing
 from casacal.measuring.state import state_of
-from casacal.measuring.touch import Touch
+from casacal.measuring.touch import Touch, columns_of, joints_of, labels_of
 from casacal.planning.route import FIT
 
 

@@ -6,19 +6,20 @@ import math
 
 import numpy as np
 
-from casacal.errors import counted
 from casacal.measuring.examine import Suspected
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.planning.written import PLANNED_DECIMALS
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
+from casacal.wording import counted
 
 HELP_WORDS = (
-    "Bring the arm to the posture; where the instrument is at its end, go along the plunger until it reads about what "
-    "is expected, for readings that differ tell the size of the arm. Type the reading alone if the "
-    "controller shows the joint values as planned; else all joint values (degrees, mm) and the reading. A label behind "
-    "them if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is right. "
+    "Bring the arm to the posture. If the dial is at the end of its travel, move along the plunger until it reads "
+    "about what is expected: readings that differ determine the size of the arm. If the controller shows the joint "
+    "values as planned, type the reading alone; otherwise type all joint values (degrees, mm) and the reading. Add "
+    "the label if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is "
+    "right. "
     "c: put it right as the first explanation has it (c 2: the second). s: leave this touch out. q: end; what was "
     "measured is written already."
 )
@@ -47,15 +48,13 @@ def told(session: Session) -> str:
     if state.off is not None and state.std is not None:
         off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
         sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
-        said.append(f"off by {sign}{off:.3g} mm where {std:.3g} was to be expected")
+        said.append(f"off by {sign}{off:.3g} mm; {std:.3g} expected")
     elif len(session) - 1 in session.waiting:
-        said.append(f"face {', '.join(last.labels.values())} is not known well enough yet to judge it")
+        said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
     if session.tip_error is not None and session.tip_error_below is not None:
-        said.append(
-            f"tip error {session.tip_error:.3g} mm to expect, 19 times of 20 below {session.tip_error_below:.3g}"
-        )
+        said.append(f"tip error {session.tip_error:.3g} mm expected, below {session.tip_error_below:.3g}")
     if session.noise > 1:
-        said.append(f"touches scatter {session.noise:.2g} times as much as stated, which is counted")
+        said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
     return "; ".join(said)
 
 
@@ -68,13 +67,15 @@ def doubt(session: Session) -> list[str]:
     said = [f"warning: touch {_name(session, alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was"]
     said[0] += " to be expected. What would explain it, the likeliest first:"
     said += [f"  {k}. {_explained(session, each)}" for k, each in enumerate(alarm.suspects, 1)]
-    fixable = "c puts it right as 1 says; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
-    said.append(f"u takes touch {_name(session, alarm.touch)} back, to be made again; {fixable}k keeps it as it is")
+    fixable = "c corrects it as in 1; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
+    said.append(
+        f"u takes touch {_name(session, alarm.touch)} back, so that it is made again; {fixable}k keeps it as it is"
+    )
     return said
 
 
 def _explained(session: Session, each: Suspected) -> str:
-    cause = "it is off for no reason that is known" if each.slip is None else each.slip.words
+    cause = "no known cause explains it" if each.slip is None else each.slip.words
     return f"touch {_name(session, each.touch)}: {cause} ({_percent(each.chance)})"
 
 
@@ -94,20 +95,23 @@ def ended(session: Session) -> list[str]:
         if session.tolerance is not None:
             met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
         said.append(
-            f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm to expect, 19 times of 20 below "
-            f"{below:.3g} mm{met}, apart from where the base stands, if the priors and the form of the arm's model are "
+            f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below "
+            f"{below:.3g} mm{met}, apart from the position of the base, if the priors and the form of the arm's model "
+            f"are "
             "right. casacal calibrate judges that"
         )
     if few := session.too_few:
         said.append(
-            f"warning: {', '.join(few)} {'was' if len(few) == 1 else 'were'} touched too seldom to say where it is; "
-            "casacal calibrate asks for more touches there, or leaves them out"
+            f"warning: {', '.join(few)} {'has' if len(few) == 1 else 'have'} too few touches; casacal calibrate asks "
+            f"for more there, or leaves them out"
         )
     if session.alarm is not None:
-        said.append(f"warning: touch {_name(session, session.alarm.touch)} is still in doubt; go on, and answer")
+        said.append(
+            f"warning: touch {_name(session, session.alarm.touch)} is still in doubt; continue the session to settle it"
+        )
     if (checked := session.checked()) is not None:
         off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
         said.append(
-            f"{counted(len(checked[0]), 'touch')} kept for checking: off by {off:.3g} mm RMS, {std:.3g} to be expected"
+            f"{counted(len(checked[0]), 'touch')} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected"
         )
     return said

@@ -9,16 +9,16 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
+from casacal.measuring.belief import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.examine import Alarm
 from casacal.measuring.further import Pool, could_be
 from casacal.measuring.known import Known, counts, innovations_at, known_before, places_of, telling
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State
-from casacal.measuring.tip_error import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.touch import Touch, planned_touches, rows_of
+from casacal.planning.choice import wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
-from casacal.planning.wanted import wanted_joints
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -45,19 +45,19 @@ class Standing(Value):
     def __post_init__(self) -> None:
         if not isinstance(self.problem, Problem):
             raise CasacalError(
-                f"{came(self.problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"
+                f"Got {came(self.problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
             )
         if len(self.problem.instruments) > 1:
             names = ", ".join(self.problem.names)
             raise CasacalError(
-                f"A session is of one instrument, and there are {names}", "Give problem.measured_by(name)"
+                f"A session uses one instrument, but the problem has {names}", "Give problem.measured_by(name)"
             )
         if self.plan is not None and not isinstance(self.plan, Route):
-            raise CasacalError(f"{came(self.plan)} came as the plan", "Give what plan() or read_route() returns")
+            raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
-            raise CasacalError(f"{came(self.tolerance)} came as the tolerance", "Give a positive number of mm")
+            raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
         if self.box is not None and self.targets is not None:
-            raise CasacalError("A box and targets came", "Give one of them")
+            raise CasacalError("Got a box and targets", "Give one of them")
 
     def __len__(self) -> int:
         return len(self.touches)
@@ -151,7 +151,7 @@ class Standing(Value):
 
     @property
     def tip_error(self) -> float | None:
-        """Tip error to expect, mm RMS where it is wanted, apart from where the base stands; None before any touch."""
+        """Tip error to expect where it is wanted, mm RMS, apart from the base's position; None before any touch."""
         return None if self.weights is None else expected_error(self.weights)
 
     @property

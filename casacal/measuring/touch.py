@@ -1,16 +1,19 @@
-"""One measurement as somebody made it, and rows of several."""
+"""One measurement as somebody made it, and rows of several, checked against what the problem asks for."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.planning.route import FIT, Route
+from casacal.samples.layout import LARGEST, Layout
 from casacal.samples.samples import Samples
-from casacal.values import FrozenMapping, Value, read_only
+from casacal.values import FrozenMapping, Value, is_real, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,3 +64,56 @@ def planned_touches(plan: Route) -> tuple[Touch, ...]:
         )
         for k in range(len(plan))
     )
+
+
+def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
+    """Joint values (n,), rad and mm; raises CasacalError for others."""
+    try:
+        values = np.asarray(q, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CasacalError(f"Got {came(q)} as joint values", f"Give {len(layout.joints)} numbers") from None
+    if values.shape != (len(layout.joints),) or not np.isfinite(values).all():
+        raise CasacalError(
+            f"Joint values have the shape {values.shape}, or some are not finite",
+            f"Give {len(layout.joints)} numbers, rad and mm",
+        )
+    for i, (value, kind) in enumerate(zip(values, layout.joints, strict=True), 1):
+        if abs(value) > LARGEST[kind]:
+            raise CasacalError(f"Joint {i} is {value:g}, which no robot can take", "Give rad, and mm where it slides")
+    return values
+
+
+def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> dict[str, float]:
+    """What the instrument read by column; raises CasacalError where it does not fit."""
+    asked = list(layout.columns)
+    given = reading if isinstance(reading, Mapping) else {} if reading is None else dict.fromkeys(asked[:1], reading)
+    wanted = ", ".join(asked) or "no reading at all"
+    if isinstance(reading, Mapping) is False and reading is not None and len(asked) != 1:
+        raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
+    for name in given:
+        if name not in asked:
+            raise UnknownNameError("column of a touch", name, asked)
+    for name in asked:
+        value = given.get(name)
+        if not is_real(value) or not math.isfinite(value):  # type: ignore[arg-type]
+            raise CasacalError(f"Got {came(value)} as the {name}", f"Give a number; a touch has {wanted}")
+    return {name: float(given[name]) for name in asked}
+
+
+def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: Touch | None) -> dict[str, str]:
+    """Labels by column, where none is given those of the plan; raises CasacalError where they do not fit."""
+    asked = list(layout.labels)
+    if isinstance(plane, str):
+        if len(asked) != 1:
+            raise CasacalError(f"Got the label '{plane}', but a touch has {', '.join(asked) or 'none'}", "Give it so")
+        given: Mapping[str, str] = {asked[0]: plane.strip()}
+    else:
+        given = {} if plane is None else plane
+    for name in given:
+        if name not in asked:
+            raise UnknownNameError("label of a touch", name, asked)
+    found = {name: given.get(name, "" if planned is None else planned.labels[name]) for name in asked}
+    for name, label in found.items():
+        if not isinstance(label, str) or not label:
+            raise CasacalError(f"The touch has no {name}", "Name it")
+    return found

@@ -143,14 +143,14 @@ class TouchFile(Value):
         if lines[0] != f"# {self.mark}" and self.mark in lines[0]:
             raise SamplesError(
                 path.as_posix(),
-                "another program has saved this file since, in its own way",
-                "Undo that, or take its rows to calibrate as they are and measure on into another file",
+                "another program has changed this file",
+                "Undo the change, or calibrate with its rows as they are and continue in another file",
             )
         if lines[0] != f"# {self.mark}":
             raise SamplesError(
                 path.as_posix(),
-                "this file is there already, and it is not of this problem and plan",
-                "Name another --out, or measure on with the plan that it was begun with",
+                "this file exists already and belongs to another problem or plan",
+                "Name another --out, or continue with the plan that it was begun with",
             )
         if len(lines) < 3:
             return []
@@ -164,7 +164,7 @@ class TouchFile(Value):
                 or purpose not in (FIT, AGAIN, CHECK)
             ):
                 raise SamplesError(
-                    path.as_posix(), "order, touch or purpose were changed", "Restore them, or start anew"
+                    path.as_posix(), "order, touch or purpose were changed", "Restore them, or start a new file"
                 )
             touch = Touch(
                 samples.joints[k],

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
+from casacal.errors import CasacalError
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
+from casacal.uncertainty.expectation import Box, joints_in_box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
 
 UNKNOWN = 1e-9
@@ -115,3 +117,18 @@ def _loosened(known: Array, bound: BoundProblem, loose: Mapping[str, float]) -> 
         j = bound.names.index(name)
         covariance[j, j] += (std / bound.start_std[j]) ** 2
     return np.asarray(np.linalg.inv(covariance))
+
+
+def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -> Array:
+    """Joint values (M, n) at which the tip is wanted."""
+    if box is not None:
+        return joints_in_box(bound, bound.x0, box)
+    if targets is None:
+        return workspace_joints(bound.problem.robot)
+    joints = np.atleast_2d(np.asarray(targets, dtype=np.float64))
+    if joints.shape[1] != len(bound.problem.robot.axes) or not np.isfinite(joints).all():
+        raise CasacalError(
+            f"Targets have the shape {np.shape(targets)}",
+            f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm",
+        )
+    return joints

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.planning.bodies import Body
-from casacal.planning.link_shapes import LinkShapes
+from casacal.planning.link_shapes import Body, LinkShapes
 from casacal.problem.cell import Cell
 from casacal.robots.links import Links
 from casacal.robots.robot import Robot

@@ -26,17 +26,20 @@ from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
-from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.wording import listed
 
 GAIN = 0.95
 """Expected tip error over that without a cure, above which it is not worth recommending."""
+TOOL_STD = 0.2
+"""Standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge."""
 SETTLES = 0.5
 """Part of a direction's standard deviation below which a cure settles it."""
 LOWERS = 0.95
 """The same below which a cure helps at all."""
 MOST_TILT = math.radians(85.0)
 """Tilt of a plunger that hardly touches a face: such an arm is not understood."""
-NO_CURE = "none that was tried lowers it; rely on the prior"
+NO_CURE = "none of those tried helps; rely on the prior"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Cure:
     words: str
     touches: int
     expected_rms_mm: float
-    """Over the workspace, apart from where the base stands."""
+    """Over the workspace, apart from the position of the base."""
     recommended: bool
     """Whether it gains more than a few per cent, over as many touches of the same kind too."""
     covariance: Array
@@ -70,7 +73,7 @@ class Outcome:
 
 
 def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, ...]:
-    """What to do next at x (n,), best first, each from 24 planned touches.
+    """What to do next at x (n,), best first: 24 planned touches of each kind, and a tool that is measured.
 
     More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
     known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has two:
@@ -94,10 +97,27 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     now, _ = judged(told, arm.prior_std)
     same = min(now, found["same"][0]) if "same" in found else now
     made = [
-        Cure(outcome.words, outcome.touches, error, error < GAIN * (now if kind == "same" else same), covariance)
+        Cure(
+            outcome.words,
+            outcome.touches,
+            error,
+            error < GAIN * (now if kind in ("same", "tool") else same),
+            covariance,
+        )
         for kind, (error, covariance, outcome) in found.items()
     ]
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
+
+
+def _measured_tool(arm: Seen, x: Array, told: Array) -> Iterator[Outcome]:
+    """The tool's point measured by other means, where the samples know it less well."""
+    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
+    tool = [j for j in tool_unknowns(arm, x) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
+    if tool:
+        prior_std = arm.prior_std.copy()
+        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
+        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
+        yield Outcome("tool", words, 0, told, prior_std)
 
 
 def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
@@ -127,13 +147,14 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
     told, touches = arm.information(at), _touches(bound, x)
+    yield from _measured_tool(arm, at, told)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
     if touches is None:
         for kind, how, weight in (
             ("same", "more samples of the same kind", 1),
-            ("noise", "samples with half the noise", 4),
+            ("noise", "samples at half the noise", 4),
         ):
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
@@ -170,7 +191,7 @@ def _planned(known: Known, offer: Offer, pool: Samples, field: Array) -> Outcome
 
 
 def _field(arm: Seen, at: Array) -> Array:
-    """Slopes of the tip over the workspace, apart from where the base stands (3M, s)."""
+    """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
     joints = workspace_joints(arm.problem.robot)
     return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
 

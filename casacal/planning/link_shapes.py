@@ -1,9 +1,11 @@
-"""The shapes of an arm's links, as its URDF has them, where they are in each posture."""
+"""The shapes of an arm's links, as its URDF has them, as convex bodies, and the gap between them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -11,14 +13,81 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.planning.bodies import Body, gap
 from casacal.problem.cell import Face
-from casacal.robots.files.urdf_shapes import LinkShape, shapes_of
+from casacal.robots.files.urdf_links import LinkShape, shapes_of
 from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.values import Value
+
+SIDES = 8
+"""Sides of the prism around a cylinder."""
+
+SHORT = 1e-9
+"""Length of a direction below which it is none: edges that are parallel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A convex polyhedron in N postures, or in one, all around it as thick as `radius` (mm).
+
+    corners (N, c, 3), normals of its faces (N, f, 3), directions of its edges (N, e, 3), in the base frame.
+    """
+
+    corners: Array
+    normals: Array
+    edges: Array
+    radius: float = 0.0
+
+    @staticmethod
+    def box(pose: Array, size: Array) -> Body:
+        """A box of three sides (mm) about a pose (4, 4)."""
+        corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
+        axes = np.eye(3)
+        return Body(corners[None], axes[None], axes[None]).moved(pose[None])
+
+    @staticmethod
+    def cylinder(pose: Array, radius: float, length: float) -> Body:
+        """A prism of eight sides around a cylinder about the z of a pose (4, 4)."""
+        turn = (np.arange(SIDES) + 0.5) * 2 * math.pi / SIDES
+        around = np.column_stack([np.cos(turn), np.sin(turn)]) * radius / math.cos(math.pi / SIDES)
+        corners = np.vstack([np.column_stack([around, np.full(SIDES, z)]) for z in (-length / 2, length / 2)])
+        up = np.array([[0.0, 0.0, 1.0]])
+        flat = np.pad(np.diff(around[: SIDES // 2 + 1], axis=0), ((0, 0), (0, 1)))
+        normals = np.cross(flat / np.linalg.norm(flat, axis=1, keepdims=True), up)
+        return Body(corners[None], np.vstack([normals, up])[None], np.vstack([flat, up])[None]).moved(pose[None])
+
+    @staticmethod
+    def ball(centres: Array, radius: float) -> Body:
+        """A ball about each of N points (N, 3)."""
+        return Body(centres[:, None], np.zeros((1, 0, 3)), np.zeros((1, 0, 3)), radius)
+
+    def moved(self, poses: Array) -> Body:
+        """The same, moved by N poses (N, 4, 4)."""
+        turns = poses[:, :3, :3].transpose(0, 2, 1)
+        return replace(
+            self,
+            corners=self.corners @ turns + poses[:, None, :3, 3],
+            normals=self.normals @ turns,
+            edges=self.edges @ turns,
+        )
+
+
+def gap(one: Body, other: Body) -> Array:
+    """How far two bodies are apart at least (N,), mm; not above zero where they meet."""
+    crossed = np.cross(one.edges[:, :, None], other.edges[:, None])
+    count = max(len(one.corners), len(other.corners))
+    between = other.corners.mean(axis=1, keepdims=True) - one.corners.mean(axis=1, keepdims=True)
+    parts = (one.normals, other.normals, crossed.reshape(len(crossed), -1, 3), between)
+    axes = np.concatenate([np.broadcast_to(part, (count, *part.shape[1:])) for part in parts], axis=1)
+    length = np.linalg.norm(axes, axis=2, keepdims=True)
+    axes = axes / np.maximum(length, SHORT)
+    mine, its = (axes @ body.corners.transpose(0, 2, 1) for body in (one, other))
+    apart = np.maximum(mine.min(axis=2) - its.max(axis=2), its.min(axis=2) - mine.max(axis=2))
+    apart = np.where(length[..., 0] > SHORT, apart, -np.inf)
+    return np.asarray(apart.max(axis=1) - one.radius - other.radius)
+
 
 FREE = 5.0
 """Distance that shapes keep, mm: arms err by some, and drawings of their shapes by more."""
@@ -53,7 +122,7 @@ class LinkShapes(Value):
         arm = robot.arm
         if not isinstance(arm, UrdfChain):
             raise ProblemError(
-                f"'{robot.name}' does not come from a URDF, so nothing is known of the shapes of its links",
+                f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown",
                 "Give a link_radius",
             )
         shapes, unread = shapes_of(arm.path, arm.chain[0].parent, arm.chain[-1].child)
@@ -68,11 +137,11 @@ class LinkShapes(Value):
             said.append(f"Kept {FREE:g} mm clear: {len(self.shapes)} shapes of {links} links, as the URDF has them.")
         if self.let_be:
             pairs = ", ".join(f"{one} and {other}" for one, other in self.let_be)
-            said.append(f"Not held against each other, for they meet wherever the arm is: {pairs}.")
+            said.append(f"Not checked against each other, because they touch in every posture: {pairs}.")
         if self.unread:
             said.append(
-                f"Not looked at: shapes of {', '.join(self.unread)} that are no boxes, cylinders or spheres, or move "
-                "by other joints; --link-radius does for all links of the arm."
+                f"Not checked: shapes of {', '.join(self.unread)} that are not boxes, cylinders or spheres, or move "
+                f"with other joints; use --link-radius for all links."
             )
         return " ".join(said)
 

@@ -53,8 +53,8 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     same = _cell(faces, now)
     for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
         yield Offer(kind, f"{count} planned touches of the same kind", problem, same, touches=count)
-    how = "each the mean of four" if _is_found(bound) else "a better indicator, or each the mean of four"
-    yield Offer("noise", f"{EXTRA_TOUCHES} planned touches with half the noise ({how})", problem, same, 0.5)
+    how = "the mean of four readings each" if _is_found(bound) else "a better dial, or the mean of four readings each"
+    yield Offer("noise", f"{EXTRA_TOUCHES} planned touches at half the noise ({how})", problem, same, 0.5)
     if now < NEARLY:
         words = f"{EXTRA_TOUCHES} planned touches with the tool tilted by up to 30 degrees"
         yield Offer("tilt", words, problem, _cell(faces, TILT))

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.planning.choice import Choice
+from casacal.planning.choice import Choice, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.enough import seldom
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.pool import pool_of
-from casacal.planning.route import AGAIN, CHECK, FIT, Route
-from casacal.planning.wanted import wanted_joints
-from casacal.planning.way import shortest_way
+from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
@@ -151,7 +149,7 @@ def touches_for(
     """
     _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
-        raise CasacalError(f"{came(tolerance)} came as the tolerance", "Give a positive number of mm")
+        raise CasacalError(f"Got {came(tolerance)} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, 1000, 0)
     bound = bind(problem, pool if after is None else joined(pool, _made(problem, after)))
     _refuse_unknown(bound, loose)
@@ -165,7 +163,7 @@ def touches_for(
     if left <= tolerance:
         return most
     raise CasacalError(
-        f"{most} touches that were chosen best leave {left:.3g} mm, more than {tolerance:g} mm",
+        f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm",
         "Ask for less, measure with less noise, or add a face, a step or another instrument",
     )
 
@@ -216,7 +214,7 @@ def _refuse_unknown(bound: BoundProblem, loose: Mapping[str, float] | None) -> N
 def _made(problem: Problem, after: Samples) -> Samples:
     """Touches that were made; raises SamplesError for those of another problem."""
     if not isinstance(after, Samples):
-        raise CasacalError(f"{came(after)} came as touches that were made", "Give what problem.read(path) returns")
+        raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
     after.check(problem.layout())
     return after
 
@@ -232,17 +230,19 @@ def _check(
     problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
 ) -> None:
     if not isinstance(problem, Problem):
-        raise CasacalError(f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one")
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
     if len(problem.instruments) > 1:
         names = ", ".join(problem.names)
-        raise CasacalError(f"A plan is for one instrument, and there are {names}", "Plan for problem.measured_by(name)")
+        raise CasacalError(
+            f"A plan is for one instrument, but the problem has {names}", "Plan for problem.measured_by(name)"
+        )
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-            raise CasacalError(f"{came(value)} came as the {what}", f"Give a whole number from {least} on")
+            raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from {least} on")
     for what, part in (("again", again), ("check", check)):
         if not (is_real(part) and 0 <= part < 1):
-            raise CasacalError(f"{came(part)} came as the part '{what}'", "Give a number from 0 to below 1")
+            raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")
     if touches - round(check * touches) - round(again * touches) < 3:
-        raise CasacalError(f"Of {touches} touches fewer than three are fitted", "Ask for more, or check fewer")
+        raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
     if box is not None and targets is not None:
-        raise CasacalError("A box and targets came", "Give one of them")
+        raise CasacalError("Got a box and targets", "Give one of them")

@@ -58,6 +58,6 @@ def pool_of(
             break
     assert found is not None
     raise CasacalError(
-        f"Of {tried} touches that the arm reaches {len(found)} keep clear of boxes, faces and itself",
-        "Make the boxes or --link-radius smaller, move the faces, or --ignore-shapes that a URDF draws too large",
+        f"Only {len(found)} of {tried} reachable touches keep clear of boxes, faces and the arm itself",
+        "Make the boxes or --link-radius smaller, move the faces, or ignore the shapes of the URDF (--ignore-shapes)",
     )

@@ -1,11 +1,17 @@
-"""Touches to make, in their order: what a plan is, and what a session at the machine goes by."""
+"""Touches to make, in the order of a short way through the joints."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
 from casacal.errors import SamplesError
+from casacal.robots.joint_space import AXIS_WEIGHT
+from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
 from casacal.tables.read import read_columns
@@ -46,7 +52,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
     if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
         fix = "Give what casacal plan wrote; its readings are called expected_..."
-        raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, and a plan has none", fix)
+        raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, which a plan does not have", fix)
     read = Samples.from_columns(columns, expected)
     purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):
@@ -60,3 +66,53 @@ def read_route(path: str | Path, layout: Layout) -> Route:
 def _expected(layout: Layout) -> Layout:
     """The same with readings that are to be expected."""
     return Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
+
+
+SWEEPS = 40
+"""Times that all pairs of steps are looked at."""
+
+
+def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
+    """An order (N,) of postures (N, n; rad, mm) that is short: the nearest next, then crossings undone (2-opt).
+
+    What counts is the joint that has furthest to go, which takes longest; `AXIS_WEIGHT` mm of a sliding joint count as
+    a radian. It begins at the posture that is nearest to mid-range.
+    """
+    count = len(joints)
+    if count < 2:
+        return np.arange(count)
+    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+    middle = np.mean(robot.limits, axis=0) / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+    apart = np.abs(places[:, None] - places).max(axis=2)
+    order = [int(np.abs(places - middle).max(axis=1).argmin())]
+    left = set(range(count)) - set(order)
+    while left:
+        here = np.array(sorted(left))
+        order.append(int(here[apart[order[-1], here].argmin()]))
+        left.remove(order[-1])
+    return _uncrossed(np.array(order), apart)
+
+
+def length_of(robot: Robot, joints: Array) -> float:
+    """How far the joint that has furthest to go goes from posture to posture (N, n), all steps together, rad."""
+    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+    return float(np.abs(np.diff(places, axis=0)).max(axis=1).sum())
+
+
+def _uncrossed(order: NDArray[np.intp], apart: Array) -> NDArray[np.intp]:
+    """The same with parts of the way turned round while that makes it shorter; the first posture stays."""
+    count = len(order)
+    for _ in range(SWEEPS):
+        shorter = False
+        for i in range(count - 2):
+            j = np.arange(i + 2, count)
+            after = np.append(apart[order[i + 1], order[j[:-1] + 1]], 0.0)
+            before = np.append(apart[order[j[:-1]], order[j[:-1] + 1]], 0.0)
+            change = apart[order[i], order[j]] + after - apart[order[i], order[i + 1]] - before
+            best = int(change.argmin())
+            if change[best] < -1e-12:
+                order[i + 1 : j[best] + 1] = order[i + 1 : j[best] + 1][::-1].copy()
+                shorter = True
+        if not shorter:
+            break
+    return order

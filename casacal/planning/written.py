@@ -1,18 +1,87 @@
-"""A plan as a file: postures in the order in which they are made, what to expect there, what each is for."""
+"""A plan in sentences, in JSON's own types, and as a file."""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from casacal.files import write_text
+from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
-from casacal.planning.route import EXPECTED
+from casacal.planning.route import AGAIN, CHECK, EXPECTED, FIT
+from casacal.planning.setups import SetUp
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.samples.write import WRITTEN
+
+FLAT = 0.93
+"""Error over that of fewer touches above which more bring little."""
+
+
+def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool) -> list[str]:
+    """Sentences: how many, what to expect, the curve and where it flattens, other set-ups.
+
+    where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
+    """
+    fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
+    without = "Without them" if after else "Priors alone"
+    left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
+    said = [
+        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
+        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
+        f"noise and priors are right. {without}: {plan.before:.3g} mm; the same number at random: "
+        f"{plan.at_random:.3g} mm; all {pool} candidates: {plan.best:.3g} mm. On arms that differ from the drawing as "
+        f"the priors allow: "
+        f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
+        f"Number of fitted touches and expected tip error, mm: {left}{_flat(plan)}",
+    ]
+    if compared:
+        said.append(f"Other set-ups, each with {fitted} fitted touches:")
+    for each in compared:
+        reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
+        said.append(f"  {reach}: {each.words}")
+    return said
+
+
+def document(
+    plan: Plan, compared: Sequence[SetUp], written: Sequence[str], clearance: Clearance | None = None
+) -> dict[str, Any]:
+    """The same for another program."""
+    counts = {purpose: plan.purposes.count(purpose) for purpose in dict.fromkeys(plan.purposes)}
+    errors = {
+        "expected": plan.error,
+        "at_random": plan.at_random,
+        "before": plan.before,
+        "of_all": plan.best,
+        "if_a_tenth_is_lost": plan.if_lost,
+        "over_arms": plan.over_arms,
+    }
+    curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
+    found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
+    if clearance is not None and clearance.shapes is not None:
+        shapes = clearance.shapes
+        found["shapes"] = {
+            "looked_at": [each.link for each in shapes.shapes],
+            "not_looked_at": list(shapes.unread),
+            "let_be": [list(pair) for pair in shapes.let_be],
+        }
+    if compared:
+        found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
+    return found
+
+
+def _flat(plan: Plan) -> str:
+    """Where the curve flattens, in words."""
+    for few, many in pairwise(sorted(plan.curve)):
+        if plan.curve[many] > FLAT * plan.curve[few]:
+            return f"; more than {few} gain little"
+    return ""
+
 
 PLANNED_DECIMALS = 4
 """Of joint values in degrees and mm: what controllers take, and a few micrometres at the tip."""
@@ -56,10 +125,11 @@ def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
 def _notes(plan: Plan, name: str) -> list[str]:
     return [
         f"planned by casacal for {name}: not a measurement",
-        f"expected tip error {plan.error:.4g} mm RMS, apart from where the base stands, if stated noise and priors are "
+        f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
+        f"are "
         f"right; of as many at random {plan.at_random:.4g} mm",
-        "bring the arm to each posture; where the instrument is at its end, go along the plunger until it reads about "
-        "what is expected (readings that differ tell the size of the arm); write down the joint values that the "
-        "controller shows and the reading that there is",
-        "purpose fit: to calibrate with; again: the same once more, at the end; check: kept apart, for casacal verify",
+        "bring the arm to each posture; if the dial is at the end of its travel, move along the plunger until it "
+        "reads about what is expected (readings that differ determine the size of the arm); write down the joint "
+        "values that the controller shows, and the reading",
+        "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
     ]

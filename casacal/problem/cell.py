@@ -55,7 +55,7 @@ class Cell(Disturbances):
         dial_cycle: amplitude of an error that comes back with every turn of the pointer, at a random phase.
         hysteresis: the reading lags by half of it behind the way by which the plunger came.
         drift: growth of the readings from the first row to the last, linear in the order of the rows.
-        repeats: times that each place is touched in a row, each time approached anew: joints and dial scatter again,
+        repeats: touches of each place in a row, each time approached anew: joints and dial scatter again,
             while sag, gear waves and the height of the face stay.
         approach: the side from which joints and plunger come. "same": joints from the row before, the plunger always
             pushed in. "alternating": all from below and from above in turn, face by face, the plunger pushed in first

@@ -86,7 +86,7 @@ def _waves(given: Mapping[int, float] | Sequence[tuple[int, float]]) -> tuple[tu
         waves = [(order, float(amplitude)) for order, amplitude in pairs]
     except (TypeError, ValueError):
         raise SimulationError(
-            f"{came(given)} came as gear waves", "Give {order: amplitude in rad}, such as {1: 1e-4}"
+            f"Got {came(given)} as gear_waves", "Give {order: amplitude in rad}, such as {1: 1e-4}"
         ) from None
     for order, amplitude in waves:
         if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 1:

@@ -2,20 +2,114 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 from casacal.discrepancy import Effect
-from casacal.errors import ProblemError, UnknownNameError
+from casacal.errors import ProblemError, UnknownNameError, came
 from casacal.instruments import Instrument, Words
+from casacal.instruments.declaration import check_declaration
 from casacal.problem.edits import all_unknowns
-from casacal.problem.named_instruments import Shared, full_names, named, shared_by
-from casacal.problem.parts import check_parts
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
-from casacal.values import FrozenMapping, Value
+from casacal.values import FrozenMapping, Value, is_real
+
+
+def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
+    """Raise ProblemError for what is no robot, instrument or effect, for names that collide, and without any noise."""
+    if not isinstance(robot, Robot):
+        raise ProblemError(f"Got {came(robot)} as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
+    if not instruments:
+        raise ProblemError(f"Problem '{robot.name}' has no instrument", "Give at least one, such as DialOnPlane")
+    if not isinstance(effects, (tuple, list)):
+        raise ProblemError(f"Got {came(effects)} as the effects", "Give them in a tuple, such as kit() makes")
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ProblemError(f"Got {came(effect)} as an effect", "Give what casacal.discrepancy has, or one's own")
+        _check_size(effect)
+    keys = [effect.key for effect in effects]
+    if twice := next((key for key in keys if keys.count(key) > 1), ""):
+        raise ProblemError(f"The effect '{twice}' came twice", "Give each once")
+    for instrument in instruments:
+        check_declaration(instrument)
+        _check_with(robot, instrument)
+
+
+def _check_size(effect: Effect) -> None:
+    name = type(effect).__name__
+    for what, value, least in (("size", effect.size, 0.0), ("doubt", effect.doubt, 1.0), ("most", effect.most, 1.0)):
+        if not is_real(value) or not least <= value < math.inf or value == 0:
+            fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
+            raise ProblemError(f"The {what} of {name} is {value!r}", fix)
+
+
+def _check_with(robot: Robot, instrument: Instrument) -> None:
+    name = type(instrument).__name__
+    twice = set(robot.parameters) & set(instrument.unknowns)
+    if twice:
+        raise ProblemError(f"Robot and {name} both name '{sorted(twice)[0]}'", "Rename one of them")
+    noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
+    noisy_columns = any(std > 0 for std in instrument.column_stds.values())
+    if instrument.residual_std <= 0 and not instrument.blocks and not noisy_columns and not noisy_joints:
+        raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
+
+
+NAME = re.compile("[A-Za-z][A-Za-z0-9_-]*")
+
+Shared = Mapping[str, tuple[str, ...]]
+"""Keys of unknowns that instruments have in common, and the names of these."""
+
+
+def named(given: Sequence[Any]) -> tuple[tuple[str, ...], tuple[Any, ...]]:
+    """Names and instruments: of a mapping as it says, else "instrument1" and so on; an only one needs no name.
+
+    Raises ProblemError for a name that is none.
+    """
+    if len(given) == 1 and isinstance(given[0], Mapping):
+        for name in given[0]:
+            if not isinstance(name, str) or not NAME.fullmatch(name):
+                fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
+                raise ProblemError(f"An instrument is called {name!r}", fix)
+        return tuple(given[0]), tuple(given[0].values())
+    return tuple(f"instrument{i}" for i in range(1, len(given) + 1)), tuple(given)
+
+
+def shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
+    """What was declared as shared; raises ProblemError where instruments do not have it, or not alike."""
+    if not isinstance(shared, Mapping):
+        fix = 'Name it and the instruments, such as shared={"tool": ("dial", "spike")}'
+        raise ProblemError(f"Got {came(shared)} as what instruments share", fix)
+    found: dict[str, tuple[str, ...]] = {}
+    for key, names in shared.items():
+        if isinstance(names, str) or not isinstance(names, Sequence) or len(set(names)) < 2:
+            fix = f'Name two instruments or more, such as shared={{"{key}": ("dial", "spike")}}'
+            raise ProblemError(f"'{key}' is shared by {names!r}", fix)
+        for name in names:
+            if name not in instruments:
+                raise UnknownNameError("instrument", str(name), list(instruments))
+            if key not in instruments[name].unknowns:
+                have = ", ".join(instruments[name].unknowns) or "none"
+                raise ProblemError(f"'{name}' has no unknown '{key}' to share", f"It has: {have}")
+        first, *others = (instruments[name].unknowns[key] for name in names)
+        if any(other != first for other in others):
+            raise ProblemError(
+                f"'{key}' is declared in different ways by {' and '.join(names)}, which share it",
+                "Declare it once, and give the same to each",
+            )
+        found[str(key)] = tuple(names)
+    return FrozenMapping(found)
+
+
+def full_names(names: Sequence[str], instruments: Sequence[Instrument], shared: Shared) -> Iterator[dict[str, str]]:
+    """For each instrument the full name of each of its unknowns: after its own name unless it is shared or alone."""
+    for name, instrument in zip(names, instruments, strict=True):
+        before = "" if len(instruments) == 1 else f"{name}."
+        yield {key: key if name in shared.get(key, ()) else before + key for key in instrument.unknowns}
+
 
 NOTHING: Shared = FrozenMapping({})
 

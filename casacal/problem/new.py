@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from casacal.errors import CasacalError, ProblemError
-from casacal.problem.new_dial import Given
 from casacal.problem.problem_file import load_problem
-from casacal.problem.python_text import angles, conventions, imported, lengths, listed, quoted, tuple_of, word
+from casacal.problem.problem_text import Given, angles, conventions, imported, lengths, listed, quoted, tuple_of, word
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.decimals import degrees, plain
+from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.urdf_chain import UrdfChain
 
@@ -46,7 +45,7 @@ PARALLEL = """- Parallel axes: {axes}. There the common normal of DH would jump 
   turn `beta` takes the place of `d`, which is held.
 """
 REDUNDANT = """- Parameters are the origins of the joints that move: x, y, z and small turns rx, ry, rz of each
-  joint's frame. That is more than touches can tell apart; the report names the redundant directions, and the prior
+  joint's frame. Touches cannot determine all of them; the report names the redundant directions, and the prior
   holds them.
 """
 

@@ -115,7 +115,7 @@ class Problem(MeasuredArm):
         layout = self.layout(instrument)
         if not isinstance(path, (str, Path)):
             fix = "Give a path; Samples.from_frame takes a frame"
-            raise SamplesError("samples", f"{came(path)} came as the file", fix)
+            raise SamplesError("samples", f"Got {came(path)} as the file", fix)
         if readings is None:
             return Samples.from_file(path, layout, absurd=absurd)
         together = joined_tables(read_any_table(path), read_any_table(readings), key=key)

@@ -78,7 +78,7 @@ def load_problem(path: str | Path) -> ProblemFile:
     Raises ProblemError when there is none, when it raises, or when it defines something else.
     """
     if not isinstance(path, (str, Path)):
-        raise ProblemError(f"{came(path)} came as the path of a problem", "Give a folder with a problem.py")
+        raise ProblemError(f"Got {came(path)} as the path of a problem", "Give a folder with a problem.py")
     file = Path(path)
     if file.is_dir():
         file = file / "problem.py"
@@ -97,7 +97,7 @@ def load_problem(path: str | Path) -> ProblemFile:
     values = _execute(file)
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
-        what = "" if problem is None else f" as a Problem: {came(problem).lower()} stands there"
+        what = "" if problem is None else f" as a Problem, but {came(problem)}"
         raise ProblemError(f"{file} does not define `problem`{what}", "Add problem = Problem(robot, DialOnPlane(...))")
     if cell is not None and not isinstance(cell, Cell):
         raise ProblemError(f"{file} defines `cell` as a {type(cell).__name__}", "Make it a Cell(...)")

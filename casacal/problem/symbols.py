@@ -19,8 +19,7 @@ import casadi as ca
 from casacal.discrepancy.effect import Effect
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.problem.compile import RowModel, compile_rows, row_function
-from casacal.problem.jacobian import residual_jacobian, residual_noise
+from casacal.problem.compile import RowModel, compile_rows, residual_jacobian, residual_noise, row_function
 from casacal.problem.symbols_in_c import c_text
 from casacal.problem.trace import Trace, trace
 from casacal.robots.robot import Robot
@@ -113,7 +112,7 @@ class Symbols(Value):
     def jacobian(self) -> ca.SX:
         """de/dz (m x nz), by automatic differentiation: it takes the place of eqs (3)-(5) and (7)-(9).
 
-        Made by `casacal.problem.jacobian.residual_jacobian`.
+        Made by `casacal.problem.compile.residual_jacobian`.
         """
         return residual_jacobian(self.residual, self.z)
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.problem.compile import row_function
-from casacal.problem.jacobian import residual_jacobian, residual_noise
+from casacal.problem.compile import residual_jacobian, residual_noise, row_function
 from casacal.problem.trace import Trace
 
 

@@ -33,7 +33,7 @@ class Conventions:
             raise ProblemError(f"The joint signs are {self.signs}", "Use 1 or -1 for each joint")
         if len(self.offsets) != joints or not all(math.isfinite(offset) for offset in self.offsets):
             raise ProblemError(
-                f"{len(self.offsets)} joint offsets came for {joints} signs", "Give one finite offset for each joint"
+                f"Got {len(self.offsets)} joint offsets for {joints} signs", "Give one finite offset for each joint"
             )
         for i, j, factor in self.coupling:
             if not (1 <= i <= joints and 1 <= j <= joints) or i == j or not math.isfinite(factor):

@@ -23,7 +23,7 @@ def joint_values(q: Any, robot: Robot) -> Array:
     try:
         values = np.array(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise CasacalError(f"{came(q)} came as joint values of '{robot.name}'", wanted) from None
+        raise CasacalError(f"Got {came(q)} as joint values of '{robot.name}'", wanted) from None
     values = values[None] if values.ndim == 1 else values
     if values.ndim != 2 or values.shape[1] != len(robot.axes):
         raise CasacalError(f"Joint values of '{robot.name}' came with the shape {np.shape(q)}", wanted)

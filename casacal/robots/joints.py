@@ -70,5 +70,5 @@ def geared(joints: Sequence[Joint], ratios: Sequence[float]) -> tuple[Joint, ...
     """The same joints with known gear ratios, zero where one is not; raises ProblemError."""
     if len(ratios) != len(joints):
         fix = "Give one for each joint, 0 where it is not known"
-        raise ProblemError(f"{len(ratios)} gear ratios came for {len(joints)} joints", fix)
+        raise ProblemError(f"Got {len(ratios)} gear ratios for {len(joints)} joints", fix)
     return tuple(replace(joint, gear_ratio=ratio) for joint, ratio in zip(joints, ratios, strict=True))

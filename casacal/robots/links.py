@@ -102,7 +102,7 @@ class Links:
             if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
                 raise ProblemError(
                     f"The joints of '{robot.name}' do not carry one another in order",
-                    "Leave out LinkGive; GravityGive asks nothing of the order",
+                    "Leave out LinkSag; GravitySag asks nothing of the order",
                 )
 
 

@@ -132,7 +132,7 @@ class Robot(Value):
             alpha, theta: twists and zero offsets (n,), rad.
             a, d: lengths and offsets (n,), mm.
             length_std: prior standard deviation of a and d, one or one per row, mm; default 0.7
-                (`casacal.uncertainty.priors` says why).
+                (`casacal.uncertainty.learned_priors` says why).
             angle_std: of theta, and of alpha unless `twist_std` is given, rad; default 1e-3.
             twist_std: of alpha and beta, rad.
             joints: as for `Robot`; default all revolute. A prismatic joint adds its value to d, not to theta.

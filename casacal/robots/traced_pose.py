@@ -15,7 +15,7 @@ import numpy as np
 
 from casacal.kinematics import Expression, Product, position
 from casacal.unknowns import Unknown
-from casacal.unknowns.packed import packed_symbols
+from casacal.unknowns.fits import packed_symbols
 from casacal.values import FrozenMapping
 
 

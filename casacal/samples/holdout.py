@@ -37,12 +37,12 @@ def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: s
         raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
     if not isinstance(holdout, (int, float)):
         raise CasacalError(
-            f"{came(holdout)} came as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
+            f"Got {came(holdout)} as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
         )
     if not 0 <= holdout < 1:
         raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
     if not isinstance(by, str):
-        raise CasacalError(f"{came(by)} came as what is held out together", f"Give {', '.join(WAYS)} or a column")
+        raise CasacalError(f"Got {came(by)} as what is held out together", f"Give {', '.join(WAYS)} or a column")
     rng = np.random.default_rng(seed)
     if by in ("rows", "region"):
         mask = _of_each_label(samples, holdout, rng, near=by == "region")

@@ -20,7 +20,7 @@ def own_noise(problem: Problem) -> Array | float:
     instrument = problem.instrument
     if said := next((block.name for block in instrument.blocks if isinstance(block.std, str)), ""):
         raise SimulationError(
-            f"The noise of '{said}' stands in a column, and simulated rows have none", "Declare it as a number"
+            f"The noise of '{said}' comes from a column, which simulated rows do not have", "Declare it as a number"
         )
     stds = [float(block.std) for block in instrument.blocks for _ in range(block.size)]
     return np.array(stds) if stds else instrument.residual_std

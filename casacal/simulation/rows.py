@@ -17,9 +17,8 @@ from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.arm_errors import ArmErrors
 from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
-from casacal.simulation.joint_errors import drawn_waves, last_moves, rounded, unwaved
+from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.places import random_tips, spot, stands
 from casacal.simulation.true_arm import Draw, Truth, plane_coordinates
 from casacal.tables.columns import Labels

@@ -14,9 +14,7 @@ from casacal.instruments.instrument import Instrument, Probe
 from casacal.problem.cell import OF_DIALS, Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.simulation.arm_errors import ArmErrors
-from casacal.simulation.dial_errors import DialErrors
-from casacal.simulation.joint_errors import drawn_waves, rounded, unwaved, waved, ways, yielding
+from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounded, unwaved, waved, ways, yielding
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import find_touches
 from casacal.simulation.true_arm import Draw, true_unknowns

@@ -1,18 +1,78 @@
-"""Samples of a simulated arm, with the truth behind them: touches of faces, or rows that any residual fits."""
+"""Samples of a simulated arm, of one instrument or several, with the truth behind them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.errors import SimulationError, came
+from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
-from casacal.simulation.several import simulate_several
+from casacal.samples.measurements import Measurements
+from casacal.simulation.asked_rows import check_asked
+from casacal.simulation.places import default_cell
+from casacal.simulation.rows import fitting_rows
+from casacal.simulation.session import touched_rows
 from casacal.simulation.simulation import Simulation
-from casacal.simulation.single import simulate_one
 from casacal.simulation.true_arm import Draw
+from casacal.values import FrozenMapping
+
+
+def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw: Draw) -> Simulation:
+    """Samples of a problem with one instrument; raises SimulationError when it cannot be measured as asked."""
+    instrument = problem.instrument
+    if instrument.probe is None:
+        cell = Disturbances() if cell is None else cell
+        rows, truth, arm = fitting_rows(problem, cell, samples, draw)
+        true, frames = FrozenMapping(truth.local), FrozenMapping(truth.frames)
+        return Simulation(problem, Measurements.of(rows), true, cell, draw.seed, arm, frames=frames)
+    cell = default_cell(problem) if cell is None else cell
+    if not isinstance(cell, Cell):
+        raise SimulationError(
+            f"{type(instrument).__name__} touches faces, and the disturbances that came have none",
+            "Give a Cell(faces=...)",
+        )
+    rows, local, arm, dial = touched_rows(problem, instrument, instrument.probe, cell, samples, draw)
+    return Simulation(problem, Measurements.of(rows), FrozenMapping(local), cell, draw.seed, arm, dial)
+
+
+def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mapping[str, int], seed: int) -> Simulation:
+    """Samples of every instrument on the same true arm; what they share is the same, too.
+
+    Those that touch faces touch those of the cell. Raises SimulationError as `simulate` does, and for what only those
+    that touch can be asked.
+    """
+    local: dict[str, Array] = {}
+    frames: dict[str, Array] = {}
+    parts: list[Simulation] = []
+    for i, name in enumerate(problem.names):
+        alone = problem.measured_by(name)
+        names = {key: key for key in problem.robot.parameters} | dict(problem.full_names[i])
+        known = {key: local[full] for key, full in names.items() if full in local}
+        own = cell if alone.instrument.probe is not None else _elsewhere(alone, cell)
+        part = simulate_one(alone, own, counts[name], Draw(seed, i, FrozenMapping(known)))
+        parts.append(part)
+        for of_part, of_all in ((part.local, local), (part.frames, frames)):
+            for key, value in of_part.items():
+                head, dot, label = key.partition(".")
+                of_all.setdefault(names[head] + dot + label, value)
+    sets = tuple(part.samples for part in parts)
+    touched = next((part.cell for part in parts if isinstance(part.cell, Cell)), parts[0].cell)
+    together, true = Measurements(problem.names, sets), FrozenMapping(frames)
+    return Simulation(problem, together, FrozenMapping(local), touched, seed, frames=true, parts=tuple(parts))
+
+
+def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None:
+    """What disturbs an instrument that touches no faces, in the cell of those that do."""
+    if not isinstance(cell, Cell):
+        return cell
+    check_asked(alone, cell)
+    return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
+
 
 MOST_SAMPLES = 1_000_000
 """Rows beyond which drawing postures takes hours."""
@@ -50,10 +110,10 @@ def simulate(
         raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
     if not isinstance(problem, Problem):
         raise SimulationError(
-            f"{came(problem)} came as the problem", "Give a Problem; load_problem(path).problem is one"
+            f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
         )
     if cell is not None and not isinstance(cell, Disturbances):
-        raise SimulationError(f"{came(cell)} came as the cell", "Give a Cell(faces=...), or Disturbances(...)")
+        raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     counts = _counts(problem, samples)
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, counts, int(seed))

@@ -17,9 +17,7 @@ from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
-from casacal.simulation.arm_errors import ArmErrors
-from casacal.simulation.dial_errors import DialErrors
-from casacal.simulation.joint_errors import waved
+from casacal.simulation.faults import ArmErrors, DialErrors, waved
 from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import frame_coordinates, plane_coordinates
 from casacal.values import Value

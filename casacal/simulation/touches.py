@@ -12,7 +12,7 @@ from casacal.errors import SimulationError
 from casacal.instruments.instrument import Probe
 from casacal.problem.cell import Cell
 from casacal.robots.joint_space import random_joints
-from casacal.simulation.face_form import form_error
+from casacal.simulation.faults import form_error
 from casacal.simulation.reach import Touch
 
 EDGE = 0.05

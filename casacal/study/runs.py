@@ -16,8 +16,8 @@ from casacal.study import executors, records
 from casacal.study.description import Study
 from casacal.study.records import Key, Record
 from casacal.study.supervised import supervised
-from casacal.study.task import Task
 from casacal.study.tasks import Carried, Errand, carried, perform, perform_errand, tasks_of
+from casacal.study.trial import Task
 
 Progress = Callable[[int, int], None]
 

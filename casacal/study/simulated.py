@@ -15,9 +15,8 @@ from casacal.least_squares.result import Result
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.simulation.simulate import simulate
-from casacal.uncertainty.bounds import bayesian_bound
 from casacal.uncertainty.figures import nees, residual_figures
-from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
 Z95 = 1.959963984540054
 """Half width of a 95 % interval in standard deviations."""
@@ -36,7 +35,7 @@ class SimulatedTrial:
         """Figures of merit of a result, from its x and covariance alone.
 
         cost: the objective. fit_rmse_mm, heldout_*_mm: distances from the fitted planes. tip_*_mm: length of the true
-        tip error over the workspace, apart from where the base stands. bound_mm: the Bayesian bound of
+        tip error over the workspace, apart from the position of the base. bound_mm: the Bayesian bound of
         tip_rms_mm. nees: of the arm's unknowns, per unknown. coverage: share of tip errors, axis by axis, inside their
         95 % intervals.
         """

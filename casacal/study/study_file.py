@@ -78,7 +78,7 @@ def lines_of(source: StudyFile, run: Any) -> list[str]:
     if isinstance(said, str):
         return said.splitlines()
     if not isinstance(said, Iterable):
-        raise StudyError(f"{came(said)} came from report(run) of '{source.path}'", "Return the lines of report.md")
+        raise StudyError(f"Got {came(said)} from report(run) of '{source.path}'", "Return the lines of report.md")
     return [str(line) for line in said]
 
 

@@ -11,8 +11,7 @@ from casacal.errors import StudyError
 from casacal.study.description import Study
 from casacal.study.records import Record
 from casacal.study.study_file import load_study
-from casacal.study.task import Task
-from casacal.study.trial import trial_records
+from casacal.study.trial import Task, trial_records
 
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""

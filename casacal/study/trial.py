@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
+import os
+import random
 import time
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +19,65 @@ from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, as_result
 from casacal.study.description import Study, Trial
 from casacal.study.metering import Metered
-from casacal.study.records import TIMINGS, Record
-from casacal.study.task import Task
-from casacal.study.undone import undone
+from casacal.study.records import TIMINGS, Key, Record
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some methods in one trial of a setting, and the key of each."""
+
+    setting: str
+    trial: int
+    methods: tuple[str, ...]
+    fingerprints: tuple[str, ...]
+
+    @property
+    def keys(self) -> list[Key]:
+        """Key of each record that the task makes."""
+        return [(fingerprint, self.trial) for fingerprint in self.fingerprints]
+
+    def without(self, done: Iterable[Key]) -> Task:
+        """The task without the methods that are recorded already."""
+        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
+        return replace(
+            self,
+            methods=tuple(self.methods[i] for i in kept),
+            fingerprints=tuple(self.fingerprints[i] for i in kept),
+        )
+
+
+@contextlib.contextmanager
+def undone(seed: int) -> Iterator[None]:
+    """Put back afterwards: folder, environment, error handling of NumPy, warnings, and the common random numbers.
+
+    These begin at a seed, so that a method which draws from them does the same whatever ran before. What overflows
+    raises nothing meanwhile.
+    """
+    folder, environment = _folder(), dict(os.environ)
+    drawn = random.getstate(), np.random.get_state()  # noqa: NPY002  the common one is what is meant
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            yield
+    finally:
+        random.setstate(drawn[0])
+        np.random.set_state(drawn[1])  # noqa: NPY002
+        if os.environ != environment:
+            os.environ.clear()
+            os.environ.update(environment)
+        if folder is not None and _folder() != folder:
+            with contextlib.suppress(OSError):
+                os.chdir(folder)
+
+
+def _folder() -> str | None:
+    """The working folder; None where it was removed."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return None
+
 
 POINTS = 24
 """Points that a record keeps of the way to the estimate."""

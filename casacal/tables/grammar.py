@@ -12,7 +12,8 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from casacal.errors import SamplesError, counted
+from casacal.errors import SamplesError
+from casacal.wording import counted
 
 MOST_COLUMNS = 16_384
 """What a sheet of a spreadsheet holds."""
@@ -95,7 +96,7 @@ def check_header(header: tuple[str, ...], file: str, line: int) -> None:
     """Raise SamplesError unless the header is one of names, each column having its own."""
     if len(header) > MOST_COLUMNS:
         what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
-        raise SamplesError(file, what, "Leave out what is no sample", line=line)
+        raise SamplesError(file, what, "Leave out what is not a sample", line=line)
     if any(NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
         raise SamplesError(
             file,

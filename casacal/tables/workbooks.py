@@ -102,7 +102,7 @@ def _first_sheet(book: Any, file: str) -> tuple[str, Rows, Comments]:
             continue
         width = len(rows[0][1]) if rows else len(cells)
         if len(cells) > width:
-            raise SamplesError(file, "a cell stands where the header has no name", "Name its column", line=number)
+            raise SamplesError(file, "a cell has no name in the header", "Name its column", line=number)
         if number in hidden:
             raise SamplesError(
                 file, "the row is hidden, so that it is not clear whether it counts", "Show or delete it", line=number

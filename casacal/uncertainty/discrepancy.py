@@ -16,9 +16,8 @@ from casacal.discrepancy.joint_field import JointField
 from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
 from casacal.problem.problem import Problem
-from casacal.uncertainty.effect_sizes import Sizes, effect_sizes
+from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
-from casacal.uncertainty.marginal_likelihood import Told, told
 
 ENOUGH = 300
 """Rows from which on a field of many unknowns can be told."""

@@ -11,9 +11,15 @@ from casacal.binding.marginal import Seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.joint_space import random_joints
-from casacal.uncertainty.bounds import bayesian_bound, classical_bound
 from casacal.uncertainty.identifiability import natural_scale
-from casacal.uncertainty.workspace import WORKSPACE_POSES, tip_stds, up_to_base, workspace_joints
+from casacal.uncertainty.workspace import (
+    WORKSPACE_POSES,
+    bayesian_bound,
+    classical_bound,
+    tip_stds,
+    up_to_base,
+    workspace_joints,
+)
 
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """Ranges of x, y and z in the base frame, mm."""
@@ -55,7 +61,7 @@ def classical_accuracy(bound: Seen, x: Array) -> tuple[float, int]:
 def accuracy_in_box(bound: Seen, x: Array, box: Box, off: Array | None = None) -> tuple[float, float]:
     """Tip error (mm RMS) to expect inside a box at x (n,), and its largest value there.
 
-    Both apart from where the base stands; `off` as for `tip_stds`.
+    Both apart from the position of the base; `off` as for `tip_stds`.
     Raises CasacalError when the arm hardly reaches the box.
     """
     joints, frame = joints_in_box(bound, x, box), workspace_joints(bound.problem.robot)

@@ -16,8 +16,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.least_squares.linalg import correlation
 from casacal.least_squares.objective import LeastSquares
-from casacal.uncertainty.bounds import FIELD_TOLERANCE, seen_space
-from casacal.uncertainty.workspace import tip_rms, without_rigid
+from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 
@@ -34,17 +33,17 @@ LEVER = 1000.0
 
 NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
 MEANING: dict[Kind, str] = {
-    "invisible": "changes nothing the arm does",
+    "invisible": "has no effect on the arm",
     "rigid": "only moves base frame and planes together",
     "scale": "makes the whole arm larger or smaller; no length was measured",
-    "blind": "moves the tip elsewhere in the workspace but never in these samples",
+    "blind": "moves the tip elsewhere in the workspace but not in these samples",
 }
 
 
 KNOWN_FROM = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
 """Verdicts on parameters, as people read them."""
 
-WEAK = "known better from the prior than from these samples"
+WEAK = "better known from the priors than from these samples"
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class NullDirection:
     direction: Array
     words: str
     tip_mm: float
-    """What one prior standard deviation along it does to the tip, apart from where the base stands: mm RMS over the
+    """What one prior standard deviation along it does to the tip, apart from the position of the base: mm RMS over the
     workspace."""
     structural: bool
     """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
@@ -222,4 +221,4 @@ def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
     strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
     shown = [names[i] for i in strong[:most]]
     more = f" and {len(strong) - most} more" if len(strong) > most else ""
-    return f"{', '.join(shown)}{more} move together" if len(strong) > 1 else f"{shown[0]} moves alone"
+    return f"{', '.join(shown)}{more} change together" if len(strong) > 1 else f"{shown[0]} changes alone"

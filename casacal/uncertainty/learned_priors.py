@@ -1,4 +1,4 @@
-"""By what to scale a prior: what arms that were calibrated say of how far such arms are from their drawing."""
+"""Priors: the defaults, scaled to a maker's accuracy, or learned from arms that were calibrated."""
 
 from __future__ import annotations
 
@@ -14,11 +14,53 @@ from scipy.optimize import minimize
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.errors import CasacalError, came
+from casacal.errors import CasacalError, ProblemError, came
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
-from casacal.uncertainty.marginal_likelihood import Told, evidence, told
+from casacal.uncertainty.effect_sizes import Told, evidence, told
+from casacal.uncertainty.workspace import without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
+
+
+def prior_tip_rms(problem: Problem) -> float:
+    """Tip error (mm RMS over the workspace) that the priors of the arm's parameters predict.
+
+    Apart from where the base stands. The instrument's own unknowns, such as its tool, do not count; flat priors make
+    it infinite.
+    """
+    model, joints = problem.models[0], workspace_joints(problem.robot)
+    z = np.zeros(model.tip_jacobian.numel_in(0))
+    data = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
+    data[:, : joints.shape[1]] = joints
+    tips, slopes = model.batch.tip_jacobian(z, np.zeros(model.tip_jacobian.numel_in(1)), data)
+    arm = sum(unknown.size for unknown in problem.robot.parameters.values())
+    field = without_rigid(slopes.reshape(3 * len(joints), -1)[:, :arm], tips)
+    stds = np.concatenate([unknown.prior_stds for unknown in problem.robot.parameters.values()] or [np.zeros(0)])
+    if not np.isfinite(stds).all():
+        return math.inf
+    return math.sqrt(float(((field * stds) ** 2).sum()) / len(tips))
+
+
+def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
+    """Copy whose arm priors, all scaled alike, predict a tip error of `accuracy` mm RMS, as the maker states it.
+
+    Raises ProblemError unless the accuracy is positive and the priors are finite and move the tip.
+    """
+    if not 0 < accuracy < math.inf:
+        raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", "Give a positive number of mm")
+    present = prior_tip_rms(problem)
+    if not 0 < present < math.inf:
+        raise ProblemError(
+            f"The arm's priors predict a tip error of {present:g} mm", "Give finite priors before scaling them"
+        )
+    factor = accuracy / present
+    stds = {
+        name: factor * float(std)
+        for key, unknown in problem.robot.parameters.items()
+        for name, std in zip(unknown.names(key), unknown.prior_stds, strict=True)
+    }
+    return problem.with_prior(stds)
+
 
 MOST = math.log(100.0)
 """Logarithm of the times beyond which no prior is scaled."""
@@ -95,7 +137,7 @@ def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
     if not given:
         raise CasacalError("No calibrations came", "Give those of one arm or more")
     if wrong := [each for each in given if not hasattr(each, "fit")]:
-        said = f"{came(wrong[0])} came as a calibration"
+        said = f"Got {came(wrong[0])} as a calibration"
         raise CasacalError(said, "Give what calibrate returns; files do not hold the rows")
     arms = [_Arm.of(each.fit, each.result.x) for each in given]
     units = sorted(arms[0].units)

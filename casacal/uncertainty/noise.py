@@ -21,9 +21,8 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
-from casacal.uncertainty.figures import HALF_WEIGHT, noise_interval, ratio_interval
-from casacal.uncertainty.leverage import leverages
-from casacal.uncertainty.pure_error import PureError, condensed, pure_error, repeats_in
+from casacal.uncertainty.figures import HALF_WEIGHT, leverages, noise_interval, ratio_interval
+from casacal.uncertainty.joint_repeatability import PureError, condensed, pure_error, repeats_in
 from casacal.values import FrozenMapping, Value
 
 SETTLED = 0.003

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix, identity
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
-from casacal.discrepancy import GearWaves
+from casacal.discrepancy import TransmissionError
 from casacal.instruments.dial_parts import dial_cycle, dial_gain
 from casacal.problem.problem import Problem
 from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
@@ -25,7 +25,7 @@ STEP = 0.5
 
 REPEATS, JOINTS = "repeats", "repeatability"
 
-WAVE = GearWaves(order=1).key
+WAVE = TransmissionError(order=1).key
 """Sine and cosine of a joint value, times its slope: their squares are that of the slope, whatever the posture."""
 
 
@@ -106,7 +106,7 @@ def _dial_columns(bound: BoundProblem, x: Array, tips: int) -> Iterator[Columns]
         if "cycle" not in declared:
             size, angle = float(cycle.prior_stds[0]), 2 * math.pi * fitted / probe.turn
             ways = size / 1000 * slope[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-            words = "errors with every turn of the dial's pointer"
+            words = "error of the dial that repeats with every turn of its pointer"
             yield Columns(f"{before}cycle", words, size, cycle.unit, ways, np.zeros((tips, 2)))
 
 
@@ -125,25 +125,25 @@ def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Fo
     """Rows that are near one another on a face, follow one another, repeat one another, or see more of the joints."""
     measured, places, unit = bound.measured, bound.repeats, bound.problem.instruments[0].words.unit
     near = following(measured.lines, places.codes, measured.instruments)
-    pairs = {"succession": ("touches err like those just before and after", near)}
+    pairs = {"succession": ("error that successive touches share", near)}
     touching = np.array([instrument.probe is not None for instrument in bound.problem.instruments])
     if touching.any():
         tips = np.vstack([nominal_tips(bound.problem, i, some) for i, some in enumerate(bound.samples)])
         faces = np.where(touching[measured.instruments], bound.faces.codes, -1)
         near = near_on_faces(tips, faces, places.codes)
-        pairs["neighbours"] = ("touches err like their neighbours on the face", near)
+        pairs["neighbours"] = ("error that neighbouring touches share", near)
     for key, (words, form) in pairs.items():
         if form.nnz:
             shared = csr_matrix(form + identity(len(measured)))
             yield Form(key, words, unit, whitened(form, bound), whitened(shared, bound))
     if places.any:
-        words = "repeats agree better with one another than with the fit"
+        words = "repeated touches agree better than the fit"
         yield Form(REPEATS, words, unit, None, whitened(alike(places.codes), bound))
     if WAVE in columns:
         wave = columns[WAVE]
         moved = diagonal((bound.joint_noise / bound.noise) ** 2)
         own = math.sqrt(3 * float((wave.tip**2).sum()) / len(wave.tip)) / wave.expected
-        yield Form(JOINTS, "repeatability of the joints", "rad", moved, moved, own)
+        yield Form(JOINTS, "joint repeatability", "rad", moved, moved, own)
 
 
 def noise_mm(bound: BoundProblem) -> float:

@@ -14,13 +14,12 @@ from casacal.binding.noise_scale import OTHERS, SHARED, of_repeats
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
+from casacal.uncertainty.joint_repeatability import pure_error, repeats_in
 from casacal.uncertainty.noise import UNEQUAL, bartlett
-from casacal.uncertainty.pure_error import pure_error, repeats_in
 from casacal.uncertainty.quadratic_forms import holm
 from casacal.uncertainty.row_forms import RowForm
 from casacal.uncertainty.score_rows import JOINTS, REPEATS, Columns, Form, columns_of, forms_of, noise_mm
-from casacal.uncertainty.score_test import CLEAR, ScoreTest
-from casacal.uncertainty.scores import Ground, Score
+from casacal.uncertainty.scores import CLEAR, Ground, Score, ScoreTest
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 
 MOST_ROWS = 4096
@@ -97,7 +96,7 @@ class _Rows:
     columns: Mapping[str, Columns]
     forms: tuple[Form, ...]
     tip: Array
-    """Displacement (3 M, n) of workspace tips by the unknowns, apart from where the base stands."""
+    """Displacement (3 M, n) of workspace tips by the unknowns, apart from the position of the base."""
 
     @staticmethod
     def of(bound: BoundProblem, problem: Problem) -> _Rows | None:

@@ -1,16 +1,4 @@
-"""Score tests of random effects beside a fit: does anything lie along columns of which the fit knows nothing.
-
-About the estimate x of a geometry with information Lambda beforehand, rows y = r - J x are N(0, s^2 V) with
-V = I + J Lambda^-1 J', flat unknowns projected out. V^-1 = I - J C J' with C = (J'J + Lambda)^-1, so that V^-1 y is
-the residual r at the minimum. An effect of columns B and size t adds t^2 B B' to V. In the eigenvectors of
-K = B'V^-1 B the scores B'V^-1 y are independent, z_i^2 of them chi-square where there is no effect and 1 + t^2 k_i
-times as large where there is. Most powerful against a size t is sum z_i^2 t^2 k_i / (1 + t^2 k_i) (Neyman and Pearson;
-King, Journal of Econometrics 34, 1987): near the sum of squared scores for small t, near s'K^+ s for large ones. The
-size that one expects of an arm finds what is weak and of few kinds, ten times as much what is strong and of many; both
-are tested and their chances combined, at hardly any cost, as they are nearly the same test. The rest of the rows tells
-the noise, as in Student's t: it then matters neither what was stated, nor that an effect makes noise look larger.
-All is in J'J, J'B, B'B and B'r: nothing is N by N.
-"""
+"""Score tests of random effects beside a fit: does anything lie along columns of which the fit knows nothing."""
 
 from __future__ import annotations
 
@@ -23,6 +11,53 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.quadratic_forms import chance_beyond, together
+from casacal.wording import sized
+
+CLEAR = 0.01
+"""Chance, after all that was tested, below which an effect is taken to be there."""
+
+SUSPICIOUS = 0.05
+"""Chance of one test alone below which an effect may be there."""
+
+
+@dataclass(frozen=True)
+class ScoreTest:
+    """One effect beside the geometry: whether the rows show it, and what it would do.
+
+    key, words: as effects and reports call it. p: chance of rows like these where there is no such effect. p_holm: the
+    same of the least of as many tests. size: at which the rows are likeliest, the effect alone. expected_size: of any
+    arm, NaN where nothing is expected. tip_mm: what an effect of that size does to the tip where only the geometry is
+    fitted, its own motion and what it makes of the estimate, RMS over the workspace apart from the base.
+    """
+
+    key: str
+    words: str
+    p: float
+    p_holm: float
+    size: float
+    expected_size: float
+    unit: str
+    tip_mm: float
+    leads: bool = False
+    """Whether it is one of those that explain the rows, each beside those before it (`leading_tests`)."""
+
+    @property
+    def shown(self) -> str:
+        """Whether the rows show it; what a likelier effect explains as well they do not."""
+        if self.leads:
+            return "yes"
+        return "explained" if self.p_holm < CLEAR else "perhaps" if self.p < SUSPICIOUS else "no"
+
+    @property
+    def shown_size(self) -> str:
+        """The size as people read it."""
+        return sized(self.size, self.unit)
+
+    @property
+    def shown_expected(self) -> str:
+        """The expected size as people read it; a dash where nothing is expected."""
+        return sized(self.expected_size, self.unit) if math.isfinite(self.expected_size) else "-"
+
 
 TINY = 1e-300
 

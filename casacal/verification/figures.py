@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from casacal.errors import counted
 from casacal.values import Value
 from casacal.verification.decision import Decision
+from casacal.wording import counted
 
 LEVEL = 0.05
 """Chance at which rows that are as promised are said not to be: at most one verification in twenty of a good arm.

@@ -16,7 +16,7 @@ from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import Slot, make_slots
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.motion import corrected_values, known_motion, sizes_of
-from casacal.errors import CasacalError, SamplesError, UnknownNameError, counted
+from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
@@ -24,6 +24,7 @@ from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import covariance_root
 from casacal.uncertainty.identifiability import prior_scale
 from casacal.unknowns import Unknown
+from casacal.wording import counted
 
 MOST = 30_000_000
 """Elements of a Jacobian that is held as a whole."""
@@ -150,7 +151,7 @@ def fresh_rows(
         raise SamplesError(
             samples.file,
             f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
-            "Take more rows, or name with --standing what still stands where it was calibrated",
+            "Take more rows, or name with --standing what has not moved since the calibration",
         )
     return Fresh(bound, known, at, _spread(bound, known, covariance, places, corrected), other)
 
@@ -198,7 +199,7 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
             nominal = unknowns[name].nominal
             if nominal is None and len(proposed.get(name, ())) != unknowns[name].nominal_size:
                 raise CasacalError(
-                    f"{result.file}: it does not say where '{word}' stood",
+                    f"{result.file}: it does not give the position of '{word}'",
                     "Leave it out of --standing, or calibrate again",
                 )
             kept[name] = np.array(proposed[name]) if nominal is None else nominal
@@ -210,8 +211,8 @@ def _refuse_held(slots: list[Slot], kept: Mapping[str, Array]) -> None:
     for slot in slots:
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
             raise CasacalError(
-                f"'{slot.name}' was held in the calibration, and nobody says where it stands now",
-                "Calibrate without --fix, or name it with --standing if it still stands there",
+                f"'{slot.name}' was held in the calibration, and its position now is not known",
+                "Calibrate without --fix, or name it with --standing if it has not moved",
             )
 
 

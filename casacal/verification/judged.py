@@ -16,9 +16,9 @@ from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, towa
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.verification.arm_error import Seen, seen_by_rows
 from casacal.verification.decision import Decision, decide
-from casacal.verification.errors_by_part import errors_by_part
 from casacal.verification.figures import LEVEL, QUANTILE, FaceVerification
 from casacal.verification.fresh import Fresh
+from casacal.verification.parts import errors_by_part
 from casacal.verification.verification import Verification
 
 
@@ -101,7 +101,7 @@ def _decided(seen: Seen, tolerance: float, risk: float) -> Decision:
     if scatter is None:
         raise SamplesError(
             seen.fresh.bound.block.samples.file,
-            "the rows' own unknowns follow whatever the arm does, so that no tolerance can be held against them",
+            "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested",
             "Take more rows, or leave the tolerance out",
         )
     return decide(scatter, seen.given_rows(), tolerance, risk)

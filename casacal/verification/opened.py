@@ -74,7 +74,7 @@ def opened(
 ) -> Opened:
     """Read what is judged and by what; raises CasacalError as `verify` does."""
     if isinstance(standing, str):
-        raise CasacalError(f"'{standing}' came as a list of what stands", f"Give ['{standing}']")
+        raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
     arm = _arm(result)
     arm = seen_by(arm, instrument if problem is not None else measured_by(arm, samples, instrument))
     source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
@@ -117,7 +117,7 @@ def _arm(result: Any) -> CalibratedArm:
         return result.arm
     if isinstance(result, (str, Path)):
         return read_result(result)
-    raise CasacalError(f"{came(result)} came as the result", "Give a calibration, or the path of its result.json")
+    raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
 
 
 def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
@@ -126,7 +126,7 @@ def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Pa
         given = load_problem(given)
     other = given.problem if isinstance(given, ProblemFile) else given
     if not isinstance(other, Problem):
-        raise CasacalError(f"{came(given)} came as the problem", "Give a Problem, what load_problem returns, or a path")
+        raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
     robot = arm.source.problem.robot
     if not _same_arm(robot, other.robot):
         raise CasacalError(

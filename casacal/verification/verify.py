@@ -73,7 +73,7 @@ def verify(
     given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
     unit = given.source.problem.instrument.words.unit
     if tolerance is not None and unit != "mm":
-        raise CasacalError(f"A tolerance in mm came for residuals in {unit}", "Leave it out")
+        raise CasacalError(f"The tolerance is in mm, but the residuals are in {unit}", "Leave it out")
     fresh = given.fresh(standing)
     found = judged(given.arm, fresh, tuple(standing), None if tolerance is None else float(tolerance), float(risk))
     return replace(found, copied_lines=given.copied, fitted_lines=given.fitted)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from casacal.errors import counted
 from casacal.verification.decision import Decision
 from casacal.verification.figures import Figures, PartError
+from casacal.wording import counted
 
 SHOWN = 12
 """Faces that are told one by one."""
@@ -21,8 +21,8 @@ WORTH_SAYING = 1.05
 def measurand(found: Figures) -> str:
     """What the error is of, and that it is no more than that."""
     if found.accuracy:
-        return "error of the tip, all three axes, where it was watched"
-    return f"error as these {found.things} show it" + (f" ({found.sees})" if found.sees != "residual" else "")
+        return "error of the tip, all three axes, where it was measured"
+    return f"error as seen by these {found.things}" + (f" ({found.sees})" if found.sees != "residual" else "")
 
 
 def errors_told(found: Figures) -> list[str]:
@@ -31,14 +31,14 @@ def errors_told(found: Figures) -> list[str]:
         return []
     said = measurand(found)
     lines = [
-        f"The arm's {said}, noise taken off, RMS over postures of this kind: {_interval(found.overall)}. Intervals "
-        "hold 95 %."
+        f"The arm's {said}, noise removed, RMS over postures of this kind: {_interval(found.overall)}. Brackets are "
+        "95 % intervals."
     ]
     for kind, name in (("face", "Face"), ("region", "Tip at")):
         parts = [part for part in found.errors if part.kind == kind]
         lines += [f"  {name} {part.label}: {counted(part.rows, 'row')}, {_interval(part)}" for part in parts[:SHOWN]]
         lines += [f"  {len(parts) - SHOWN} more with --json."] if len(parts) > SHOWN else []
-    gross = ["The rows that are named above count in it."] if found.gross_lines else []
+    gross = ["The rows named above are included."] if found.gross_lines else []
     return [*lines, *gross, _noise(found)]
 
 
@@ -57,19 +57,16 @@ def _upper(value: float) -> str:
 
 def _noise(found: Figures) -> str:
     """What was taken off as noise, and whose error the rest is."""
-    said = f"Noise taken off: {found.noise_mm:.4f} mm"
+    said = f"Noise removed: {found.noise_mm:.4f} mm"
     if found.noise_mm * WORTH_SAYING < found.noise_stated_mm:
-        return (
-            f"{said}, less than the {found.noise_stated_mm:.4f} that the problem states: residuals are too small for "
-            "so much."
-        )
+        return f"{said}. The problem states {found.noise_stated_mm:.4f}, but the residuals are too small for that much."
     if found.noise_mm * WORTH_SAYING < found.noise_most_mm:
         return (
-            f"{said}, as stated. The calibration found {found.noise_most_mm:.4f}: whose the rest is, rows cannot tell. "
-            "It counts as the arm's in the upper ends and where it is accepted, as noise in the lower ends and where "
-            "it is rejected."
+            f"{said}, as stated. The calibration found {found.noise_most_mm:.4f}; the rows cannot tell whether the "
+            "difference is noise or the arm's error. The upper ends and acceptance count it as error, the lower ends "
+            "and rejection as noise."
         )
-    return f"{said}, as stated; were it less, the error would be larger."
+    return f"{said}, as stated. If the true noise is smaller, the error is larger."
 
 
 def decision_told(found: Figures) -> list[str]:
@@ -79,20 +76,20 @@ def decision_told(found: Figures) -> list[str]:
         return []
     part, drawn = found.overall, ""
     if decision.verdict == "accept" and part is not None and part.before.high_mm < decision.tolerance_mm:
-        drawn = f" The arm as drawn ({part.before.mm:.4f} mm) would be accepted, too: is the tolerance in mm?"
+        drawn = f" The arm as drawn ({part.before.mm:.4f} mm) would be accepted as well. Is the tolerance in mm?"
     said = f"{_verdict(found, decision)} {_limits(decision)}{_nothing_else(found, decision)}{drawn}"
     return [said, *_more(decision)]
 
 
 def _verdict(found: Figures, decision: Decision) -> str:
-    hidden = "" if decision.measured_mm > 0 else " (the rows scatter no more than noise)"
+    hidden = "" if decision.measured_mm > 0 else " (the residuals are no larger than the noise)"
     size = f"{decision.measured_mm:.4f} mm RMS{hidden}"
     what = f"{size}, {measurand(found)}, against a tolerance of {decision.tolerance_mm:g} mm"
     if decision.verdict == "accept":
         if not found.kept:
-            return f"Tolerance: {what}. By itself that would be accepted; with a promise that was not kept nothing is."
+            return f"Tolerance: {what}. That alone would be accepted, but the promise was not kept."
         if found.denied:
-            return f"Tolerance: {what}. By itself that would be accepted; a result that must not be used is not."
+            return f"Tolerance: {what}. That alone would be accepted, but the result must not be used."
         return f"Accepted: {what}."
     return f"{'Rejected' if decision.verdict == 'reject' else 'Undecided'}: {what}."
 
@@ -100,14 +97,14 @@ def _verdict(found: Figures, decision: Decision) -> str:
 def _limits(decision: Decision) -> str:
     risk = f"{100 * decision.risk:g} %"
     lowest = (
-        f"Nothing is accepted of so few rows of so much noise (guard band: all of the {decision.tolerance_mm:g} mm)"
+        f"Too few rows or too much noise to accept anything (guard band: all of the {decision.tolerance_mm:g} mm)"
         if math.isnan(decision.accept_below_mm)
         else f"Accepted up to {decision.accept_below_mm:.4f} (guard band {decision.guard_mm:.4f} mm)"
     )
     return (
-        f"Probability that it is within: {_probability(decision.probability)}. {lowest}, rejected from "
-        f"{decision.reject_above_mm:.4f} mm: an arm that errs by the tolerance is wrongly decided on with a chance of "
-        f"about {risk} at most, each way (JCGM 106:2012, guarded)."
+        f"Probability of being within tolerance: {_probability(decision.probability)}. {lowest}, rejected from "
+        f"{decision.reject_above_mm:.4f} mm. An arm exactly at the tolerance is wrongly accepted, or wrongly rejected, "
+        f"with a chance of about {risk} at most (JCGM 106:2012, guarded)."
     )
 
 
@@ -118,12 +115,12 @@ def _probability(p: float) -> str:
 def _nothing_else(found: Figures, decision: Decision) -> str:
     if decision.verdict != "accept":
         return ""
-    noise = f" It rests on the noise of {found.noise_mm:.4f} mm: were there none, it would not be accepted."
+    noise = f" Acceptance depends on the noise of {found.noise_mm:.4f} mm: without it the arm would not be accepted."
     said = noise if decision.rests_on_noise else ""
     return (
         said
         if found.accuracy
-        else f"{said} It is a decision on what these {found.things} see, not on where the tip is."
+        else f"{said} This decides on what these {found.things} see, not on the position of the tip."
     )
 
 
@@ -132,12 +129,12 @@ def _more(decision: Decision) -> list[str]:
     if decision.verdict != "undecided":
         return []
     if decision.hangs_on_gross:
-        return ["It hangs on the rows that are named above: measure these again."]
+        return ["The decision depends on the rows named above: measure them again."]
     if decision.further_rows is None:
         return [
-            "More rows alone would hardly settle it: the error is too near the tolerance, or noise too large for it."
+            "More rows alone would hardly settle it: the error is too near the tolerance, or the noise is too large."
         ]
     return [
         f"About {counted(decision.further_rows, 'more row')} like these would settle it in four cases of five, if the "
-        "error is what these rows say; it may not be."
+        "error is as measured here."
     ]

@@ -13,6 +13,17 @@ from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.joints import Joint
 
+
+def plain(value: float) -> str:
+    """A number to twelve digits, without trailing zeros; zero, never -0, for what is rounding alone."""
+    return f"{value:.12g}" if abs(value) > 1e-12 else "0"
+
+
+def degrees(value: float) -> str:
+    """An angle in rad, in degrees to twelve digits."""
+    return plain(math.degrees(value))
+
+
 Row: TypeAlias = Mapping[str, Any]
 
 ANGLE = {"deg": math.pi / 180, "rad": 1.0}

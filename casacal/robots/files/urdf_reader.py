@@ -65,7 +65,7 @@ class _Reader:
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = lambda _: self.path.pop()
-        self.parser.EntityDeclHandler = lambda *_: self._refuse("declares an entity", "Write out what it stands for")
+        self.parser.EntityDeclHandler = lambda *_: self._refuse("declares an entity", "Write out its value")
 
     def finished(self) -> UrdfFile:
         for kind, names in (("link", self.links), ("joint", [joint.name for joint in self.joints])):

@@ -1,7 +1,7 @@
 """A KUKA LBR iiwa 7 with torque sensors in its joints, whose flange something watches."""
 
 from casacal import Problem, Robot, TrackedPose, deg
-from casacal.discrepancy import MeasuredGive, kit
+from casacal.discrepancy import TorqueCompliance, kit
 
 robot = Robot.from_dh(
     "LBR iiwa 7",
@@ -12,5 +12,5 @@ robot = Robot.from_dh(
     length_std=1.0,
     angle_std=1e-3,
 )
-give = MeasuredGive(columns_of=tuple(f"torque{j}_Nm" for j in range(1, 8)), size=1e-4)
+give = TorqueCompliance(columns_of=tuple(f"torque{j}_Nm" for j in range(1, 8)), size=1e-4)
 problem = Problem(robot, TrackedPose(position_std=0.1, angle_std=2e-4), effects=(*kit(), give))

@@ -10,7 +10,7 @@ from casacal.calibration.corrections import VERY_STRONG
 from casacal.calibration.page.markup import Markup, paragraph, section
 from casacal.calibration.page.numbers import mm
 from casacal.calibration.page.table import NUMBER, WORDS, table
-from casacal.uncertainty.score_test import sized
+from casacal.wording import sized
 
 
 def beside_section(document: Mapping[str, Any]) -> Markup | None:

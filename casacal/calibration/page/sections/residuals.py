@@ -13,7 +13,7 @@ from casacal.calibration.page.sections.histograms import histograms
 from casacal.calibration.page.sections.row_plots import row_plots
 from casacal.calibration.page.table import NUMBER, WORDS, table
 from casacal.calibration.page.touches import TITLES, Touches, by_instrument
-from casacal.uncertainty.score_test import sized
+from casacal.wording import sized
 
 FIGURES = (("RMSE", "rmse_mm"), ("MAE", "mae_mm"), ("STD", "std_mm"), ("MAX", "max_mm"))
 
