@@ -161,7 +161,7 @@ def check_unpacked(path: Path, file: str) -> None:
     size, most = sum(member.file_size for member in members), max(UNPACKED, GROWTH * path.stat().st_size)
     if len(members) > MOST_MEMBERS:
         what = f"the archive has {len(members)} members; at most {MOST_MEMBERS} are read"
-        raise SamplesError(file, what, "Leave out what is no sample")
+        raise SamplesError(file, what, "Leave out what is not a sample")
     if size > most:
         what = f"the archive unpacks to {size >> 20} MB; at most {most >> 20} MB are read from one of its size"
         raise SamplesError(file, what, "Save the samples alone, or as CSV")

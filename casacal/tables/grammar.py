@@ -178,7 +178,7 @@ def refuse_rows_set_aside(
         if hold_numbers and all(is_number(cells[k]) for k in hold_numbers):
             raise SamplesError(
                 file,
-                "the line begins with #, but holds a number in each column of numbers, so that it may be a row",
+                "the line begins with #, but holds a number in each column of numbers, so it may be a row",
                 'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header',
                 line=number,
             )

@@ -200,6 +200,6 @@ def _by_id(table: Table, key: str) -> dict[str, int]:
     for k, (name, line) in enumerate(zip(table.column(key), table.lines, strict=True)):
         if not name or name in found:
             what = f"'{name}' appears twice" if name else "the id is empty"
-            raise SamplesError(table.file, what, "Give each row an id of its own", line=line, column=key)
+            raise SamplesError(table.file, what, "Give each row its own id", line=line, column=key)
         found[name] = k
     return found
