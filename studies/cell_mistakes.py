@@ -18,7 +18,7 @@ from casacal import (
     simulate,
     tool_point,
 )
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 from studies.reporting import PROBLEMS
 

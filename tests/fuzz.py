@@ -148,7 +148,7 @@ def read_samples(path: Path) -> Samples:
 
 def read_both_ways(path: Path) -> None:
     """Raise AssertionError unless a file read in sections is the file read cell by cell, to the last bit and word."""
-    with mock.patch.multiple("casacal.tables.large_csv", LARGE_FILE=0, SECTION=400, SMALLEST_SECTION=100):
+    with mock.patch("casacal.tables.read.LARGE_FILE", 0), mock.patch("casacal.tables.large.SECTION", 400):
         fast = outcome(lambda: Samples.from_file(path, LAYOUT))
     slow = outcome(lambda: Samples.from_table(read_table(path), LAYOUT))
     assert str(fast) == str(slow), f"{fast!s:.300} is not {slow!s:.300}"

@@ -11,9 +11,8 @@ from casacal.doctor import read_pendant_rows
 from casacal.errors import ProblemError, SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.joins import joined_tables
 from casacal.tables.read import read_columns
-from casacal.tables.text import read_table
+from casacal.tables.text import joined_tables, read_table
 
 HSR = ROOT / "problems" / "hsr_jr680"
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
@@ -26,8 +25,8 @@ WAYS_OUT = r'Rename its label, or in a CSV file quote it, as in "#1"; delete a c
 def reader(request, monkeypatch):
     """Each file is read as a small and as a large one, in many sections."""
     if request.param == "large":
-        for name, size in (("LARGE_FILE", 0), ("SECTION", 300), ("SMALLEST_SECTION", 100)):
-            monkeypatch.setattr(f"casacal.tables.large_csv.{name}", size)
+        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+        monkeypatch.setattr("casacal.tables.large.SECTION", 300)
     return request.param
 
 

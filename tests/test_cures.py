@@ -36,7 +36,7 @@ from casacal.planning.cures import NO_CURE, cures, outcomes
 from casacal.planning.extra_touches import Touches
 from casacal.planning.offers import offers
 from casacal.samples.samples import joined
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy
 from casacal.wording import mm
 

@@ -15,7 +15,7 @@ from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import leverages
 
 REPLACE = dataclasses.replace

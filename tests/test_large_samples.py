@@ -1,21 +1,20 @@
 """Samples by the million: large text files and arrays give what small ones do, or are refused as they are."""
 
-import hashlib
+import contextlib
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
 import pytest
+from fuzz import read_both_ways
 
 from casacal import bind
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.digests import SharedDigest
-from casacal.tables.labels import Labels, combinations
+from casacal.tables.columns import Labels, combinations
 from casacal.tables.read import read_columns
-from casacal.tables.text import read_table, table_of_lines
+from casacal.tables.text import read_table
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))
 ROWS = 3000
@@ -23,9 +22,8 @@ ROWS = 3000
 
 @pytest.fixture(autouse=True)
 def every_file_is_large(monkeypatch):
-    monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
-    for name, size in (("SECTION", 20_000), ("SMALLEST_SECTION", 20_000)):  # several of each
-        monkeypatch.setattr(f"casacal.tables.large_csv.{name}", size)
+    monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+    monkeypatch.setattr("casacal.tables.large.SECTION", 20_000)
 
 
 def columns_of_rows():
@@ -98,7 +96,7 @@ def test_a_large_file_is_read_at_once_and_the_same(tmp_path, content, monkeypatc
     file.write_bytes(content.encode())
     expected = Samples.from_table(read_table(file), LAYOUT)
     monkeypatch.setattr("casacal.tables.read.read_table", forbidden)
-    monkeypatch.setattr("casacal.tables.large_csv.table_of_lines", forbidden)
+    monkeypatch.setattr("casacal.tables.large._read_cells", forbidden)
     found = Samples.from_csv(file, LAYOUT)
     np.testing.assert_array_equal(found.joints, expected.joints)
     np.testing.assert_array_equal(found.columns["reading"], expected.columns["reading"])
@@ -151,25 +149,17 @@ def test_numbers_alone_are_refused_with_a_cell_moved_to_the_next_line(tmp_path):
         Samples.from_csv(file, LAYOUT)
 
 
-def test_a_comment_sends_its_section_alone_to_the_reader_of_cells(tmp_path, monkeypatch):
+def test_a_comment_is_left_out_and_its_section_read_at_once(tmp_path, monkeypatch):
     lines = text().splitlines()
     order = [3, 0, 1, 2]  # a label comes first, so that nothing but # tells a comment from a row
     lines = [",".join(line.split(",")[k] for k in order) for line in lines]
     lines.insert(1500, "# left: 1,2,3")
     file = tmp_path / "s.csv"
     file.write_text("\n".join(lines) + "\n")
-    sections = []
-
-    def counted(data, *given):
-        sections.append(len(data))
-        return table_of_lines(data, *given)
-
-    monkeypatch.setattr("casacal.tables.large_csv.table_of_lines", counted)
+    expected = Samples.from_table(read_table(file), LAYOUT)
+    monkeypatch.setattr("casacal.tables.large._read_cells", forbidden)
     monkeypatch.setattr("casacal.tables.read.read_table", forbidden)
     found = Samples.from_csv(file, LAYOUT)
-    assert len(sections) == 1
-    assert sections[0] < 25_000 < len(file.read_bytes())
-    expected = Samples.from_table(read_table(file), LAYOUT)
     np.testing.assert_array_equal(found.joints, expected.joints)
     assert found.labels["plane"] == expected.labels["plane"]
     assert tuple(found.lines) == tuple(expected.lines)
@@ -194,17 +184,6 @@ def test_as_many_labels_as_rows_are_labels(tmp_path):
     file.write_text("\n".join(lines) + "\n")
     expected = Samples.from_table(read_table(file), LAYOUT)
     assert Samples.from_csv(file, LAYOUT).labels["plane"] == expected.labels["plane"]
-
-
-def test_a_digest_by_several_threads_is_that_of_all_bytes_in_order():
-    pieces = [bytes([k % 251]) * (5000 + k) for k in range(300)]
-    digest = SharedDigest(b"begin")
-    with ThreadPoolExecutor(4) as pool:
-        for piece in pieces[:-1]:
-            digest.add(piece)
-            pool.submit(digest.go_on)
-    digest.add(pieces[-1])  # for which no thread had time
-    assert digest.all() == hashlib.sha256(b"begin" + b"".join(pieces)).hexdigest()
 
 
 def test_two_decimal_marks_are_refused_however_far_apart(tmp_path):
@@ -333,3 +312,29 @@ def test_thousands_of_rows_propose_the_plane_that_few_do(hsr):
     r, triangle = few.jacobian(few.x0), many.compact_jacobian(many.x0)
     np.testing.assert_allclose(triangle.T @ triangle, 200 * r.T @ r, rtol=1e-8, atol=1e-3)
     assert math.isfinite(many.cost(many.x0))
+
+
+SNIPPETS = [
+    "1,2,3,a\n2,3,4,b b\n", '1,2,3,"a"\n1,2,3,""\n', '1,2,3,"#1"\n1,2,3,see #2\n', "1,2,3,#a\n",
+    "1,2,3,wänd\r\n1,2,3,x\r\n", "1, +2E+05 ,3,a\n", "1,2,3,True\nTrue,2,3,a\n", "nan,2,3,a\n", "\u0661,2,3,a\n",
+    "1\0,2,3,a\n", '"1",2,3,a\n', "\ufeff1,2,3,a\n", "1,2,3,a\0b\n", "1,2,3,a\x01\n", "1,2,3,\n", "1,2,3,a,\n",
+    "1,2,3\n", "1,2,3,a\n1,2,3\n4,5,6,b,7\n", "#1,2,3,a\n", " #1,2,3,a\n", '1,2,3,a"b\n', '1,2,3,"a""b"\n',
+    '1,2,3, "a"\n', '1,2,3,"a\nb"\n', '1,"2,3",4\n', "1,2,3,a\r1,2,3,b\n", "1,2,3,a\n\n1,2,3,b\n",
+    "1,2,3,5\" wall 6\"\n", "1,2,3," + "x" * 131_073 + "\n", "0" * 131_073 + "1,2,3,a\n", "1,2,3,a\f\n",
+    "1;2;3;a\n1,5;2;3;b\n", "1;2;3;a\n1,5;2.5;3;b\n", "1;2;3;2.5.2026\n1;2;3;2,5\n", "1\t2\t3\tone, two\n",
+    "\u00a0\t2\t3\t# x\n", "1e999,2,3,a\n", ".5,5.,3,a\n", "+1e 5,2,3,a\n", "1_0,2,3,a\n", "1\u00a0,2,3,a\n",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("rows", SNIPPETS, ids=range(len(SNIPPETS)))
+@pytest.mark.parametrize("first", [False, True], ids=["label last", "label first"])
+def test_lines_of_any_kind_are_read_as_cell_by_cell(tmp_path, rows, first):
+    """Between plain rows, in sections of their own: the same values, or the same refusal."""
+    delimiter = next((sign for sign in "\t;" if sign in rows), ",")
+    lines = [delimiter.join(("q1_deg", "q2_mm", "reading_mm", "plane")), *[delimiter.join("123a")] * 40]
+    if first:
+        lines = [delimiter.join(("plane", "q1_deg", "q2_mm", "reading_mm")), *[delimiter.join("a123")] * 40]
+    file = tmp_path / "s.csv"
+    file.write_bytes(("\n".join(lines) + "\n" + rows + "\n".join(lines[1:]) + "\n").encode())
+    with contextlib.suppress(CasacalError):
+        read_both_ways(file)

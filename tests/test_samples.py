@@ -24,7 +24,7 @@ q1_deg,q2_mm,reading_mm,plane,note
 def size(request, monkeypatch):
     """Every test twice: as files of this size are read, and as those are that take pandas."""
     if request.param == "large":
-        monkeypatch.setattr("casacal.tables.large_csv.LARGE_FILE", 0)
+        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
     return request.param
 
 

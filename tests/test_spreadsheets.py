@@ -12,8 +12,7 @@ from casacal.cli.main import main
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.joins import joined_tables
-from casacal.tables.text import read_table
+from casacal.tables.text import joined_tables, read_table
 from casacal.tables.workbooks import read_workbook
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",))

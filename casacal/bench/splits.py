@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.transfer import REGIONS, splits
 
 Rows = NDArray[np.intp]

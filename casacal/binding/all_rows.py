@@ -15,7 +15,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, Places
 from casacal.samples.repeats import Repeats, repeats_in
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 
 
 class AllRows:

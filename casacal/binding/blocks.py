@@ -20,7 +20,7 @@ from casacal.kernels.batch import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import combinations, rows_by_code
+from casacal.tables.columns import combinations, rows_by_code
 
 TOGETHER = 16_384
 """Rows looked at together, so that a million are never copied at once."""

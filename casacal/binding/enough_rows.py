@@ -9,7 +9,7 @@ from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
 from casacal.wording import counted
 

@@ -18,7 +18,7 @@ from casacal.binding.slots import Slot
 from casacal.kernels.block_rows import Buffered
 from casacal.kernels.curvature import CurvatureKernel
 from casacal.kernels.lanes import BlockLanes
-from casacal.tables.labels import rows_by_code
+from casacal.tables.columns import rows_by_code
 from casacal.unknowns import Parameter, Unknown
 
 Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]]

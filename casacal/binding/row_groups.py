@@ -15,7 +15,7 @@ from casacal.binding.blocks import Block
 from casacal.kernels.native_rows import NativeKernels, NativePiece
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import FilterPass
-from casacal.tables.labels import rows_by_code
+from casacal.tables.columns import rows_by_code
 from casacal.threads import shared_out
 
 FEW = 8_192

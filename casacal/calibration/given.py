@@ -11,7 +11,7 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
-from casacal.tables.frames import is_frame
+from casacal.tables.read import is_frame
 
 
 def problem_from(given: Any) -> ProblemFile:

@@ -15,7 +15,7 @@ from casacal.checks.finding import Finding
 from casacal.checks.undone import FIRST_STEPS, Undone, misfit, quick_fit
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.prior_moves import chance_of_move
 from casacal.unknowns import Parameter
 

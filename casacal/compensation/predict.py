@@ -20,8 +20,7 @@ from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Columns
-from casacal.tables.frames import is_frame, table_of_frame
-from casacal.tables.read import read_columns
+from casacal.tables.read import is_frame, read_columns, table_of_frame
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.values import Value, frozen
 

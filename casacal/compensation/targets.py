@@ -17,8 +17,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout, match_columns
 from casacal.samples.samples import Samples
-from casacal.tables.frames import is_frame, table_of_frame
-from casacal.tables.read import read_any_table
+from casacal.tables.read import is_frame, read_any_table, table_of_frame
 from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value
 

@@ -18,7 +18,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import ROUNDS, try_touches
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 
 POOL = 240
 """Touches that are drawn on the faces of a cell, to choose among."""

@@ -16,8 +16,8 @@ from casacal.problem.measured_arm import MeasuredArm
 from casacal.problem.symbols import Symbols
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.tables.joins import KEY, joined_tables
 from casacal.tables.read import read_any_table
+from casacal.tables.text import KEY, joined_tables
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping
 

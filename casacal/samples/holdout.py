@@ -11,7 +11,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels, combinations
+from casacal.tables.columns import Labels, combinations
 
 WAYS = ("rows", "region", "face")
 """What is held out together, beside the values of a column."""

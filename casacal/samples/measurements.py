@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.values import Value
 
 Places = NDArray[np.intp]

@@ -10,9 +10,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.samples.layout import ALSO_CALLED, LARGEST, Layout, match_columns
-from casacal.tables.columns import Columns
+from casacal.tables.columns import Columns, Labels
 from casacal.tables.grammar import UNSHOWN
-from casacal.tables.labels import Labels
 
 
 class Quantities:

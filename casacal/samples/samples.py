@@ -14,10 +14,9 @@ from casacal.array_types import Array
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.quantities import Quantities
-from casacal.tables.columns import Columns, columns_of_arrays, digest_of
-from casacal.tables.frames import columns_of_frame
-from casacal.tables.labels import Labels
-from casacal.tables.read import read_columns
+from casacal.tables.arrays import columns_of_arrays, digest_of
+from casacal.tables.columns import Columns, Labels
+from casacal.tables.read import columns_of_frame, read_columns
 from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value, short
 

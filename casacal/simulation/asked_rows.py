@@ -9,7 +9,7 @@ from casacal.errors import SimulationError
 from casacal.problem.cell import OF_TOUCHES, Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 
 LABELS = ("1", "2", "3")
 """Labels of simulated rows where neither the instrument nor a cell names any."""

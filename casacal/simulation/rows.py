@@ -21,7 +21,7 @@ from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.places import random_tips, spot, stands
 from casacal.simulation.true_arm import Draw, Truth, plane_coordinates
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 
 CANDIDATES = 80

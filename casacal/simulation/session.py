@@ -18,7 +18,7 @@ from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounde
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import find_touches
 from casacal.simulation.true_arm import Draw, true_unknowns
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 
 
 @dataclass(frozen=True)

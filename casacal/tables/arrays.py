@@ -1,22 +1,85 @@
-"""Samples in array files of NumPy; whatever is wrong with one of them is said in a sentence."""
+"""Rows in arrays: in memory, in DataFrames of pandas, in files of NumPy; what is wrong is said in a sentence.
+
+Also what all zip archives are asked, be they of arrays or workbooks: what they unpack to is known, and bounded, before
+anything in them is read.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import warnings
 import zipfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.array_types import Array
 from casacal.errors import CasacalError, SamplesError
-from casacal.tables.archives import check_unpacked
-from casacal.tables.columns import Columns, columns_of_arrays
+from casacal.tables.columns import Columns, Labels
 from casacal.tables.grammar import check_names
 
 ARRAYS = (".npy", ".npz")
+MOST_MEMBERS = 10_000
+UNPACKED = 1 << 26
+"""Bytes that any archive may unpack to."""
+GROWTH = 20
+"""A larger archive may unpack to so many times its size; measurements seldom shrink to a half."""
+PIECE = 1 << 20
+
+
+def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Columns:
+    """Columns of arrays by name, of equal length; what is read as numbers must be numbers."""
+
+    def number(name: str) -> Array:
+        values = np.asarray(arrays[name])
+        if values.dtype.kind not in "iuf" or values.dtype == np.float16:
+            raise SamplesError(file, f"the column holds {_kind(values)}, not numbers", "Store float64", column=name)
+        with np.errstate(all="ignore"):  # a number beyond float64 becomes infinite, and is refused as such
+            values = np.asarray(values, dtype=np.float64)
+        for row in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise SamplesError(
+                file,
+                f"'{values[row]}' is not a finite number",
+                "Mend or remove the row",
+                line=int(row) + 1,
+                column=name,
+            )
+        return values
+
+    def text(name: str) -> Labels:
+        values = np.asarray(arrays[name])
+        if values.dtype.kind not in "iufbUSM":
+            raise SamplesError(file, f"the column holds {_kind(values)}, not labels", "Store text", column=name)
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
+            raise SamplesError(file, "the label is not finite", "Give the row its label", line=row, column=name)
+        names, codes = np.unique(values, return_inverse=True)
+        try:
+            return Labels.coded((each.decode() if isinstance(each, bytes) else str(each) for each in names), codes)
+        except (ValueError, SystemError):  # the latter is what Python makes of signs beyond Unicode
+            raise SamplesError(file, "a label is not text of Unicode", "Store it as such", column=name) from None
+
+    count = len(next(iter(arrays.values())))
+    return Columns(file, digest, tuple(arrays), 0, range(1, count + 1), number, text)
+
+
+def _kind(values: NDArray[Any]) -> str:
+    return "records" if values.dtype.kind == "V" else str(values.dtype)
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of columns: their names and their bytes."""
+    digest = hashlib.sha256()
+    for name, values in arrays.items():
+        digest.update(name.encode() + b"\0")
+        buffer = io.BytesIO()
+        np.save(buffer, values, allow_pickle=False)
+        digest.update(buffer.getbuffer())
+    return digest.hexdigest()
 
 
 def read_arrays(path: Path) -> Columns:
@@ -86,3 +149,28 @@ def _check_size(array: NDArray[Any], size: int) -> None:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_unpacked(path: Path, file: str) -> None:
+    """Raise SamplesError for an archive with too many members, or that unpacks to too much.
+
+    Raises zipfile.BadZipFile, OSError or the like for what is no archive.
+    """
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+    size, most = sum(member.file_size for member in members), max(UNPACKED, GROWTH * path.stat().st_size)
+    if len(members) > MOST_MEMBERS:
+        what = f"the archive has {len(members)} members; at most {MOST_MEMBERS} are read"
+        raise SamplesError(file, what, "Leave out what is not a sample")
+    if size > most:
+        what = f"the archive unpacks to {size >> 20} MB; at most {most >> 20} MB are read from one of its size"
+        raise SamplesError(file, what, "Save the samples alone, or as CSV")
+
+
+def pieces(path: Path) -> Iterator[bytes]:
+    """All that an archive holds, piece by piece; a member ends where it was declared to."""
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            with archive.open(member) as stream:
+                while piece := stream.read(PIECE):
+                    yield piece

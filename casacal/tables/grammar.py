@@ -1,10 +1,16 @@
-"""The grammar of delimited text: encodings, lines, comments, cells, the header; every refusal names file and line."""
+"""The grammar of delimited text: encodings, lines, comments, cells, the header; every refusal names file and line.
+
+A line that begins with # is a comment. In a table whose rows begin with text, though, a line such as #1,10.5,20.5 is a
+row to whoever named a wall #1, and a comment to whoever took out a row: it is asked about. Where rows begin with
+numbers, nobody means a row.
+"""
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from casacal.errors import SamplesError
 from casacal.wording import counted
@@ -13,6 +19,11 @@ MOST_COLUMNS = 16_384
 """What a sheet of a spreadsheet holds."""
 LONGEST_NAME = 200
 """Of a column, in characters."""
+
+NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}
+"""Of delimiters."""
+Comments = list[tuple[int, list[str]]]
+"""Cells of lines that begin with #, each with its number."""
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
@@ -48,13 +59,8 @@ def refuse_controls(text: str, file: str, first: int = 1) -> None:
         )
 
 
-def logical_lines(text: str, first: int = 1) -> list[tuple[int, str]]:
-    """Lines that are neither blank nor comments, each with its number; `first` is the number of the first line."""
-    return lines_and_comments(text, first)[0]
-
-
 def lines_and_comments(text: str, first: int = 1) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
-    """The logical lines, and those that begin with #, each with its number; `first` is the number of the first line."""
+    """Lines neither blank nor comments, and the comments; each with its number, `first` being that of the first."""
     lines: list[tuple[int, str]] = []
     comments: list[tuple[int, str]] = []
     for number, line in enumerate(LINE_END.split(text), first):
@@ -125,7 +131,7 @@ def body(
             raise SamplesError(
                 file,
                 f"the line has {counted(len(row), 'cell')} where the header has {len(header)}",
-                f"Give {counted(len(header), 'cell')} separated by {named(delimiter)}{hint}",
+                f"Give {counted(len(header), 'cell')} separated by {NAMES[delimiter]}{hint}",
                 line=number,
             )
     return tuple(tuple(row) for _, row in rows), tuple(number for number, _ in rows)
@@ -139,6 +145,50 @@ def not_a_number(cell: str) -> tuple[str, str]:
     return f"'{shown}' is not a finite number", "Give a plain decimal number such as 12.5"
 
 
-def named(delimiter: str) -> str:
-    """What a delimiter is called."""
-    return {",": "commas", ";": "semicolons", "\t": "tabs"}[delimiter]
+def rows_set_aside(lines: Iterable[tuple[int, str]], delimiter: str, width: int) -> Comments:
+    """Of lines that begin with #, those with a cell for each column: prose and empty comments are soon left out."""
+    return [(number, cells) for number, text in lines if text.count(delimiter) >= width - 1
+            and len(cells := _cells(text, delimiter)) >= width]  # fmt: skip
+
+
+def _cells(text: str, delimiter: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
+    except csv.Error:  # a cell that is too long for a row
+        return []
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, with whichever decimal mark."""
+    return NUMBER.fullmatch(cell.replace(",", ".")) is not None
+
+
+def refuse_rows_set_aside(
+    rows: Sequence[Sequence[str]], comments: Comments, file: str, header: Sequence[str], header_line: int
+) -> None:
+    """Raise SamplesError for a comment below the header that has a number wherever all rows have one.
+
+    rows: all cells, without comments. Rows that begin with numbers have none but comments set aside.
+    """
+    below = [(number, cells) for number, cells in comments if number > header_line and len(cells) >= len(header)]
+    if not below or all(is_number(row[0]) for row in rows):
+        return
+    hold_numbers = [k for k in range(1, len(header)) if all(is_number(row[k]) for row in rows)]
+    for number, cells in below:
+        if hold_numbers and all(is_number(cells[k]) for k in hold_numbers):
+            raise SamplesError(
+                file,
+                "the line begins with #, but holds a number in each column of numbers, so it may be a row",
+                'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header',
+                line=number,
+            )
+
+
+def rows_begin_with_text(path: Path, header_line: int, delimiter: str) -> bool:
+    """Whether any row of a UTF-8 file may begin with anything but a number; raises OSError, UnicodeDecodeError."""
+    with path.open(encoding="utf-8-sig", newline="\n") as file:
+        for number, text in enumerate(file, 1):
+            cell = text.split(delimiter, 1)[0].strip()
+            if number > header_line and not is_number(cell) and not cell.startswith("#") and text.strip():
+                return True  # a quote is as good as a letter: what it holds is for others to find out
+    return False

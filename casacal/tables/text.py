@@ -1,4 +1,7 @@
-"""Tables of text at the edge: cells as they were written, and the numbers in them; refused by file, line, column."""
+"""Tables of text: cells as they were written, and the numbers in them; refused by file, line, column.
+
+Also readings in a file of their own, joined to the poses that they belong to.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,28 @@ import hashlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
 from casacal.errors import SamplesError
-from casacal.tables.columns import Columns
-from casacal.tables.comments import Comments, refuse_rows_set_aside, rows_set_aside
+from casacal.tables.columns import Columns, Labels
 from casacal.tables.grammar import (
     NUMBER,
+    Comments,
     body,
     check_header,
     decode,
     delimiter_of,
+    is_number,
     lines_and_comments,
     not_a_number,
     numbered_rows,
-    refuse_controls,
+    refuse_rows_set_aside,
+    rows_set_aside,
 )
-from casacal.tables.labels import Labels
+
+KEY = "pose"
+"""Column by which readings find their pose, unless another one is named."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +68,7 @@ class Table:
         """The same with decimal points where there were decimal commas."""
         if not self.decimal_comma:
             return self
-        rows = tuple(
-            tuple(cell.replace(",", ".") if NUMBER.fullmatch(cell.replace(",", ".")) else cell for cell in row)
-            for row in self.rows
-        )
+        rows = tuple(tuple(cell.replace(",", ".") if is_number(cell) else cell for cell in row) for row in self.rows)
         return replace(self, rows=rows, decimal_comma=False)
 
     def numbers(self, name: str) -> list[float]:
@@ -126,29 +129,12 @@ def make_table(file: str, sha256: str, rows: list[tuple[int, list[str]]], delimi
     return replace(table, decimal_comma=comma is not None)
 
 
-def table_of_lines(text: str, file: str, header: tuple[str, ...], first: int, delimiter: str) -> tuple[Table, Comments]:
-    """Some whole lines of a file, from line `first` on, as a table of their own, and rows that are comments.
-
-    What depends on all lines of a file is the caller's: that numbers have one decimal mark, and comments are no rows.
-    Raises SamplesError.
-    """
-    refuse_controls(text, file, first)
-    lines, comments = lines_and_comments(text, first)
-    rows = numbered_rows(lines, delimiter, file)
-    table = Table(file, "", header, 0, *body(rows, header, delimiter, file), decimal_comma=False)
-    return table, rows_set_aside(comments, delimiter, len(header))
-
-
-Place: TypeAlias = tuple[int, str]
-"""A line and the name of a column."""
-
-
-def decimal_marks(table: Table) -> tuple[Place | None, Place | None]:
-    """Where a number is first written with a decimal comma, and where with a point; raises SamplesError for both."""
+def decimal_marks(table: Table) -> tuple[tuple[int, str] | None, tuple[int, str] | None]:
+    """Line and column where a number first has a decimal comma, and where a point; raises SamplesError for both."""
     comma = point = None
     for row, line in zip(table.rows, table.lines, strict=True):
         for name, cell in zip(table.header, row, strict=True):
-            if not NUMBER.fullmatch(cell.replace(",", ".")):
+            if not is_number(cell):
                 continue
             if "," in cell:
                 comma = comma or (line, name)
@@ -157,7 +143,63 @@ def decimal_marks(table: Table) -> tuple[Place | None, Place | None]:
         if comma and point:
             line, name = max(comma, point)
             raise SamplesError(
-                table.file, "decimal commas and decimal points are mixed", "Write all numbers one way",
-                line=line, column=name,
-            )  # fmt: skip
+                table.file,
+                "decimal commas and decimal points are mixed",
+                "Write all numbers one way",
+                line=line,
+                column=name,
+            )
     return comma, point
+
+
+def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
+    """Each pose with the reading that carries the same id: the columns of both.
+
+    Args:
+        poses: rows of joint values.
+        readings: rows of readings, in any order.
+        key: column of both that holds the id, compared as text.
+
+    Raises SamplesError when an id is missing, doubled, or without its counterpart.
+
+    """
+    for table in (poses, readings):
+        if key not in table.header:
+            raise SamplesError(
+                table.file,
+                f"there is no column '{key}' that says which reading belongs to which pose",
+                "Name it by --id",
+            )
+    both = [name for name in readings.header if name in poses.header and name != key]
+    if both:
+        raise SamplesError(readings.file, f"'{poses.file}' has this column too", "Keep one of the two", column=both[0])
+    poses, readings = poses.with_points(), readings.with_points()
+    found = _by_id(readings, key)
+    _by_id(poses, key)
+    rows = []
+    for row, line, name in zip(poses.rows, poses.lines, poses.column(key), strict=True):
+        if name not in found:
+            raise SamplesError(
+                poses.file, f"pose '{name}' has no reading in {readings.file}", "Add it, or remove the line", line=line
+            )
+        extra = zip(readings.header, readings.rows[found.pop(name)], strict=True)
+        rows.append((*row, *(cell for column, cell in extra if column != key)))
+    for name, k in found.items():
+        raise SamplesError(
+            readings.file, f"'{name}' has no pose in {poses.file}", "Add it, or remove the line", line=readings.lines[k]
+        )
+    header = (*poses.header, *(column for column in readings.header if column != key))
+    digest = hashlib.sha256((poses.sha256 + readings.sha256).encode()).hexdigest()
+    return Table(
+        f"{poses.file} with {readings.file}", digest, header, poses.header_line, tuple(rows), poses.lines, False
+    )
+
+
+def _by_id(table: Table, key: str) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for k, (name, line) in enumerate(zip(table.column(key), table.lines, strict=True)):
+        if not name or name in found:
+            what = f"'{name}' appears twice" if name else "the id is empty"
+            raise SamplesError(table.file, what, "Give each row its own id", line=line, column=key)
+        found[name] = k
+    return found

@@ -12,9 +12,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.tables.archives import check_unpacked, pieces
-from casacal.tables.comments import Comments
-from casacal.tables.grammar import UNSHOWN
+from casacal.tables.arrays import check_unpacked, pieces
+from casacal.tables.grammar import UNSHOWN, Comments
 from casacal.tables.text import Table, make_table
 
 WORKBOOKS = (".xlsx", ".xlsm")

@@ -14,7 +14,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.uncertainty.effect_sizes import Told, evidence, told
 from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.fresh_rows import chance, covariance_root, expected

@@ -17,7 +17,7 @@ from casacal.calibration.page.markup import Markup, tag
 from casacal.instruments import Instrument
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
-from casacal.tables.labels import Labels
+from casacal.tables.columns import Labels
 from casacal.unknowns.fits import fitted_plane
 
 Rows: TypeAlias = NDArray[np.intp]
