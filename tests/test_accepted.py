@@ -375,7 +375,7 @@ def test_the_page_is_whole_valid_and_says_what_the_command_says(written, capsys,
     assert "<script" not in text
     found = verify(written / "out", written / "fresh.csv", tolerance=0.05)
     told = " ".join(page.text_of("words").split())
-    assert told.removeprefix("In words").startswith(" ".join(found.summary().split())[:60])
+    assert told.removeprefix("In words ").startswith(" ".join(found.summary().split())[:60])
     heading, *rows = tables(text)["verified-errors"]
     assert heading[2:6] == ["As drawn, mm", "95 %", "As calibrated, mm", "95 %"]
     for row, part in zip(rows, found.errors, strict=True):

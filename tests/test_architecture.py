@@ -17,6 +17,7 @@ ORDER = [
     "values",
     "user_code",
     "files",
+    "pages",
     "kinematics",
     "graphs",
     "unknowns",
@@ -142,7 +143,7 @@ def test_below_the_seam_there_is_no_casadi():
 
 
 def test_only_declared_packages_are_imported():
-    allowed = {"casadi", "numpy", "scipy", "pandas", "matplotlib"}
+    allowed = {"casadi", "numpy", "scipy", "pandas", "matplotlib", "jinja2", "markupsafe"}
     standard = __import__("sys").stdlib_module_names
     for path in FILES:
         extra = EXTRAS.get(name_of(path), set())

@@ -9,6 +9,7 @@ import shutil
 import html5lib
 import numpy as np
 import pytest
+from casacal.calibration.page.expected import Workspace
 from conftest import ROOT
 from oracles import dh_chain
 from page_reader import REFERENCES, Page, facts, tables
@@ -16,15 +17,14 @@ from page_reader import REFERENCES, Page, facts, tables
 import casacal
 from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
 from casacal.calibration.page import report_page
-from casacal.calibration.page.colours import Scale
-from casacal.calibration.page.drawing import Panel, nice_ceiling, ticks
-from casacal.calibration.page.markup import tag, text
-from casacal.calibration.page.squares import in_squares
 from casacal.calibration.page.touches import Touches
-from casacal.calibration.page.workspace import Workspace
 from casacal.calibration.result_json import calibration_document
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
+from casacal.pages.colours import Scale
+from casacal.pages.drawing import Panel, nice_ceiling, ticks
+from casacal.pages.markup import tag
+from casacal.pages.squares import in_squares
 from casacal.samples.samples import Samples
 
 HSR = ROOT / "problems" / "hsr_jr680"
@@ -252,9 +252,9 @@ def test_hostile_names_are_text(hostile, tmp_path, capsys):
 
 
 def test_escaping():
-    assert tag("p", "<&>\"'", at={"title": "\"'<"}) == ('<p title="&quot;&#x27;&lt;">&lt;&amp;&gt;&quot;&#x27;</p>')
-    assert tag("p", tag("b", "x"), None) == "<p><b>x</b></p>"
-    assert text("a\x00b\ud800c\x1b") == "a\ufffdb\ufffdc\ufffd"
+    assert tag("p", "<&>\"'", at={"title": "\"'<"}) == '<p title="&#34;&#39;&lt;">&lt;&amp;&gt;&#34;&#39;</p>\n'
+    assert tag("p", tag("b", "x"), None) == "<p><b>x</b>\n</p>\n"
+    assert tag("p", "a\x00b\ud800c\x1b") == "<p>a\ufffdb\ufffdc\ufffd</p>\n"
 
 
 @pytest.fixture(scope="module")
@@ -334,8 +334,8 @@ def test_rows_that_were_set_aside_are_counted_as_such(hsr):
     assert facts(page, "subject")["Rows"] == "119 fitted, 0 held out, 1 set aside"
     assert sum(int(cells[1]) for cells in tables(page)["faces"][1:]) == 119
     listed = Page(page).text_of("outliers")
-    assert f"1 row was set aside before the fit, and not listed here: line {samples.lines[7]}." in listed
-    assert "times the noise as found off" in listed
+    assert f"1 row was set aside before the fit and is not listed here: line {samples.lines[7]}." in listed
+    assert "times the noise as found" in listed
     assert "stated noise" not in listed
     (head, *rows) = tables(page)["worst-rows"]
     assert head[-1] == "Times noise as found"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
-from casacal.calibration.page.drawing import Panel, figure, number, picture
-from casacal.calibration.page.markup import Markup, tag
-from casacal.calibration.page.numbers import shortened
+from markupsafe import Markup
+
+from casacal.pages.drawing import Panel, figure, number, picture
+from casacal.pages.markup import tag
+from casacal.pages.numbers import shortened
 from casacal.verification.figures import ErrorInterval, Figures
 
 MOST = 16

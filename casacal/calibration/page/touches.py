@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.page.markup import Markup, tag
 from casacal.instruments import Instrument
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
@@ -170,11 +169,6 @@ class Touches:
             held=np.concatenate([np.full(len(rows), p.held) for p, rows in zip(self.parts, chosen, strict=True)]),
             upright=upright,
         )
-
-
-def by_instrument(touches: Touches) -> Markup | None:
-    """The heading of what is said of one of several instruments."""
-    return tag("h3", f"By the {touches.name}") if touches.name else None
 
 
 def spread(values: Array) -> float:

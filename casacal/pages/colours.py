@@ -7,11 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.calibration.page.drawing import nice_ceiling, number, picture
-from casacal.calibration.page.markup import Markup, tag
+from casacal.pages.drawing import nice_ceiling, number, picture
+from casacal.pages.markup import tag
 
 SIZES = ("#dce8f2", "#b9d2e6", "#8cb6d6", "#5b95c2", "#3573a8", "#1d4f86", "#0d2d57")
 """From small to large: light to dark."""

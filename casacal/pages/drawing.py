@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from markupsafe import Markup
 
 from casacal.array_types import Array
-from casacal.calibration.page.markup import Markup, tag, together
+from casacal.pages.markup import tag, together
 
 Ticks: TypeAlias = Sequence[tuple[float, str]]
 

@@ -1,37 +1,37 @@
-"""The tip error to expect, and the correction, over the workspace: figures and maps."""
+"""The expected tip error and the correction over the workspace: figures and maps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import tip_extremes
-from casacal.calibration.page.colours import Scale
-from casacal.calibration.page.drawing import Panel, axes, cells, dots, figure, line, picture
-from casacal.calibration.page.markup import Markup, paragraph, section, tag
-from casacal.calibration.page.numbers import count, mm
-from casacal.calibration.page.squares import in_squares
-from casacal.calibration.page.table import NUMBER, WORDS, table
 from casacal.calibration.page.touches import Touches
-from casacal.calibration.page.workspace import POSTURES, Workspace, side_view, top_view
+from casacal.pages.colours import Scale
+from casacal.pages.drawing import Panel, axes, cells, dots, figure, line, picture
+from casacal.pages.numbers import count, mm
+from casacal.pages.squares import in_squares
 from casacal.uncertainty.expectation import Box, accuracy_in_box
+from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
+from casacal.wording import METRE
 
 SQUARES = 24
 """Squares along the longer side of a view."""
 MARKED = 240
 """Touches drawn on the maps, of all faces together."""
 
+POSTURES = 8192
+"""Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""
 
-def expected_section(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> Markup:
-    """Figures, then a side view and a top view of error and correction."""
-    title = "Tip error to expect over the workspace"
-    if document["verdict"]["level"] == "do not use":
-        words = "Not stated: a figure would be worth nothing while the verdict is not to use this result."
-        return section("expected", title, paragraph(words))
+
+def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> dict[str, Any]:
+    """Rows of the table of figures, the largest correction, and maps of error and correction from two sides."""
     calibration = each[0].calibration
     workspace = Workspace.of(calibration)
     faces = [
@@ -40,41 +40,28 @@ def expected_section(each: Sequence[Touches], document: Mapping[str, Any], box: 
         for label in touches.faces[:MARKED]
     ]
     marks = np.vstack([np.zeros((0, 3)), *(places.tips for places in faces if places is not None)])
-    return section(
-        "expected",
-        title,
-        paragraph(
-            "This, not the residual, is the arm's accuracy as far as the samples can tell: the standard deviation "
-            "of the tip, its three axes together, apart from where the base stands, which the samples cannot see; it "
-            f"holds if {calibration.assumed} are right and nothing bends that the model does not know."
-        ),
-        _figures(calibration, document, box),
-        _maps("error", "expected tip error, mm", workspace.tips, workspace.error, marks, box),
-        _maps("correction", "distance of the calibrated from the nominal tip, mm", workspace.tips,
-              workspace.correction, marks, box),
-    )  # fmt: skip
-
-
-def _figures(calibration: Calibration, document: Mapping[str, Any], box: Box | None) -> Markup:
-    tip = document["tip"]
     moved, worst = tip_extremes(calibration.motion, calibration.workspace)
+    tip = document["tip"]
     unseen = f", {count(tip['unseen'], 'direction')} unseen" if tip["unseen"] else ""
     rows = [
         ["Before: priors alone", mm(tip["prior_rms_mm"]), "–"],
         ["After: samples and priors", mm(tip["expected_rms_mm"]), mm(worst)],
-        [f"Samples alone, without priors{unseen}", mm(tip["without_prior_rms_mm"]), "–"],
+        [f"Samples alone, without priors{unseen}", _bounded(tip["without_prior_rms_mm"]), "–"],
     ]
     if box is not None:
         motion = calibration.motion
         rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
-    columns = [("Expected tip error", WORDS), ("RMS", NUMBER), ("Worst posture", NUMBER)]
-    return tag(
-        "div",
-        table("tip-figures", "Expected tip error over the workspace", columns, rows, look="small"),
-        paragraph(f"The largest correction in the workspace is {mm(moved)}.", style="note"),
-    )
+    error = _maps("error", "expected tip error, mm", workspace.tips, workspace.error, marks, box)
+    words = "distance of the calibrated from the nominal tip, mm"
+    correction = _maps("correction", words, workspace.tips, workspace.correction, marks, box)
+    return {"rows": rows, "moved": moved, "maps": [("Expected tip error", error), ("Correction", correction)]}
+
+
+def _bounded(value: float) -> str:
+    """An error without priors; one of a metre bounds nothing."""
+    return mm(value) if value < METRE else "unbounded"
 
 
 def _maps(name: str, words: str, tips: Array, values: Array, marks: Array, box: Box | None) -> Markup:
@@ -85,20 +72,16 @@ def _maps(name: str, words: str, tips: Array, values: Array, marks: Array, box: 
         "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
         "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
         "dark before you rely on it.",
-        "correction": "How far the calibrated tip lies from the nominal one, apart from where the base stands: what "
+        "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
         "the calibration changes.",
     }[name]
     if box is not None:
         caption += " The black frame is the box that was asked for."
-    return tag(
-        "div",
-        tag("h3", title),
-        figure(
-            caption,
-            _view(f"{name}-side", f"{title}, side view", side_view, tips, values, marks, None, scale),
-            _view(f"{name}-top", f"{title}, top view", top_view, tips, values, marks, box, scale),
-            key=scale.key(f"{name}-key", words, unbounded=not finite),
-        ),
+    return figure(
+        caption,
+        _view(f"{name}-side", f"{title}, side view", side_view, tips, values, marks, None, scale),
+        _view(f"{name}-top", f"{title}, top view", top_view, tips, values, marks, box, scale),
+        key=scale.key(f"{name}-key", words, unbounded=not finite),
     )
 
 
@@ -138,3 +121,41 @@ def _view(
         dots(panel, seen[:, 0], seen[:, 1], "touch"),
         frame,
     )
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Tips (N, 3) of random postures, and at each the expected error and the correction (N,), all mm.
+
+    Both apart from the position of the base. The error is the standard deviation, its three axes together; the
+    correction is how far the calibrated tip lies from the nominal one.
+    """
+
+    tips: Array
+    error: Array
+    correction: Array
+
+    @staticmethod
+    def of(calibration: Calibration) -> Workspace:
+        """Over postures of its own; the base frame is that of the postures that the summary's figure is of."""
+        motion = calibration.motion
+        arm, x = motion.arm, motion.x
+        frame_joints, frame_tips, frame_slopes = calibration.workspace
+        joints = workspace_joints(arm.problem.robot, poses=POSTURES, seed=1)
+        tips, slopes = arm.tips(x, joints), arm.tip_jacobian(x, joints)
+        field = up_to_base(slopes, tips, frame_slopes, frame_tips)
+        error = np.linalg.norm(tip_stds(motion.covariance, field, motion.off), axis=1)
+        moved = (tips - arm.tips(arm.x0, joints)).reshape(-1, 1)
+        frame_moved = (frame_tips - arm.tips(arm.x0, frame_joints)).reshape(-1, 1)
+        correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)
+        return Workspace(tips, error, correction)
+
+
+def side_view(points: Array) -> Array:
+    """Distance from the base's z axis, and height (N, 2; mm)."""
+    return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+
+
+def top_view(points: Array) -> Array:
+    """x and y of the base frame (N, 2; mm)."""
+    return np.asarray(points[:, :2])
