@@ -89,7 +89,7 @@ def test_joints_that_repeat_far_worse_than_any_are_a_doubt_that_names_them(hsr):
     assert worse.fit.scale[REPEATABILITY] == pytest.approx(100e-6, rel=0.25)
     verdict = verdict_of(worse)
     assert verdict.level != "calibrated"
-    assert any("sees of the joints, as where they repeat to" in reason for reason in verdict.reasons)
+    assert any("The pattern fits a joint repeatability of" in reason for reason in verdict.reasons)
 
 
 @pytest.mark.long
