@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from casacal.checks import check as check
     from casacal.compensation.arm import CalibratedArm as CalibratedArm
     from casacal.compensation.compensate import compensate as compensate
-    from casacal.compensation.outcome import Compensation as Compensation
-    from casacal.compensation.outcome import Outcome as Outcome
     from casacal.compensation.predict import Prediction as Prediction
     from casacal.compensation.result_file import read_result as read_result
+    from casacal.compensation.targets import Compensation as Compensation
+    from casacal.compensation.targets import Outcome as Outcome
     from casacal.compensation.targets import Targets as Targets
     from casacal.compensation.targets import read_targets as read_targets
     from casacal.doctor import PendantRows as PendantRows
@@ -101,7 +101,7 @@ if TYPE_CHECKING:
     from casacal.robots.carriers import facing as facing
     from casacal.robots.carriers import rail as rail
     from casacal.robots.carriers import turntable as turntable
-    from casacal.robots.conventions import Conventions as Conventions
+    from casacal.robots.joints import Conventions as Conventions
     from casacal.robots.joints import Joint as Joint
     from casacal.robots.robot import Robot as Robot
     from casacal.samples.measurements import Measurements as Measurements
@@ -137,7 +137,7 @@ _HOMES = {
     "casacal.problem.disturbances": ("Disturbances",),
     "casacal.compensation.compensate": ("compensate",),
     "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
-    "casacal.robots.conventions": ("Conventions",),
+    "casacal.robots.joints": ("Conventions", "Joint"),
     "casacal.checks": ("Finding", "check"),
     "casacal.errors": ("CasacalError", "ProblemError", "SamplesError", "SimulationError", "StudyError"),
     "casacal.estimators": (
@@ -149,9 +149,9 @@ _HOMES = {
         "nominal",
         "null_step",
         "plane_only",
+        "scipy_least_squares",
         "sckf",
         "sckf_lm",
-        "scipy_least_squares",
         "swarm",
     ),
     "casacal.problem.problem_file": ("ProblemFile", "load_problem"),
@@ -163,13 +163,13 @@ _HOMES = {
         "Instrument",
         "KnownPoint",
         "Probe",
+        "ResidualBlock",
+        "SelfContact",
         "Sight",
         "Sockets",
         "SphereTouch",
         "Step",
         "Suspect",
-        "ResidualBlock",
-        "SelfContact",
         "TrackedPoint",
         "TrackedPose",
         "Words",
@@ -181,7 +181,7 @@ _HOMES = {
     "casacal.calibration.saved": ("SavedCalibration", "load"),
     "casacal.compensation.arm": ("CalibratedArm",),
     "casacal.compensation.predict": ("Prediction",),
-    "casacal.compensation.outcome": ("Compensation", "Outcome"),
+    "casacal.compensation.targets": ("Compensation", "Outcome", "Targets", "read_targets"),
     "casacal.compensation.result_file": ("read_result",),
     "casacal.calibration.calibrated": ("Calibrated",),
     "casacal.least_squares.losses": ("Loss", "huber", "tukey"),
@@ -189,7 +189,6 @@ _HOMES = {
     "casacal.problem.problem": ("Problem",),
     "casacal.problem.symbols": ("Symbols",),
     "casacal.least_squares.result": ("Result", "Status"),
-    "casacal.robots.joints": ("Joint",),
     "casacal.robots.robot": ("Robot",),
     "casacal.robots.carriers": ("carried", "facing", "rail", "turntable"),
     "casacal.uncertainty.learned_priors": ("LearnedPriors", "learned_priors", "scaled_to_accuracy"),
@@ -198,10 +197,8 @@ _HOMES = {
     "casacal.simulation.simulate": ("simulate",),
     "casacal.simulation.simulation": ("Simulation",),
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
-    "casacal.compensation.targets": ("Targets", "read_targets"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
-    "casacal.verification.verification": ("Verification",),
-    "casacal.verification.verify": ("verify",),
+    "casacal.verification.verify": ("Verification", "verify"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME)

@@ -12,11 +12,9 @@ from conftest import ROOT
 from instruments_on_ur5 import PROBLEMS
 
 from casacal import Samples, load_problem, simulate
-from casacal.bench.benchmark import benchmark, mean_squares
-from casacal.bench.benchmark_set import read_set, read_sets
+from casacal.bench.benchmark import bench_lines, benchmark, mean_squares
+from casacal.bench.benchmark_set import folds, read_set, read_sets
 from casacal.bench.methods import WAYS, Judged, geometry_and_process
-from casacal.bench.splits import folds
-from casacal.bench.table import bench_lines
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.write import write_samples

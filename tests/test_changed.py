@@ -30,8 +30,8 @@ from casacal.changes.memory import with_drift, with_memory
 from casacal.changes.whitened import Whitened, chances, likelihood, occam, seen_basis
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
-from casacal.simulation.places import default_cell
 from casacal.simulation.simulate import simulate_one
+from casacal.simulation.touches import default_cell
 from casacal.simulation.true_arm import Draw
 from casacal.verification.opened import opened
 

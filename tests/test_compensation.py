@@ -20,11 +20,10 @@ from casacal.calibration.result_json import calibration_document, write_simulati
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.compensate import compensate
-from casacal.compensation.outcome import Outcome, Rounding
 from casacal.compensation.predict import predict, write_prediction
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
 from casacal.compensation.result_file import read_result
-from casacal.compensation.targets import Targets, read_targets
+from casacal.compensation.targets import Outcome, Rounding, Targets, read_targets
 from casacal.errors import CasacalError
 from casacal.files import write_json
 from casacal.kinematics import chain, rotate_z, translate_x

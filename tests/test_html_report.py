@@ -9,7 +9,6 @@ import shutil
 import html5lib
 import numpy as np
 import pytest
-from casacal.calibration.page.expected import Workspace
 from conftest import ROOT
 from oracles import dh_chain
 from page_reader import REFERENCES, Page, facts, tables
@@ -17,6 +16,7 @@ from page_reader import REFERENCES, Page, facts, tables
 import casacal
 from casacal import DialOnPlane, Plane, Problem, TrackedPoint, calibrate
 from casacal.calibration.page import report_page
+from casacal.calibration.page.expected import Workspace
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.result_json import calibration_document
 from casacal.cli.main import main

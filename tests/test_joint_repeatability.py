@@ -227,7 +227,7 @@ def test_it_is_printed_and_serves_fresh_rows(hsr, found, tmp_path):
     for face in noise["by_face"].values():
         assert face["without_joints_mm"] == pytest.approx(face["stated_mm"] * loose_one.fit.scale[OTHERS])
         assert face["used_mm"] > face["without_joints_mm"]
-    assert "repeat to" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "joint repeatability of" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.long

@@ -31,8 +31,7 @@ from casacal.calibration.verdict import verdict_of
 from casacal.checks.check import _few_of_each_face
 from casacal.estimators.ipopt_objective import Objective
 from casacal.least_squares import arrow
-from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.groups import Groups
+from casacal.least_squares.arrow import Arrow, Groups
 from casacal.least_squares.information import determined
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy

@@ -12,6 +12,8 @@ from scipy.stats import chi2
 
 from casacal import Plane, Problem, bind, ekf, plate, sckf, simulate
 
+pytestmark = pytest.mark.long
+
 TRIALS, COMPARED = 200, 100
 COST, ERROR, BOUND, NEES, NIS, CONVERGED, COVERED = range(7)
 

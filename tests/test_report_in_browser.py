@@ -10,6 +10,8 @@ from conftest import ROOT
 
 from casacal.cli.main import main
 
+pytestmark = pytest.mark.long
+
 FLAGS = (
     "--headless",
     "--no-sandbox",

@@ -11,7 +11,7 @@ from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simul
 from casacal.errors import SimulationError
 from casacal.problem.cell import flatness_din_876
 from casacal.simulation.faults import form_error
-from casacal.simulation.places import default_cell
+from casacal.simulation.touches import default_cell
 
 
 def true_tips(simulation, joints, readings, sign=1):

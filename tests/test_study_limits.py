@@ -23,8 +23,7 @@ from casacal.cli.main import main
 from casacal.errors import StudyError
 from casacal.study.records import LIMIT, merged, read_records, to_line
 from casacal.study.runs import RECORDS, open_run, run
-from casacal.study.study_file import load_study
-from casacal.study.tasks import perform
+from casacal.study.study_file import load_study, perform
 from casacal.study.trial import Task
 
 HOSTILE = ROOT / "tests" / "hostile_study.py"

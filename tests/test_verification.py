@@ -34,8 +34,8 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.files import jsonable, write_json
-from casacal.samples.copies import MOST, copies, fitted_among, is_listing, listing
 from casacal.samples.layout import Layout
+from casacal.samples.repeats import MOST, copies, fitted_among, is_listing, listing
 from casacal.samples.samples import joined
 from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
 from casacal.verification.figures import LEVEL

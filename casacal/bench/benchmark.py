@@ -1,7 +1,8 @@
-"""The benchmark as a study: every set, every split of it fold by fold, every method."""
+"""The benchmark: every method on every split of every set, and its table."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -11,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.bench.benchmark_set import BenchmarkSet
+from casacal.bench.benchmark_set import BLOCKED, RANDOM, STATED, BenchmarkSet, folds
 from casacal.bench.methods import WAYS, Judged, Told, Way
-from casacal.bench.splits import BLOCKED, RANDOM, STATED, folds
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.study.description import Method, Study
+from casacal.study.runs import Run
 
 KINDS = (STATED, RANDOM, BLOCKED)
 QUICK_FOLDS = 1
@@ -130,3 +131,86 @@ def mean_squares(squares: Array, rows: Array, seed: int = 0) -> tuple[float, flo
     values = np.sqrt(squares[drawn].sum(axis=1) / rows[drawn].sum(axis=1))
     low, high = np.quantile(values, [0.025, 0.975])
     return total, float(low), float(high)
+
+
+LEAKS = 1.5
+"""Blocked over random from which a method is said to live on neighbours."""
+
+REPRODUCED = 0.05
+"""Part of a published figure within which it counts as reproduced."""
+
+MARK = "†"
+
+
+def bench_lines(run: Run, sets: Sequence[BenchmarkSet]) -> list[str]:
+    """The page, as lines."""
+    lines = [
+        "# Benchmark",
+        "",
+        "Root mean square of what a method leaves of rows that it has not seen, in mm; of poses, of their positions.",
+        "*Stated*: the split that the set's own page names. *Random*: five folds. *Blocked*: regions of postures, or",
+        "contiguous rows. Intervals are 95 %, by bootstrap over folds. *Leak*: blocked over random; a method that is",
+        f"much worse on blocks ({LEAKS:g} and more are bold) knows the neighbours of a row rather than the arm.",
+        f"{MARK}: the method's own verdict, in some fold, is not to use its result; the figure stands all the same.",
+        "Published figures are of the stated split where a set names one; *yes* within 5 %.",
+        "",
+    ]
+    for each in sets:
+        rows = [_row(run, each, method) for method in (run.study.methods if run.study is not None else ())]
+        lines += [f"## {each.title}", "", f"`{each.name}`; {each.source}; licence: {each.licence}.", ""]
+        header = ("method", STATED, RANDOM, BLOCKED, "leak", "published", "reproduced")
+        lines += ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+        lines += ["| " + " | ".join(row) + " |" for row in rows]
+        said = sorted({f"`{name}`: {words}" for name, words in _failures(run, each)})
+        lines += ["", *(f"- {words}" for words in said)] if said else []
+        lines += [""]
+    return lines[:-1]
+
+
+def _row(run: Run, each: BenchmarkSet, method: str) -> list[str]:
+    found = {kind: _figure(run, each.name, method, kind) for kind in KINDS}
+    refused = any((run.values(setting, method, "refused") == 1).any() for setting in _settings(run, each.name))
+    cells = [f"{method}{' ' + MARK if refused else ''}", *(_shown(*found[kind]) for kind in KINDS)]
+    leak = found[BLOCKED][0] / found[RANDOM][0]
+    shown = "–" if not math.isfinite(leak) else f"**{leak:.2f}**" if leak >= LEAKS else f"{leak:.2f}"
+    theirs = next((published for published in each.published if published.method == method), None)
+    if theirs is None or run.quick:  # whose few rows are not those of the published figure
+        return [*cells, shown, "–" if theirs is None else f"{theirs.figure:g} ({theirs.by})", "–"]
+    mine = found[STATED][0] if math.isfinite(found[STATED][0]) else found[RANDOM][0]
+    same = abs(mine / theirs.figure - 1) <= REPRODUCED
+    better = mine < theirs.figure
+    return [*cells, shown, f"{theirs.figure:g} ({theirs.by})", "yes" if same else "better" if better else "no"]
+
+
+def _figure(run: Run, name: str, method: str, kind: str) -> tuple[float, float, float]:
+    """Root mean square and its interval; not numbers where a fold failed or there is none."""
+    chosen = [setting for setting in _settings(run, name) if f" / {kind} / " in setting]
+    if not chosen:
+        return math.nan, math.nan, math.nan
+    squares, rows = (
+        np.concatenate([run.values(setting, method, figure) for setting in chosen]) for figure in ("squares", "rows")
+    )
+    if not squares.size or not np.isfinite(squares).all():
+        return math.nan, math.nan, math.nan
+    return mean_squares(squares, rows)
+
+
+def _settings(run: Run, name: str) -> list[str]:
+    settings = run.study.settings if run.study is not None else ()
+    return [setting for setting in settings if setting.split(" / ")[0] == name]
+
+
+def _failures(run: Run, each: BenchmarkSet) -> list[tuple[str, str]]:
+    methods = run.study.methods if run.study is not None else ()
+    return [
+        (method, words)
+        for setting in _settings(run, each.name)
+        for method in methods
+        for words in run.failures(setting, method)
+    ]
+
+
+def _shown(value: float, low: float, high: float) -> str:
+    if not math.isfinite(value):
+        return "–"
+    return f"{value:.3f}" + (f" ({low:.3f} to {high:.3f})" if math.isfinite(low) else "")

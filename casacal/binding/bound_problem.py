@@ -23,9 +23,8 @@ from casacal.binding.sums import COMPACT, Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.survey import Survey
 from casacal.kernels.filter_passes import extended_pass
-from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.arrow import Arrow, Groups
 from casacal.least_squares.elimination import GroupRows
-from casacal.least_squares.groups import Groups
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem

@@ -13,9 +13,8 @@ from casacal.binding.row_groups import FEW, Piece, RowGroups
 from casacal.binding.slots import Slot
 from casacal.kernels.backend import all_rows_in_c
 from casacal.kernels.native_rows import NativeNormal, PackedPieces
-from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.arrow import Arrow, Groups, grouped
 from casacal.least_squares.elimination import GroupRows
-from casacal.least_squares.groups import Groups, grouped
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import Normal
 

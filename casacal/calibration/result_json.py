@@ -16,7 +16,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import seen
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubts import without_predictions
-from casacal.calibration.provenance import head_of, seen_from
+from casacal.calibration.given import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
     cures_part,
@@ -37,8 +37,8 @@ from casacal.errors import CasacalError
 from casacal.files import side_by_side, together, write_json, write_text
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
-from casacal.samples.copies import listing
 from casacal.samples.measurements import Measurements
+from casacal.samples.repeats import listing
 from casacal.samples.write import write_samples
 from casacal.simulation.simulation import Simulation
 from casacal.uncertainty.expectation import Box

@@ -1,13 +1,16 @@
-"""A calibration that was saved, read back: its figures, and the arm it found."""
+"""A result that was saved, and a calibration as the arm that it is about."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from casacal.calibration.as_arm import AsArm
+import casadi as ca
+
+from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, denial
 from casacal.compensation.result_file import read_result
 from casacal.errors import CasacalError, came
@@ -16,6 +19,157 @@ from casacal.values import Value
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from casacal.compensation.predict import Prediction
+    from casacal.compensation.targets import Compensation
+
+
+class AsArm(ABC):
+    """A calibration, fresh or read back, as the arm that it found."""
+
+    @property
+    @abstractmethod
+    def arm(self) -> CalibratedArm:
+        """The problem and the estimate."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that result.json holds, in JSON's own types."""
+        return dict(self.arm.document)
+
+    def predict(
+        self, q: Any, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, std: bool = False
+    ) -> Prediction:
+        """Where the calibrated arm is.
+
+        Args:
+            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
+            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
+            nominal: the arm as drawn in place of the calibrated one.
+            std: whether to add standard deviations, apart from the position of the base.
+
+        Returns:
+            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
+            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
+
+        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+
+        """
+        from casacal.compensation.predict import joints_from, predict
+
+        return predict(self.arm, joints_from(q, self.arm.source), frame=frame, nominal=nominal, std=std)
+
+    def compensate(
+        self,
+        targets: Any,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float | None = None,
+        force: bool = False,
+    ) -> Compensation:
+        """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
+
+        Args:
+            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+                `casacal compensate` reads.
+            frame: what poses are of.
+            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+            force: take a result whose verdict is not to use it.
+
+        Returns:
+            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+            there in mm and rad, and the standard deviation of its position, mm.
+
+        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
+
+        """
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.targets import targets_from
+
+        most = LARGEST if largest is None else largest
+        return compensate(self.arm, targets_from(targets, self.arm.source), frame=frame, largest=most, force=force)
+
+    def program(
+        self,
+        targets: Any,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float | None = None,
+        force: bool = False,
+    ) -> str:
+        """Compensated targets as text, "csv", "rapid", "krl" or "urscript"; written to `path` where one is given.
+
+        targets, frame, largest, force, errors: as for `compensate`. The proof is about joint values as written.
+        """
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.programs import rounding_of, text_of
+        from casacal.compensation.targets import targets_from
+        from casacal.files import write_text
+
+        most = LARGEST if largest is None else largest
+        arm = self.arm
+        rounding = rounding_of(form, arm.source.problem.robot)
+        meant = targets_from(targets, arm.source)
+        text = text_of(
+            compensate(arm, meant, frame=frame, largest=most, rounding=rounding, force=force),
+            form,
+            arm,
+        )
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def export(
+        self,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        source: str | Path | None = None,
+        prefix: str | None = None,
+        force: bool = False,
+    ) -> str:
+        """The arm as "dh", "urdf", "zeros", "ur" or "c": the text, written to `path` where one is given.
+
+        source, prefix, force, errors: as for `casacal.export.forms.export`.
+        """
+        from casacal.export.forms import export
+
+        return export(self.arm, form, path, source=source, prefix=prefix, force=force)
+
+    def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
+
+        Args:
+            nominal: the arm as drawn in place of the calibrated one.
+            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
+
+        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
+
+        """
+        from casacal.export.functions import pose_function
+
+        return pose_function(self.arm, nominal=nominal, free=free)
+
+    def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
+
+        nominal, free, errors: as for `pose_function`; free also what the tip depends on of instrument and columns.
+        Raises ProblemError where there are several instruments.
+        """
+        from casacal.export.functions import tip_function
+
+        return tip_function(self.arm, nominal=nominal, free=free)
+
+    def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
+        """Values of the parameters by name, mm and rad, as functions with free parameters take them.
+
+        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn.
+        """
+        from casacal.export.functions import values_of
+
+        return values_of(self.arm, frame=frame, nominal=nominal)
+
 
 COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")
 """Of a parameter in result.json."""
@@ -35,7 +189,7 @@ class SavedCalibration(Value, AsArm):
     @property
     def success(self) -> bool:
         """Whether the method did all it promises, as the result says, and its verdict is not "do not use"."""
-        return bool(self.found.document.get("converged", False)) and denial(self.found) is None
+        return denial(self.found) is None and bool(self.found.document.get("converged", False))
 
     @property
     def message(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.calibration.as_arm import AsArm
+from casacal.calibration.saved import AsArm
 from casacal.changes.change import Change
 from casacal.changes.explain import SURE, Explanation, contenders, explanations
 from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown

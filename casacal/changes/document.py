@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.calibration.provenance import seen_from
+from casacal.calibration.given import seen_from
 from casacal.calibration.result_parts import geometry, parameter_rows
-from casacal.changes.change import Change
+from casacal.changes.change import Change, amount, name_of
 from casacal.changes.figures import CHANGED
 from casacal.changes.state import State
-from casacal.changes.words import amount, name_of
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import sealed
 from casacal.files import jsonable
-from casacal.samples.copies import listing
+from casacal.samples.repeats import listing
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh

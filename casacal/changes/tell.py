@@ -19,7 +19,7 @@ from casacal.changes.explain import Explanation, prior_of, ways_of
 from casacal.changes.look import Look
 from casacal.errors import CasacalError
 from casacal.files import write_text
-from casacal.planning.pool import pool_of
+from casacal.planning.choice import pool_of
 from casacal.planning.route import FIT, shortest_way
 from casacal.planning.written import postures_text
 from casacal.problem.cell import Cell, Face

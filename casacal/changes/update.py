@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.calibration.as_arm import AsArm
-from casacal.calibration.saved import SavedCalibration
+from casacal.calibration.saved import AsArm, SavedCalibration
 from casacal.changes.causes import JOINTS, joint_direction, shift_columns
 from casacal.changes.change import Change
 from casacal.changes.changed import changed_by

@@ -10,7 +10,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding
-from casacal.instruments.instrument import Probe
+from casacal.instruments.description import Probe
 from casacal.unknowns.fits import fitted_plane
 
 SMALLEST_TILT = 5.0

@@ -41,10 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the benchmark as the options say; returns 0."""
-    from casacal.bench.benchmark import benchmark
+    from casacal.bench.benchmark import bench_lines, benchmark
     from casacal.bench.benchmark_set import DESCRIPTION, read_set, read_sets
     from casacal.bench.methods import WAYS
-    from casacal.bench.table import bench_lines
     from casacal.files import write_text
     from casacal.study import runs
 

@@ -10,7 +10,7 @@ from casacal.cli.common import DONE, FAILED, add_force, add_instrument, add_json
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
-    from casacal.compensation.outcome import Compensation
+    from casacal.compensation.targets import Compensation
 
 HELP = "correct joint targets for the calibrated arm"
 SHOWN = 5
@@ -52,11 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
     from casacal.compensation.compensate import compensate
-    from casacal.compensation.outcome import Outcome
     from casacal.compensation.programs import notes, rounding_of, text_of
     from casacal.compensation.result_file import read_result, verdict_part
     from casacal.compensation.seen_by import seen_by
-    from casacal.compensation.targets import read_targets
+    from casacal.compensation.targets import Outcome, read_targets
     from casacal.errors import CasacalError
     from casacal.files import write_text
 

@@ -95,7 +95,7 @@ def _add_written(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.planning.enough import rows_needed
+    from casacal.planning.offers import rows_needed
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 

@@ -166,7 +166,7 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
 
     from casacal.problem.cell import OF_FACES
     from casacal.problem.disturbances import AMOUNTS, Disturbances
-    from casacal.simulation.places import default_cell
+    from casacal.simulation.touches import default_cell
 
     instrument, problem = source.problem.instruments[0], source.problem
     faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]

@@ -26,11 +26,10 @@ from casacal.compensation.arm import (
     row_constants,
 )
 from casacal.compensation.inverse_kinematics import PosedArm, turning
-from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import postures
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.targets import Targets, targets_from
+from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, targets_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.samples import Samples
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from casacal.errors import CasacalError
-from casacal.samples.copies import is_listing
 from casacal.samples.layout import LARGEST
+from casacal.samples.repeats import is_listing
 
 LEVELS = ("calibrated", "use with care", "do not use")
 """Of a verdict."""

@@ -16,9 +16,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, denial
-from casacal.compensation.outcome import Compensation, Outcome, Rounding
 from casacal.compensation.postures import torn
 from casacal.compensation.result_file import caution
+from casacal.compensation.targets import Compensation, Outcome, Rounding
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping

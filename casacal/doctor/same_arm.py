@@ -13,8 +13,8 @@ from casacal.doctor.axes import Axes
 from casacal.doctor.family import Family, Integers, one_change_away
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, angle_between
 from casacal.doctor.search import poses_of
-from casacal.robots.conventions import Conventions
 from casacal.robots.joint_space import random_joints
+from casacal.robots.joints import Conventions
 from casacal.robots.robot import Robot
 
 SAME = 1e-6

@@ -8,9 +8,8 @@ from collections.abc import Iterable, Sequence
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
 from casacal.doctor.pendant_rows import MEANINGS
 from casacal.doctor.same_arm import Meaning
-from casacal.robots.conventions import Conventions
 from casacal.robots.files.dh_text import conventions_toml
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 
 SHOWN = 4
 """Values of one setting that are listed when it is open."""

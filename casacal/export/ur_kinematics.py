@@ -16,8 +16,8 @@ from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
 from casacal.export.remark import MARK, other_forms, remark
 from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import NEARLY, DHTable
+from casacal.robots.joints import Conventions
 from casacal.robots.urdf_chain import UrdfChain
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
+from casacal.planning.choice import cell_of
 from casacal.planning.clearance import Clearance
-from casacal.planning.pool import cell_of
 from casacal.planning.route import Route
 from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances

@@ -2,6 +2,11 @@
 
 from casacal.instruments.ball_touch import SelfContact as SelfContact
 from casacal.instruments.ball_touch import SphereTouch as SphereTouch
+from casacal.instruments.description import Probe as Probe
+from casacal.instruments.description import ResidualBlock as ResidualBlock
+from casacal.instruments.description import Sight as Sight
+from casacal.instruments.description import Suspect as Suspect
+from casacal.instruments.description import Words as Words
 from casacal.instruments.dial_on_body import DialOnBody as DialOnBody
 from casacal.instruments.dial_on_plane import DialOnPlane as DialOnPlane
 from casacal.instruments.dial_parts import Step as Step
@@ -12,11 +17,6 @@ from casacal.instruments.distance import Distance as Distance
 from casacal.instruments.fixed_point import FixedPoint as FixedPoint
 from casacal.instruments.fixed_point import Sockets as Sockets
 from casacal.instruments.instrument import Instrument as Instrument
-from casacal.instruments.instrument import Probe as Probe
-from casacal.instruments.instrument import Sight as Sight
-from casacal.instruments.instrument import Words as Words
 from casacal.instruments.points import KnownPoint as KnownPoint
 from casacal.instruments.points import TrackedPoint as TrackedPoint
-from casacal.instruments.residual_block import ResidualBlock as ResidualBlock
-from casacal.instruments.suspect import Suspect as Suspect
 from casacal.instruments.tracked_pose import TrackedPose as TrackedPose

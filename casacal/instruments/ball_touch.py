@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.instruments.description import Sight, Words
 from casacal.instruments.dial_parts import tool_point
-from casacal.instruments.instrument import Sight, Words
 from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import get_args
 
 from casacal.errors import ProblemError, UnknownNameError, came
-from casacal.instruments.instrument import Dimension, Instrument
+from casacal.instruments.description import Dimension
+from casacal.instruments.instrument import Instrument
 from casacal.unknowns import Unknown
 
 

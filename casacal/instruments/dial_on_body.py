@@ -11,8 +11,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.instruments.description import Probe, Sight
 from casacal.instruments.dial_on_plane import DialOnPlane, touched_normal
-from casacal.instruments.instrument import Probe, Sight
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
 from casacal.unknowns.fits import rotation_between

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Words
 from casacal.instruments.dial_parts import Step, tool_point
-from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight, Words
-from casacal.instruments.suspect import Suspect
+from casacal.instruments.instrument import Instrument
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
 from casacal.unknowns.fits import fitted_plane

@@ -10,8 +10,7 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Sight, Words
-from casacal.instruments.suspect import Suspect
+from casacal.instruments.description import Dimension, Sight, Suspect, Words
 from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter, Unknown

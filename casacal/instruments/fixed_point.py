@@ -11,7 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Sight, Words
+from casacal.instruments.description import Sight, Words
 from casacal.instruments.tool_tip import ToolTip, proposed_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Direction, Parameter, Unknown

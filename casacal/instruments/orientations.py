@@ -13,8 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came
-from casacal.instruments.instrument import Dimension
-from casacal.instruments.suspect import Suspect
+from casacal.instruments.description import Dimension, Suspect
 from casacal.kinematics import Expression, chain, rotate_x, rotate_y, rotate_z, rotation, rotation_of_quaternion
 
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")

@@ -11,8 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Sight, Words
-from casacal.instruments.suspect import Suspect
+from casacal.instruments.description import Dimension, Sight, Suspect, Words
 from casacal.instruments.tool_tip import ToolTip
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Frame, Unknown

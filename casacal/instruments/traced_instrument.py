@@ -10,9 +10,9 @@ from typing import Any
 import casadi as ca
 
 from casacal.array_types import Array
+from casacal.instruments.description import Dimension, Probe, ResidualBlock, Sight
 from casacal.instruments.dial_on_plane import touched_plane
-from casacal.instruments.instrument import Dimension, Instrument, Probe, Sight
-from casacal.instruments.residual_block import ResidualBlock
+from casacal.instruments.instrument import Instrument
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.fits import packed_symbols

@@ -12,10 +12,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.instrument import Dimension, Instrument, Sight, Words
+from casacal.instruments.description import Dimension, ResidualBlock, Sight, Suspect, Words
+from casacal.instruments.instrument import Instrument
 from casacal.instruments.orientations import Orientation
-from casacal.instruments.residual_block import ResidualBlock
-from casacal.instruments.suspect import Suspect
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame, Unknown
 from casacal.unknowns.fits import hand_eye

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.groups import Index
+from casacal.least_squares.arrow import Arrow, Index
 from casacal.least_squares.linalg import damped_solution
 
 Information: TypeAlias = Array | Arrow

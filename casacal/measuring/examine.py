@@ -15,7 +15,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.estimators.sckf import Belief
-from casacal.measuring.belief import LinearRows
+from casacal.measuring.further import LinearRows
 from casacal.measuring.known import Known
 from casacal.measuring.slips import Slip
 from casacal.measuring.touch import Touch, rows_of

@@ -11,9 +11,8 @@ from scipy.linalg import solve_triangular
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.binding.enough_rows import instances
 from casacal.binding.noise_scale import OTHERS
-from casacal.binding.slots import make_slots
+from casacal.binding.slots import instances, make_slots
 from casacal.errors import ProblemError
 from casacal.estimators.sckf import Belief, begun, take_in
 from casacal.measuring.touch import Touch, rows_of

@@ -1,4 +1,4 @@
-"""A session at the machine as a value: every step, from a touch taken in to one taken back, gives another one."""
+"""A session at the machine, as a frozen value: touches made, and what may be answered."""
 
 from __future__ import annotations
 

@@ -9,9 +9,8 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
-from casacal.measuring.belief import error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.examine import Alarm
-from casacal.measuring.further import Pool, could_be
+from casacal.measuring.further import Pool, could_be, error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.known import Known, counts, innovations_at, known_before, places_of, telling
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.state import Setting, State

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +12,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import ENOUGH, Slot
-from casacal.instruments.instrument import Probe
-from casacal.planning.more_faces import triple
+from casacal.instruments.description import Probe
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -150,3 +150,45 @@ def _usual(samples: Samples) -> Samples:
     common = {name: int(np.argmax(np.bincount(values.codes))) for name, values in samples.labels.items()}
     labels = {name: Labels([samples.labels[name].names[code]], np.zeros(1)) for name, code in common.items()}
     return replace(row, columns=columns, labels=labels, extra={})
+
+
+STEP = 100.0
+"""Height of a gauge block, mm."""
+
+
+BLOCK = (35.0, 35.0)
+"""Its top, mm."""
+
+
+def raised(face: Face, by: float, label: str) -> Face:
+    """The same face, so many mm along its normal."""
+    return replace(face, label=label, centre=triple(np.asarray(face.centre) + by * face.axes[0]))
+
+
+def block_on(face: Face, label: str) -> Face:
+    """The top of a gauge block that stands in the middle of a face."""
+    return replace(raised(face, STEP, label), size=BLOCK)
+
+
+def rising(face: Face, towards: Array, label: str) -> Face:
+    """A face at right angles that rises from the edge of another one and looks towards (3,) across it."""
+    centre = np.asarray(face.centre) + 0.5 * face.size[0] * (face.axes[0] - towards)
+    return Face(label, triple(centre), triple(towards), face.size)
+
+
+def inclined(face: Face, by: float, towards: Array, label: str) -> Face:
+    """The same face, turned by an angle (rad) so that it looks more towards (3,)."""
+    return replace(face, label=label, normal=triple(math.cos(by) * face.axes[0] + math.sin(by) * towards))
+
+
+def fresh(label: str, faces: Sequence[Face]) -> str:
+    """A label that no face has, like the one given."""
+    while any(face.label == label for face in faces):
+        label += "'"
+    return label
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Three numbers of an array (3,)."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -11,9 +11,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import bind
 from casacal.errors import CasacalError
-from casacal.planning.choice import Choice, wanted_joints
-from casacal.planning.more_faces import STEP, block_on, fresh, raised, rising
-from casacal.planning.pool import cell_of, pool_of
+from casacal.planning.choice import Choice, cell_of, pool_of, wanted_joints
+from casacal.planning.extra_touches import STEP, block_on, fresh, raised, rising
 from casacal.problem.cell import Cell, Face
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem

@@ -32,17 +32,14 @@ from casacal.instruments import (
     TrackedPoint,
     TrackedPose,
 )
-from casacal.instruments.instrument import Probe
-from casacal.instruments.residual_block import ResidualBlock
+from casacal.instruments.description import Probe, ResidualBlock
 from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.problem.problem import Problem
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.urdf import UrdfJoint
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 from casacal.robots.robot import Robot
-from casacal.robots.screws import Screws
-from casacal.robots.traced_pose import TracedPose
+from casacal.robots.traced_pose import Screws, TracedPose
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Direction, Frame, Parameter, Plane
 from casacal.values import FrozenMapping

@@ -9,9 +9,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from casacal.errors import CasacalError
-from casacal.robots.conventions import Conventions
 from casacal.robots.files.dh_fields import degrees, plain
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 
 FILL_IN = "TO FILL IN"
 """What marks a line that nobody has looked at yet."""

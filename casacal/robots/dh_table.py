@@ -11,8 +11,7 @@ import numpy as np
 
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, dh, hayati, modified_dh, rotate_x, rotate_y, rotate_z, translate
-from casacal.robots.conventions import Conventions
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Parameter, Unknown
 from casacal.unknowns.unknown import spread
 

@@ -13,12 +13,10 @@ import numpy as np
 from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
-from casacal.robots.joints import Joint, geared, joints_of
-from casacal.robots.screws import Screws, triples
-from casacal.robots.traced_pose import TracedPose, travels
+from casacal.robots.joints import Conventions, Joint, geared, joints_of
+from casacal.robots.traced_pose import Screws, TracedPose, travels, triples
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, alike, read_only, short

@@ -14,10 +14,9 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, rotate, rotate_x, rotate_y, rotate_z, slide
-from casacal.robots.conventions import Conventions
 from casacal.robots.files.urdf import Triple, UrdfFile, UrdfJoint, check_joint
 from casacal.robots.files.urdf_reader import read_urdf
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Parameter, Unknown
 
 MM = 1000.0

@@ -1,19 +1,20 @@
-"""Touches of the same place in the same posture: repeats, which tell pure error from what the model leaves out.
-
-Copies of a row, the same to the last digit, are no repeats: whether somebody pasted them or a coarse dial read the same
-twice, they say nothing of the scatter of touches.
-"""
+"""Rows that come back: repeated touches of one place, and copies of whole rows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from casacal.array_types import Array
+from casacal.instruments.description import Dimension
+from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
@@ -88,3 +89,111 @@ def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]
             keys = (keys + column) * MIX
             keys ^= keys >> 29
     return keys
+
+
+WHOLE = re.compile("-?[0-9]{1,17}")
+
+MOST = 2000
+"""Rows that are listed; of more, so many evenly spread ones."""
+
+GRID: Mapping[Dimension, float] = {"angle": 1e-6, "length": 1e-3, "number": 1e-3}
+"""Steps (rad, mm) to which listed values are rounded."""
+
+NEAR_JOINT: Mapping[Dimension, float] = {"angle": math.radians(0.02), "length": 0.02, "number": 0.02}
+"""Joint values (rad, mm) nearer than this are those of one posture: decimals cut, another unit, a pendant read off."""
+
+LARGEST = 2.0**53
+"""Steps beyond which numbers are no whole ones."""
+
+NEAR_READING = 2
+"""Steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise."""
+
+
+def listing(samples: Samples, layout: Layout) -> dict[str, Any]:
+    """What result.json keeps of fitted rows, to know them again.
+
+    Returns:
+        Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps
+        of 1e-6 rad and 0.001 mm.
+
+    """
+    spread = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST)).round().astype(np.intp))
+    lines = [" ".join(map(str, map(int, row))) for row in _on_grid(samples.take(spread), layout).tolist()]
+    return {"rows": len(samples), "columns": sorted(layout.columns), "values": lines}
+
+
+def is_listing(listed: Mapping[str, Any]) -> bool:
+    """Whether a mapping has the form that `listing` gives it."""
+    rows, columns, values = (listed.get(key) for key in ("rows", "columns", "values"))
+    if not isinstance(rows, int) or isinstance(rows, bool) or not isinstance(columns, list):
+        return False
+    if not isinstance(values, list) or not values or not all(isinstance(each, str) for each in (*columns, *values)):
+        return False
+    if not len(values) <= rows < 2**53 or len({len(line.split()) for line in values}) != 1:
+        return False
+    return all(WHOLE.fullmatch(word) for line in values for word in line.split())
+
+
+def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[NDArray[np.bool_], float]:
+    """Which rows (N,) are listed ones, and what part of all N are fitted ones: larger where not all were listed.
+
+    Rows of an instrument with other columns are never those that were fitted.
+    """
+    nobody = np.zeros(len(samples), dtype=bool)
+    known = np.array([line.split() for line in listed["values"]], dtype=np.float64)
+    near = _near(layout)
+    if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
+        return nobody, 0.0
+    # one unit of these is as near as two rows may be; half a step more is rounding
+    scale = near + 0.5
+    distance, _ = cKDTree(known / scale).query(_on_grid(samples, layout) / scale, p=np.inf, distance_upper_bound=1.0)
+    same = np.isfinite(distance)
+    return same, float(same.mean()) * listed["rows"] / len(known)
+
+
+def copies(samples: Samples) -> NDArray[np.bool_]:
+    """Which rows (N,) say once more, to the last digit of joints and readings, what an earlier one says.
+
+    Rows that were pasted are copies; touches that were made again may agree by chance where a dial is coarse, and then
+    count. So all rows are taken to be pasted as often as all of them stand there; what repeats beyond that are copies
+    unless touches of some posture differ, which shows that postures were touched again.
+    """
+    joints = np.unique(samples.joints, axis=0, return_inverse=True)[1].ravel()
+    values = np.column_stack([joints, *samples.columns.values()])
+    _, codes, sizes = np.unique(values, axis=0, return_inverse=True, return_counts=True)
+    codes = codes.ravel()
+    before = _earlier(codes)
+    if len(sizes) > joints.max(initial=-1) + 1:  # some posture has two readings
+        times = int(np.gcd.reduce(sizes))
+        return before >= (sizes // times)[codes]
+    return before > 0
+
+
+def _earlier(codes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """How many earlier rows (N,) have the same code."""
+    order = np.argsort(codes, kind="stable")
+    ordered = codes[order]
+    starts = np.searchsorted(ordered, ordered, side="left")
+    earlier = np.empty(len(codes), dtype=np.intp)
+    earlier[order] = np.arange(len(codes)) - starts
+    return earlier
+
+
+def _kinds(layout: Layout) -> list[Dimension]:
+    return [*layout.joints, *(layout.columns[name] for name in sorted(layout.columns))]
+
+
+def _on_grid(samples: Samples, layout: Layout) -> Array:
+    """Joint values and readings (N, n + c) as whole numbers of steps."""
+    values = [*samples.joints.T, *(samples.columns[name] for name in sorted(layout.columns))]
+    steps = (GRID[kind] for kind in _kinds(layout))
+    whole = np.column_stack([np.round(value / step) for value, step in zip(values, steps, strict=True)])
+    return np.asarray(np.clip(whole, -LARGEST, LARGEST))
+
+
+def _near(layout: Layout) -> Array:
+    """Steps (n + c,) within which two rows are one; where the instrument reads nothing, joints are its reading."""
+    if not layout.columns:
+        return np.full(len(layout.joints), float(NEAR_READING))
+    joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
+    return np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)

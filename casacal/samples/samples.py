@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SamplesError
-from casacal.samples.layout import Layout, numeric_columns
-from casacal.samples.quantities import Quantities
+from casacal.samples.layout import Layout, Quantities, numeric_columns
 from casacal.tables.arrays import columns_of_arrays, digest_of
 from casacal.tables.columns import Columns, Labels
 from casacal.tables.read import columns_of_frame, read_columns

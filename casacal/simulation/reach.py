@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments import Instrument
-from casacal.instruments.instrument import Probe
+from casacal.instruments.description import Probe
 from casacal.kernels.batch import Batch
 from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot

@@ -17,10 +17,9 @@ from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.asked_rows import check_asked, own_noise, row_labels
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
-from casacal.simulation.places import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, Truth, plane_coordinates
+from casacal.simulation.touches import random_tips, spot, stands
+from casacal.simulation.true_arm import Draw, Truth, check_asked, own_noise, plane_coordinates, row_labels
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 

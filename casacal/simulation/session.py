@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
-from casacal.instruments.instrument import Instrument, Probe
+from casacal.instruments.description import Probe
+from casacal.instruments.instrument import Instrument
 from casacal.problem.cell import OF_DIALS, Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

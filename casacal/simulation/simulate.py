@@ -13,12 +13,11 @@ from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
-from casacal.simulation.asked_rows import check_asked
-from casacal.simulation.places import default_cell
 from casacal.simulation.rows import fitting_rows
 from casacal.simulation.session import touched_rows
 from casacal.simulation.simulation import Simulation
-from casacal.simulation.true_arm import Draw
+from casacal.simulation.touches import default_cell
+from casacal.simulation.true_arm import Draw, check_asked
 from casacal.values import FrozenMapping
 
 

@@ -1,4 +1,4 @@
-"""Where and how a simulated arm touches the faces of its cell."""
+"""Where a simulated arm touches: places on the faces, and postures that reach them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
-from casacal.instruments.instrument import Probe
-from casacal.problem.cell import Cell
+from casacal.instruments.description import Probe
+from casacal.kinematics import stacked_poses
+from casacal.problem.cell import Cell, Face, corner
+from casacal.problem.disturbances import Disturbances
+from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.faults import form_error
 from casacal.simulation.reach import Touch
+from casacal.simulation.true_arm import true_unknowns
+from casacal.unknowns.unknown import tangent_basis
 
 EDGE = 0.05
 """Readings stay this part of the travel away from its ends."""
@@ -116,3 +121,103 @@ def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
     sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, len(axes))
     parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
     return np.asarray(np.einsum("ka,kax->kx", parts, axes))
+
+
+SLOPE = math.radians(15.0)
+"""Inclination of facets against the plunger of an arm that cannot tilt it."""
+ENOUGH = 0.1
+"""Part of the touches of the worst face that must succeed."""
+
+
+def default_cell(problem: Problem) -> Cell:
+    """Three faces where this arm touches them most readily; the same for the same problem.
+
+    They stand at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
+    inclined against the plunger another way. Raises SimulationError when no such place is found.
+    """
+    probe, rng = problem.instrument.probe, np.random.default_rng(0)
+    if probe is None:
+        raise SimulationError(
+            f"{type(problem.instrument).__name__} touches no faces, so no place for them is looked for",
+            "Simulate it without a cell",
+        )
+    nominal = true_unknowns(problem, probe, 0.0, rng)
+    touch = Touch.of(problem.robot, problem.instrument, probe, nominal)
+    tips, plungers = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[:2]
+    base = np.median(tips, axis=0)
+    reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
+    size = min(600.0, 0.4 * reach)
+    chosen = rng.choice(len(tips), 24, replace=False)
+    corners = [_corner_at(tips[k], base, size) for k in chosen]
+    facets = (_facets_at(tips[k], plungers[k], 0.25 * size) for k in chosen)
+    for cells in (corners, facets):
+        best, share = None, 0.0
+        for cell in cells:
+            reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
+            if reached > share:
+                best, share = cell, reached
+        if best is not None and share >= ENOUGH:
+            return best
+    raise SimulationError(
+        f"No place was found where '{problem.robot.name}' can touch three faces, at right angles or each inclined by "
+        f"{math.degrees(SLOPE):g} degrees against the plunger",
+        "Define `cell = Cell(faces=...)` in the problem file",
+    )
+
+
+def random_tips(problem: Problem) -> Array:
+    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
+    model, robot = problem.model, problem.robot
+    joints = random_joints(robot, 400, np.random.default_rng(0))
+    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
+    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
+    (pose,) = model.batch.pose(z, c, data)
+    return stacked_poses(pose)[:, :3, 3]
+
+
+def spot(reached: Array, k: int | None) -> Array:
+    """Place (3, mm) of the k-th thing among tips (N, 3) in random postures; in their midst where that is None.
+
+    Arms come to it from many sides: it stands neither next to the base nor at arm's length.
+    """
+    midst = np.median(reached, axis=0)
+    if k is None:
+        return np.asarray(midst)
+    away = np.linalg.norm(reached - midst, axis=1)
+    low, high = np.quantile(away, [0.4, 0.6])
+    between = reached[(away >= low) & (away <= high)]
+    return np.asarray(between[k % len(between)])
+
+
+def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
+    """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
+    if isinstance(cell, Cell):
+        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        return np.asarray(face.centre), face.axes[0]
+    return place, np.array([0.0, 0.0, 1.0])
+
+
+def _corner_at(centre: Array, base: Array, size: float) -> Cell:
+    """Three faces at right angles around a place (3, mm)."""
+    away = (base - centre)[:2]
+    towards = away.tolist() if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0)
+    return Cell(faces=corner(centre.tolist(), size=size, towards=towards))
+
+
+def _facets_at(centre: Array, plunger: Array, size: float) -> Cell:
+    """Three facets around a place (3, mm), each inclined another way against a plunger's direction (3)."""
+    towards = -plunger / np.linalg.norm(plunger)
+    u, v = tangent_basis(towards).T
+    faces = []
+    for k, label in enumerate(("one", "two", "three")):
+        aside = math.cos(2 * math.pi * k / 3) * u + math.sin(2 * math.pi * k / 3) * v
+        normal, place = math.cos(SLOPE) * towards + math.sin(SLOPE) * aside, centre + 0.75 * size * aside
+        faces.append(Face(label, (place[0], place[1], place[2]), (normal[0], normal[1], normal[2]), (size, size)))
+    return Cell(faces=tuple(faces), tilt=SLOPE + math.radians(1.0))
+
+
+def _share_reached(touch: Touch, probe: Probe, cell: Cell, rng: np.random.Generator) -> float:
+    which = np.arange(30) % len(cell.faces)
+    *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
+    shares = [good[which == i].mean() for i in range(len(cell.faces))]
+    return float(min(shares))

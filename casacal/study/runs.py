@@ -15,8 +15,8 @@ from casacal.errors import StudyError
 from casacal.study import executors, records
 from casacal.study.description import Study
 from casacal.study.records import Key, Record
+from casacal.study.study_file import Carried, Errand, carried, perform, perform_errand, tasks_of
 from casacal.study.supervised import supervised
-from casacal.study.tasks import Carried, Errand, carried, perform, perform_errand, tasks_of
 from casacal.study.trial import Task
 
 Progress = Callable[[int, int], None]

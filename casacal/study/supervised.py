@@ -17,7 +17,7 @@ from multiprocessing.process import BaseProcess
 from casacal.errors import CasacalError, StudyError
 from casacal.study.executors import end_with_parent
 from casacal.study.records import LIMIT, Record, key_of
-from casacal.study.tasks import Carried, Errand, opened
+from casacal.study.study_file import Carried, Errand, opened
 from casacal.study.trial import failed, heads, trial_records
 from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each

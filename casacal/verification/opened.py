@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.calibration.as_arm import AsArm
 from casacal.calibration.given import samples_of
+from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
@@ -21,7 +21,7 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile, load_problem
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
-from casacal.samples.copies import copies, fitted_among
+from casacal.samples.repeats import copies, fitted_among
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
 from casacal.verification.judged import noise_freedom

@@ -1,4 +1,4 @@
-"""Was the promise kept? Fresh rows of any instrument, judged without fitting the arm again."""
+"""Test a calibration by fresh rows; its result as a value, in words and as a page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from casacal.calibration.as_arm import AsArm
+from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem

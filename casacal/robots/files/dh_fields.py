@@ -9,9 +9,8 @@ from difflib import get_close_matches
 from typing import Any, TypeAlias
 
 from casacal.errors import ProblemError
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 
 
 def plain(value: float) -> str:

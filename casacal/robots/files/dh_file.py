@@ -44,11 +44,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from casacal.errors import ProblemError
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import Fields, conventions_of, joint_of, table_of
 from casacal.robots.files.dh_text import csv_text, read_csv, read_toml, toml_text
-from casacal.robots.joints import joints_of
+from casacal.robots.joints import Conventions, joints_of
 
 
 def read_dh_file(path: str | Path) -> DHTable:

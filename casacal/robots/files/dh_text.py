@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from casacal.errors import ProblemError, SamplesError
-from casacal.robots.conventions import Conventions
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import BLOCK_FIELDS, OFFSETS, ROW_FIELDS, Fields, check_names, degrees, plain
-from casacal.robots.joints import Joint
+from casacal.robots.joints import Conventions, Joint
 from casacal.tables.text import read_table
 
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
