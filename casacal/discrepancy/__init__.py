@@ -8,6 +8,9 @@ from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.kit import kit, rich_kit
 from casacal.discrepancy.smooth import Drift, FaceForm
 
+# names of earlier versions
+GearWaves, GravityGive, LinkGive, MeasuredGive = TransmissionError, GravitySag, LinkSag, TorqueCompliance
+
 __all__ = [
     "Backlash",
     "Drift",
