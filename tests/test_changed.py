@@ -27,12 +27,12 @@ from casacal import (
 from casacal.changes.explain import contenders, explanations
 from casacal.changes.look import AllTests, Look, row_bases
 from casacal.changes.memory import with_drift, with_memory
-from casacal.changes.whitened import Whitened, chances, likelihood, occam, seen_basis
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import default_cell
 from casacal.simulation.true_arm import Draw
+from casacal.uncertainty.fresh_rows import Whitened, chances, likelihood, occam, seen_basis
 from casacal.verification.opened import opened
 
 STANDING = ("floor", "wall", "side")

@@ -16,7 +16,7 @@ from casacal.array_types import Array
 from casacal.changes.causes import Cause
 from casacal.changes.look import Look
 from casacal.changes.state import Posterior, Prior
-from casacal.changes.whitened import chances, likelihood, occam
+from casacal.uncertainty.fresh_rows import chances, likelihood, occam
 from casacal.verification.fresh import Fresh
 
 OFF = 100.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.changes.causes import Cause, causes_of, slopes_of, with_shifts
-from casacal.changes.whitened import Whitened, chances, seen_basis
+from casacal.uncertainty.fresh_rows import Whitened, chances, seen_basis
 from casacal.verification.fresh import Fresh
 
 DRAWS = 20_000
