@@ -20,6 +20,7 @@ from casacal.calibration.result_json import calibration_document, write_simulati
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.compensate import compensate
+from casacal.compensation.inverse_kinematics import PosedArm
 from casacal.compensation.predict import predict, write_prediction
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, notes, text_of
 from casacal.compensation.result_file import read_result
@@ -441,3 +442,12 @@ def test_bad_targets_are_refused_in_one_line(cells, tmp_path, capsys, text, says
 def test_written_joints_stay_inside_the_limits(result):
     found = compensate(result, targets_of([deg(160, 20, 30, 40, 50, 60)]), rounding=Rounding(degrees=False, decimals=3))
     assert found.joints.max() <= deg(160)
+
+
+def test_a_start_beyond_the_limits_is_brought_inside():
+    problem = load_problem(ROOT / "problems" / "hsr_jr680").problem
+    arm = PosedArm.of(problem, np.zeros(problem.model.pose.numel_in(0)))
+    lower, upper = problem.robot.limits
+    positions, rotations, _ = arm((lower + upper)[None] / 2)
+    np.testing.assert_array_equal(arm.reach(positions, rotations, (upper + 1.0)[None], steps=0)[0], upper)
+    np.testing.assert_array_equal(arm.reach(positions, rotations, (lower - 1.0)[None], steps=0)[0], lower)

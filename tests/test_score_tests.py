@@ -22,7 +22,7 @@ from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.quadratic_forms import chance_beyond, chance_of_ratio, holm, together
 from casacal.uncertainty.row_forms import RowForm, alike, following, near_on_faces, whitened
 from casacal.uncertainty.score_tests import leading_tests, score_tests
-from casacal.uncertainty.scores import Ground, Score
+from casacal.uncertainty.scores import Ground, Score, ScoreTest
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 ROWS, FLAT = 26, 2
@@ -144,6 +144,19 @@ def test_sizes_are_found(linear):
     form = csr_matrix(np.kron(np.eye(120), np.ones((5, 5))))
     y = rng.normal(size=600) + np.repeat(1.5 * rng.normal(size=120), 5)
     assert RowForm.of(about(jacobian, prior, y, np.zeros(5)), jacobian, y, form).size == pytest.approx(1.5, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("p", "p_holm", "leads", "shown"),
+    [
+        (1e-9, 1e-8, True, "yes"),
+        (1e-4, 5e-3, False, "explained"),
+        (1e-3, 0.02, False, "perhaps"),
+        (0.06, 0.6, False, "no"),
+    ],
+)
+def test_how_an_effect_shows(p, p_holm, leads, shown):
+    assert ScoreTest("give", "gravity sag", p, p_holm, 0.3, 0.15, "mm", 0.2, leads).shown == shown
 
 
 def test_which_rows_err_together():
