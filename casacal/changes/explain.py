@@ -8,16 +8,15 @@ rows it is costs the logarithm of N.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.changes.causes import Cause
-from casacal.changes.look import Look
-from casacal.changes.state import Posterior, Prior
-from casacal.uncertainty.fresh_rows import chances, likelihood, occam
-from casacal.verification.fresh import Fresh
+from casacal.changes.look import Look, alone
+from casacal.changes.posterior import Posterior, Prior
+from casacal.uncertainty.fresh_rows import chance, likelihood, occam
 
 OFF = 100.0
 """Times its noise by which a row that is off usually is: a turn of a pointer that was not counted, 1 mm of 0.01 mm."""
@@ -33,37 +32,30 @@ NAMED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
-    """A cause at its best, or a row that is off.
+class Fitted:
+    """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, r) that show."""
 
-    shift, std: of its unknowns (k,), with standard deviations; none of a row. share: part of the evidence. left: chance
-    of what it leaves unexplained. p: chance of as much explained where nothing changed.
+    shift: Array
+    std: Array
+    posterior: Posterior
+    ways: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A cause, or a row that is off.
+
+    share: part of the evidence. left: chance of what it leaves unexplained. p: chance of as much explained where
+    nothing changed. fitted: of a cause, but to first order.
     """
 
     cause: Cause | None
     row: int
-    shift: Array
-    std: Array
     p: float
     left: float
     evidence: float
-    share: float
-    posterior: Posterior | None
-
-
-def prior_of(look_fresh: Fresh, unknowns: int) -> Prior:
-    """The earlier posterior of fresh rows, among so many unknowns of the shifted ones, shifts held at zero."""
-    bound, known = look_fresh.bound, look_fresh.known
-    more = unknowns - bound.unknowns
-    free = np.flatnonzero(~known)
-    firm = np.isfinite(bound.prior_std[free])
-    at = np.concatenate([np.where(known, look_fresh.at, look_fresh.x), np.zeros(more)])
-    guess = np.where(firm, bound.x0[free] - at[free], 0.0)
-    made = Prior.of(
-        at[: bound.unknowns], known, look_fresh.covariance, (guess, bound.prior_std[free], bound.start_std[free])
-    )
-    ways = np.vstack([made.ways, np.zeros((more, made.ways.shape[1]))])
-    return Prior(at, ways, made.mean, made.stds, made.start)
+    share: float = 0.0
+    fitted: Fitted | None = None
 
 
 def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
@@ -71,16 +63,36 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
 
     linear: causes to first order, which says nothing of where they leave the arm.
     """
-    found = [*(_linear(look) if linear else _causes(look)), *_rows(look)]
-    if not found:
-        return []
-    best = max(each.evidence for each in found)
+    tests, prior = look.tests, None if linear else Prior.of(look.fresh, look.shifted.unknowns)
+    by_cause, by_row, nothing = tests.found
+    p_cause, p_row, _ = tests.p
+    found = []
+    for k, cause in enumerate(look.causes):
+        if not look.seen(k):
+            continue
+        n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
+        if prior is None:
+            left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
+            found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
+            continue
+        used = _shown(look, k)
+        ways = np.zeros((look.shifted.unknowns, n))
+        ways[cause.columns] = used
+        posterior = prior.with_ways(ways, np.ones(n)).given(look.shifted, most=STEPS, strict=False)
+        covariance = posterior.covariance[-n:, -n:]
+        std = np.sqrt(np.maximum(np.diagonal(used @ covariance @ used.T), 0.0))
+        left, evidence = _judged(look, posterior.chi_square, n, cost)
+        p = chance(max(nothing - posterior.chi_square, 0.0), n, tests.noise)
+        fitted = Fitted(used @ posterior.v[-n:], std, posterior, ways)
+        found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
+    per_row = tests.rows.shape[2]
+    for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
+        cost = occam(alone(tests.fresh, k, per_row), np.full(per_row, OFF)) + math.log(tests.judged)
+        left, evidence = _judged(look, nothing - float(by_row[k]), int(tests.row_freedoms[k]), cost)
+        found.append(Explanation(None, k, float(p_row[k]), left, evidence))
+    best = max((each.evidence for each in found), default=0.0)
     weights = [math.exp(each.evidence - best) for each in found]
-    total = sum(weights)
-    shared = [
-        Explanation(e.cause, e.row, e.shift, e.std, e.p, e.left, e.evidence, w / total, e.posterior)
-        for e, w in zip(found, weights, strict=True)
-    ]
+    shared = [replace(each, share=weight / sum(weights)) for each, weight in zip(found, weights, strict=True)]
     return sorted(shared, key=lambda each: -each.share)
 
 
@@ -95,62 +107,15 @@ def contenders(found: list[Explanation]) -> list[Explanation]:
     return chosen
 
 
-def _causes(look: Look) -> list[Explanation]:
-    prior, nothing = prior_of(look.fresh, look.shifted.unknowns), look.tests.whitened.chi_square
-    freedom, noise = look.tests.whitened.freedom, look.tests.noise
-    found = []
-    for k, cause in enumerate(look.causes):
-        if not look.seen(k):
-            continue
-        ways, used = ways_of(look, k)
-        posterior = prior.with_ways(ways, np.ones(ways.shape[1])).given(look.shifted, most=STEPS, strict=False)
-        n, chi = ways.shape[1], posterior.chi_square
-        place = slice(len(posterior.v) - n, None)
-        shift = used @ posterior.v[place]
-        std = np.sqrt(np.maximum(np.diagonal(used @ posterior.covariance[place, place] @ used.T), 0.0))
-        evidence = likelihood(chi, freedom, noise) - occam(look.slopes[k], cause.sizes)
-        p = float(chances(np.array(max(nothing - chi, 0.0)), float(n), noise))
-        left = float(chances(np.array(chi), float(freedom - n), noise))
-        found.append(Explanation(cause, -1, shift, std, p, left, evidence, 0.0, posterior))
-    return found
-
-
-def _linear(look: Look) -> list[Explanation]:
-    tests, found = look.tests, list[Explanation]()
-    falls = tests.falls(tests.whitened.residual[None])[0][0]
-    for k, cause in enumerate(look.causes):
-        if look.seen(k):
-            n, chi = int(tests.freedoms[k]), tests.whitened.chi_square - float(falls[k])
-            evidence = likelihood(chi, tests.whitened.freedom, tests.noise) - occam(look.slopes[k], cause.sizes)
-            left = float(chances(np.array(chi), float(tests.whitened.freedom - n), tests.noise))
-            none, p = np.zeros(0), float(look.by_cause[k])
-            found.append(Explanation(cause, -1, none, none, p, left, evidence, 0.0, None))
-    return found
-
-
-def ways_of(look: Look, k: int) -> tuple[Array, Array]:
-    """Directions (n, r) in all unknowns along which a cause shows, and the same in its own (k, r)."""
-    cause = look.causes[k]
-    _, _, rows = np.linalg.svd(look.slopes[k] * cause.sizes, full_matrices=False)
-    used = cause.sizes[:, None] * rows[: int(look.tests.freedoms[k])].T
-    ways = np.zeros((look.shifted.unknowns, used.shape[1]))
-    ways[cause.columns] = used
-    return ways, used
-
-
-def _rows(look: Look) -> list[Explanation]:
+def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[float, float]:
+    """Chance of the chi-square that is left, and the evidence, after so many directions of such a cost were fitted."""
     tests = look.tests
-    falls, nothing = tests.falls(tests.whitened.residual[None])[1][0], tests.whitened.chi_square
-    judged = np.flatnonzero(tests.row_freedoms > 0)
-    found = []
-    for k in judged.tolist():
-        n, chi = int(tests.row_freedoms[k]), nothing - float(falls[k])
-        per_row = tests.rows.shape[2]
-        alone = np.zeros((len(tests.whitened.residual), per_row))
-        alone[k * per_row + np.arange(per_row), np.arange(per_row)] = 1.0
-        cost = occam(tests.whitened.of_columns(alone), np.full(per_row, OFF)) + math.log(judged.size)
-        evidence = likelihood(chi, tests.whitened.freedom, tests.noise) - cost
-        left = float(chances(np.array(chi), float(tests.whitened.freedom - n), tests.noise))
-        none = np.zeros(0)
-        found.append(Explanation(None, k, none, none, float(look.by_row[k]), left, evidence, 0.0, None))
-    return found
+    whole = tests.fresh.freedom
+    return chance(chi_square, whole - freedom, tests.noise), likelihood(chi_square, whole, tests.noise) - cost
+
+
+def _shown(look: Look, k: int) -> Array:
+    """Directions (k, r) in a cause's own unknowns along which it shows."""
+    sizes = look.causes[k].sizes
+    _, _, rows = np.linalg.svd(look.slopes[k] * sizes, full_matrices=False)
+    return np.asarray(sizes[:, None] * rows[: int(look.tests.freedoms[k])].T)

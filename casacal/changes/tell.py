@@ -15,8 +15,9 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.changes.change import Change
-from casacal.changes.explain import Explanation, prior_of, ways_of
+from casacal.changes.explain import Explanation, Fitted
 from casacal.changes.look import Look
+from casacal.changes.posterior import Prior
 from casacal.errors import CasacalError
 from casacal.files import write_text
 from casacal.planning.choice import pool_of
@@ -58,7 +59,7 @@ def telling(
 
     None where none are asked for, where there is but one cause beside rows that are off, where no touch is in reach.
     """
-    causes = [each for each in found if each.posterior is not None]
+    causes = [each.fitted for each in found if each.fitted is not None]
     if not count or len(causes) < 2:
         return None, 0.0
     try:
@@ -81,19 +82,13 @@ def telling(
     return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
-def _expected(look: Look, found: Explanation, there: BoundProblem) -> _Expected:
+def _expected(look: Look, fitted: Fitted, there: BoundProblem) -> _Expected:
     """Of an explanation: where it puts the arm, and what it leaves open."""
-    posterior, count = found.posterior, len(there.block.samples)
-    assert posterior is not None
-    prior = prior_of(look.fresh, look.shifted.unknowns)
-    ways = np.hstack([prior.ways, _own_ways(look, found)])
+    posterior, count = fitted.posterior, len(there.block.samples)
+    ways = np.hstack([Prior.of(look.fresh, look.shifted.unknowns).ways, fitted.ways])
     half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))
     slopes = there.jacobian(posterior.x) @ ways @ half
     return _Expected(there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1]))
-
-
-def _own_ways(look: Look, found: Explanation) -> Array:
-    return ways_of(look, next(k for k, cause in enumerate(look.causes) if cause is found.cause))[0]
 
 
 def _odds(one: _Expected, two: _Expected, rows: list[int]) -> float:

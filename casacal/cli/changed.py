@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of, numbers_of
-from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, fresh_rows, made_from, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -44,32 +44,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
-    from casacal.changes.changed import changed_by
+    from casacal.changes.changed import looked
     from casacal.changes.tell import write_touches
     from casacal.changes.update import after
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
-    from casacal.problem.problem_file import load_problem
-    from casacal.verification.opened import measured_by
+    from casacal.verification.opened import opened
 
-    if not options.samples.strip():
-        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
-    result = read_result(options.result)
+    result, other, named, rows = fresh_rows(options)
     _spare(options, made_from(result))
-    other = None if options.problem is None else load_problem(options.problem)
-    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
-    problem = seen_by(result, named).source.problem if other is None else other.problem
-    given, found, look = changed_by(
-        result,
-        problem.read(options.samples, readings=options.readings, key=options.id),
-        problem=other,
-        instrument=named,
-        standing=names_of("--standing", options.standing),
-        drift=numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5"),
-        alarm=options.alarm,
-        touches=0 if options.touches is None else TOUCHES,
-        seed=options.seed,
-    )
+    standing = names_of("--standing", options.standing)
+    given = opened(result, rows, problem=other, instrument=named, standing=standing)
+    drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
+    touches = 0 if options.touches is None else TOUCHES
+    found, look = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
     written, refused = list[str](), ""
     if options.update is not None:
         try:

@@ -17,7 +17,7 @@ from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.effect_sizes import Told, evidence, told
 from casacal.uncertainty.figures import HALF_WEIGHT
-from casacal.uncertainty.fresh_rows import chance, covariance_root, expected
+from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 
 MOST_FACES = 12
 """Faces beyond which as many fits take long, and one face more or less says little."""
@@ -77,7 +77,7 @@ def _left_out(
     index = index[result.weights[index] >= HALF_WEIGHT]
     slopes = bound.jacobian(fit.x)[index]
     spread = slopes[:, known] @ covariance_root(fit.covariance[np.ix_(known, known)])
-    judged = expected(bound.residual(fit.x)[index], spread, slopes[:, ~known])
+    judged = FreshRows(bound.residual(fit.x)[index], spread, slopes[:, ~known])
     if judged.freedom < 1:
         return None
     of_unit = bound.leading[index]
