@@ -36,6 +36,13 @@ class Touch(Value):
         object.__setattr__(self, "columns", FrozenMapping({k: float(v) for k, v in self.columns.items()}))
         object.__setattr__(self, "labels", FrozenMapping(self.labels))
 
+    @staticmethod
+    def of(samples: Samples, k: int, number: int | None = None, purpose: str = FIT, *, kept: bool = False) -> Touch:
+        """A row of samples."""
+        columns = {name: float(values[k]) for name, values in samples.columns.items()}
+        labels = {name: labels[k] for name, labels in samples.labels.items()}
+        return Touch(samples.joints[k], columns, labels, number, purpose, kept)
+
 
 def rows_of(touches: Sequence[Touch]) -> Samples:
     """The touches as rows, in their order; one or more."""
@@ -53,17 +60,7 @@ def rows_of(touches: Sequence[Touch]) -> Samples:
 
 def planned_touches(plan: Route) -> tuple[Touch, ...]:
     """The touches of a plan, numbered from 1, with the readings to expect."""
-    samples = plan.samples
-    return tuple(
-        Touch(
-            samples.joints[k],
-            {name: float(values[k]) for name, values in samples.columns.items()},
-            {name: labels[k] for name, labels in samples.labels.items()},
-            k + 1,
-            plan.purposes[k],
-        )
-        for k in range(len(plan))
-    )
+    return tuple(Touch.of(plan.samples, k, k + 1, purpose) for k, purpose in enumerate(plan.purposes))
 
 
 def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
@@ -86,10 +83,13 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
 def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> dict[str, float]:
     """What the instrument read by column; raises CasacalError where it does not fit."""
     asked = list(layout.columns)
-    given = reading if isinstance(reading, Mapping) else {} if reading is None else dict.fromkeys(asked[:1], reading)
     wanted = ", ".join(asked) or "no reading at all"
-    if isinstance(reading, Mapping) is False and reading is not None and len(asked) != 1:
+    if reading is None or isinstance(reading, Mapping):
+        given: Mapping[str, float] = reading or {}
+    elif len(asked) != 1:
         raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
+    else:
+        given = {asked[0]: reading}
     for name in given:
         if name not in asked:
             raise UnknownNameError("column of a touch", name, asked)

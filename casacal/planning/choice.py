@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, came
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
 from casacal.problem.cell import Cell
@@ -28,6 +28,15 @@ ROUNDS = 20
 
 RARE = 0.05
 """Part of all that must keep clear, or a plan makes no sense."""
+
+
+def refuse_several(problem: Problem, what: str, fix: str) -> None:
+    """Raise CasacalError for what is no problem, or one of several instruments."""
+    if not isinstance(problem, Problem):
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
+    if len(problem.instruments) > 1:
+        names = ", ".join(problem.names)
+        raise CasacalError(f"{what}, but the problem has {names}", f"{fix} problem.measured_by(name)")
 
 
 def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.planning.choice import Choice, pool_of, wanted_joints
+from casacal.planning.choice import Choice, pool_of, refuse_several, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.offers import seldom
@@ -228,13 +228,7 @@ def _criterion(name: str) -> Criterion:
 def _check(
     problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
 ) -> None:
-    if not isinstance(problem, Problem):
-        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
-    if len(problem.instruments) > 1:
-        names = ", ".join(problem.names)
-        raise CasacalError(
-            f"A plan is for one instrument, but the problem has {names}", "Plan for problem.measured_by(name)"
-        )
+    refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
             raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from {least} on")

@@ -18,6 +18,7 @@ from casacal.tables.read import read_columns
 from casacal.values import Value
 
 FIT, AGAIN, CHECK = "fit", "again", "check"
+PURPOSES = (FIT, AGAIN, CHECK)
 """What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
 
 EXPECTED = "expected_"
@@ -47,7 +48,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
 
     layout: of the problem's samples. Raises SamplesError.
     """
-    expected = _expected(layout)
+    expected = Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
     columns = read_columns(path, lambda header: numeric_columns(header, expected), layout.labels)
     measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
     if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
@@ -56,16 +57,11 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     read = Samples.from_columns(columns, expected)
     purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):
-        if purpose not in (FIT, AGAIN, CHECK):
+        if purpose not in PURPOSES:
             fix = f"Write {FIT}, {AGAIN} or {CHECK}"
             raise SamplesError(read.file, f"'{purpose}' is no purpose", fix, line=line, column="purpose")
     readings = {name.removeprefix(EXPECTED): values for name, values in read.columns.items()}
     return Route(replace(read, columns=readings, extra={}), purposes)
-
-
-def _expected(layout: Layout) -> Layout:
-    """The same with readings that are to be expected."""
-    return Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
 
 
 SWEEPS = 40
