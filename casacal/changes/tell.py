@@ -21,8 +21,7 @@ from casacal.changes.posterior import Prior
 from casacal.errors import CasacalError
 from casacal.files import write_text
 from casacal.planning.choice import pool_of
-from casacal.planning.route import FIT, shortest_way
-from casacal.planning.written import postures_text
+from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.layout import Layout

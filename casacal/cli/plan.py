@@ -164,7 +164,7 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
     from casacal.fieldwork.approaches import approaches
-    from casacal.fieldwork.programs import LANGUAGES, program_text
+    from casacal.fieldwork.programs import PROGRAMS, program_text
     from casacal.fieldwork.sheet import sheet_page
     from casacal.files import write_text
     from casacal.planning.written import plan_text
@@ -177,7 +177,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
         for language in dict.fromkeys(options.program):
             text = program_text(problem, found, ways, language, name)
-            texts[Path(options.out).with_suffix(LANGUAGES[language].ending)] = text
+            texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
         blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
         if blocked and not options.json:
             say_paragraph(

@@ -5,15 +5,14 @@ RAPID (ABB), KRL (KUKA) and URScript (Universal Robots); moves are of the joints
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.programs import in_comments, printable
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.compensation.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
+from casacal.errors import UnknownNameError
 from casacal.fieldwork.approaches import Approaches
 from casacal.planning.route import Route
 from casacal.problem.problem import Problem
@@ -21,13 +20,11 @@ from casacal.values import FrozenMapping
 
 
 @dataclass(frozen=True)
-class Language:
-    """What a controller reads: how joint values are written, and the lines of a fast move, a slow one and a wait."""
+class Program:
+    """A program in a controller's language: decimals of joint values, and lines around and of its moves and waits."""
 
-    name: str
+    language: Language
     ending: str
-    comment: str
-    degrees: bool
     decimals: int
     head: tuple[str, ...]
     fast: tuple[str, ...]
@@ -39,43 +36,36 @@ class Language:
 LONGEST_LABEL = 40
 """Letters of a label that fit on a pendant: RAPID holds 80 in a string."""
 
-JOINTS6 = "[[{},{},{},{},{},{}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
-LANGUAGES: Mapping[str, Language] = FrozenMapping(
+PROGRAMS: Mapping[str, Program] = FrozenMapping(
     {
-        "rapid": Language(
-            "RAPID",
+        "rapid": Program(
+            RAPID,
             ".mod",
-            "!",
-            True,
             4,
             ("MODULE casacal_plan", "  PROC touch_the_plan()"),
-            (f"    MoveAbsJ {JOINTS6}\\NoEOffs, v50, fine, tool0;",),
-            (f"    MoveAbsJ {JOINTS6}\\NoEOffs, v5, fine, tool0;",),
-            ('    TPWrite "{words}";', "    Stop;"),
+            ("    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;",),
+            ("    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;",),
+            ('    TPWrite "{}";', "    Stop;"),
             ("  ENDPROC", "ENDMODULE"),
         ),
-        "krl": Language(
-            "KRL",
+        "krl": Program(
+            KRL,
             ".src",
-            ";",
-            True,
             4,
             ("DEF casacal_plan()", "  BAS(#INITMOV, 0)"),
-            ("  BAS(#VEL_PTP, 10)", "  PTP {{A1 {}, A2 {}, A3 {}, A4 {}, A5 {}, A6 {}}}"),
-            ("  BAS(#VEL_PTP, 1)", "  PTP {{A1 {}, A2 {}, A3 {}, A4 {}, A5 {}, A6 {}}}"),
-            ("  ; {words}", "  HALT"),
+            ("  BAS(#VEL_PTP, 10)", "  PTP {}"),
+            ("  BAS(#VEL_PTP, 1)", "  PTP {}"),
+            ("  ; {}", "  HALT"),
             ("END",),
         ),
-        "urscript": Language(
-            "URScript",
+        "urscript": Program(
+            URSCRIPT,
             ".script",
-            "#",
-            False,
             7,
             ("def casacal_plan():",),
-            ("  movej([{}, {}, {}, {}, {}, {}], a=0.4, v=0.2)",),
-            ("  movej([{}, {}, {}, {}, {}, {}], a=0.1, v=0.02)",),
-            ('  popup("{words}", blocking=True)',),
+            ("  movej({}, a=0.4, v=0.2)",),
+            ("  movej({}, a=0.1, v=0.02)",),
+            ('  popup("{}", blocking=True)',),
             ("end",),
         ),
     }
@@ -89,37 +79,31 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     name: of the problem. Where no clear way leads to a touch, the program stops before it. Raises CasacalError for a
     robot whose joints the language does not hold, UnknownNameError for a language that there is not.
     """
-    if language not in LANGUAGES:
-        raise UnknownNameError("language of programs", language, LANGUAGES)
-    form = LANGUAGES[language]
-    kinds = "".join(joint.kind[0].upper() for joint in problem.robot.axes)
-    if kinds != "RRRRRR":
-        raise CasacalError(
-            f"'{problem.robot.name}' has {len(kinds)} joints ({kinds}), and a move in {form.name} has six that turn",
-            "Use the plan's CSV",
-        )
-    lines = [form.head[0], *(f"  {form.comment} {line}" for note in _notes(name) for line in in_comments(note))]
-    lines += form.head[1:]
+    if language not in PROGRAMS:
+        raise UnknownNameError("language of programs", language, PROGRAMS)
+    form = PROGRAMS[language]
+    form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    notes = (line for note in _notes(name) for line in in_comments(note))
+    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in notes), *form.head[1:]]
+
+    def add(part: tuple[str, ...], words: str) -> None:
+        lines.extend(line.format(words) for line in part)
+
+    def written(joints: Array) -> str:
+        return form.language.written(joints, form.decimals)
+
     labels = list(route.samples.labels.values())
     for k, purpose in enumerate(route.purposes):
         where = printable(" ".join(label[k] for label in labels)).replace('"', "'")
-        words = f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})"
         if not ways.clear[k]:
-            halt = f"no clear way to touch {k + 1} was found: jog the arm above it, then go on"
-            lines += [line.format(words=halt) for line in form.wait]
-        above, there = _written(ways.above[k], form), _written(route.samples.joints[k], form)
+            add(form.wait, f"no clear way to touch {k + 1} was found: jog the arm above it, then go on")
         for place in (ways.via[k], ways.above[k]):
             if np.isfinite(place).all():
-                lines += [line.format(*_written(place, form)) for line in form.fast]
-        lines += [line.format(*there) for line in form.slow]
-        lines += [line.format(words=words) for line in form.wait]
-        lines += [line.format(*above) for line in form.slow]
+                add(form.fast, written(place))
+        add(form.slow, written(route.samples.joints[k]))
+        add(form.wait, f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
+        add(form.slow, written(ways.above[k]))
     return "\n".join([*lines, *form.end]) + "\n"
-
-
-def _written(joints: Array, form: Language) -> list[str]:
-    factor = 180 / math.pi if form.degrees else 1.0
-    return [f"{value * factor:.{form.decimals}f}" for value in joints]
 
 
 def _notes(name: str) -> list[str]:

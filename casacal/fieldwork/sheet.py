@@ -11,8 +11,7 @@ from casacal.errors import ProblemError
 from casacal.pages.markup import tag, together
 from casacal.pages.render import rendered
 from casacal.planning.clearance import nodes_of
-from casacal.planning.route import Route
-from casacal.planning.written import PLANNED_DECIMALS
+from casacal.planning.route import PLANNED_DECIMALS, Route
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 

@@ -9,7 +9,7 @@ import numpy as np
 from casacal.measuring.examine import Suspected
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
-from casacal.planning.written import PLANNED_DECIMALS
+from casacal.planning.route import PLANNED_DECIMALS
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
 from casacal.wording import counted

@@ -60,14 +60,11 @@ def pool_of(
     if clearance is None:
         return simulate(problem, still, samples=count, seed=seed).samples
     found: Samples | None = None
-    tried = 0
     for k in range(ROUNDS):
-        drawn = simulate(problem, still, samples=count, seed=seed if k == 0 else seed + 7919 * k).samples
+        drawn, tried = simulate(problem, still, samples=count, seed=seed + 7919 * k).samples, count * (k + 1)
         faces = still if isinstance(still, Cell) else None
         good = np.flatnonzero(clearance.clear(problem.robot, faces, drawn.joints, nominal_tips(problem, 0, drawn)))
-        tried += count
-        some = drawn.take(good)
-        found = some if found is None else joined(found, some)
+        found = drawn.take(good) if found is None else joined(found, drawn.take(good))
         if len(found) >= count:
             return found.take(range(count))
         if len(found) < RARE * tried:
@@ -112,15 +109,19 @@ class Choice:
         name of the unknown: its standard deviation. at: the arm (n,), by default as drawn.
         """
         x, units, frame = bound.x0 if at is None else at, bound.start_std, workspace_joints(bound.problem.robot)
-        sets = [(bound.tips(x, q), bound.tip_jacobian(x, q)) for q in (joints, frame)]
-        field = up_to_base(sets[0][1], sets[0][0], sets[1][1], sets[1][0]) * units
+        sets = [(bound.tip_jacobian(x, q), bound.tips(x, q)) for q in (joints, frame)]
+        field = up_to_base(*sets[0], *sets[1]) * units
         rows = (bound.jacobian(x) * units).reshape(len(bound.measured), -1, bound.unknowns)
         known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
         if count is not None and count < len(rows):
             made = rows[count:].reshape(-1, bound.unknowns)
             known, rows = known + made.T @ made, rows[:count]
         if loose:
-            known = _loosened(known, bound, loose)
+            covariance = np.linalg.inv(known)
+            for name, std in loose.items():
+                j = bound.names.index(name)
+                covariance[j, j] += (std / units[j]) ** 2
+            known = np.linalg.inv(covariance)
         return Choice(rows, np.asarray(known), field.T @ field / len(joints))
 
     @staticmethod
@@ -154,33 +155,22 @@ class Choice:
         """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
         there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
         begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
-        found = [
-            exchange(self.rows, self.known, self.weight, begin, criterion=criterion, barred=barred) for begin in begins
-        ]
+        found = (exchange(self.rows, self.known, self.weight, k, criterion=criterion, barred=barred) for k in begins)
         return min(found, key=lambda each: each.loss).rows
 
     def curve(self, best: Chosen, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
         """Error by number of measurements: half and a quarter as many, these, and half as many again."""
-        counts = sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)})
-        others = {
-            count: self.error(self.best_of(count, 1, rng, criterion)) for count in counts if count <= len(self.rows)
-        }
-        return dict(sorted({**others, len(best): self.error(best)}.items()))
+        found = {len(best): self.error(best)}
+        for count in sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)}):
+            if count <= len(self.rows):
+                found[count] = self.error(self.best_of(count, 1, rng, criterion))
+        return dict(sorted(found.items()))
 
     def lost(self, best: Chosen, part: float, draws: int, rng: np.random.Generator) -> float:
         """Error, RMS over some draws, when a part of the measurements is lost at random."""
         left = max(len(best) - max(round(part * len(best)), 1), 1)
         errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
         return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _loosened(known: Array, bound: BoundProblem, loose: Mapping[str, float]) -> Array:
-    """Information once some unknowns may have moved by so much: their covariance grows."""
-    covariance = np.linalg.inv(known)
-    for name, std in loose.items():
-        j = bound.names.index(name)
-        covariance[j, j] += (std / bound.start_std[j]) ** 2
-    return np.asarray(np.linalg.inv(covariance))
 
 
 def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -> Array:

@@ -103,10 +103,11 @@ def plan(
 
     """
     _check(problem, touches, pool, starts, again, check, box, targets)
-    wanted = _criterion(criterion)
+    if criterion not in (names := [each.value for each in Criterion]):
+        raise UnknownNameError("criterion", str(criterion), names)
+    wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
-    bound = bind(problem, reachable if after is None else joined(reachable, _made(problem, after)))
-    _refuse_unknown(bound, loose)
+    bound = _bound(problem, reachable, after, loose)
     joints = wanted_joints(bound, box, targets)
     choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
@@ -150,8 +151,7 @@ def touches_for(
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"Got {came(tolerance)} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, 1000, 0)
-    bound = bind(problem, pool if after is None else joined(pool, _made(problem, after)))
-    _refuse_unknown(bound, loose)
+    bound = _bound(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
     count, rng = 3 if after is not None else 12, np.random.default_rng(0)
     while count < most:
@@ -204,25 +204,18 @@ def _over_arms(
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _refuse_unknown(bound: BoundProblem, loose: Mapping[str, float] | None) -> None:
+def _bound(problem: Problem, pool: Samples, after: Samples | None, loose: Mapping[str, float] | None) -> BoundProblem:
+    """A pool and after it touches that were made; raises SamplesError for those of another problem."""
+    if after is not None:
+        if not isinstance(after, Samples):
+            raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
+        after.check(problem.layout())
+        pool = joined(pool, after)
+    bound = bind(problem, pool)
     for name in loose or {}:
         if name not in bound.names:
             raise UnknownNameError("unknown", name, bound.names)
-
-
-def _made(problem: Problem, after: Samples) -> Samples:
-    """Touches that were made; raises SamplesError for those of another problem."""
-    if not isinstance(after, Samples):
-        raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
-    after.check(problem.layout())
-    return after
-
-
-def _criterion(name: str) -> Criterion:
-    names = [each.value for each in Criterion]
-    if name not in names:
-        raise UnknownNameError("criterion", str(name), names)
-    return Criterion(name)
+    return bound
 
 
 def _check(

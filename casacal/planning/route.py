@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
+from casacal.samples.write import samples_text
 from casacal.tables.read import read_columns
 from casacal.values import Value
 
@@ -41,6 +43,16 @@ class Route(Value):
 
     def __repr__(self) -> str:
         return f"<Route of {len(self)} touches>"
+
+
+PLANNED_DECIMALS = 4
+"""Of joint values in degrees and mm: what controllers take, and a few micrometres at the tip."""
+
+
+def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
+    """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
+    before = {"touch": [str(k) for k in range(1, len(purposes) + 1)], "purpose": list(purposes)}
+    return samples_text(layout, samples, notes, before=before, joint_decimals=PLANNED_DECIMALS, prefix=EXPECTED)
 
 
 def read_route(path: str | Path, layout: Layout) -> Route:
