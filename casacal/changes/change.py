@@ -6,8 +6,6 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from casacal.array_types import Array
 from casacal.samples.samples import Samples
 from casacal.values import Value, frozen
@@ -112,11 +110,6 @@ class Change(Judged):
     def changed(self) -> bool | None:
         """Whether the arm changed; None where these rows cannot say."""
         return {NOTHING: False, CHANGED: True}.get(self.ended)
-
-    @property
-    def largest_unseen(self) -> float:
-        """The largest shift of a turning joint that was looked for and might have been missed, rad."""
-        return float(np.max([each.shift for each in self.joints if each.unit == "rad"], initial=0.0))
 
     def summary(self) -> str:
         """What `casacal changed` prints: a paragraph each line."""

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtri, ndtri
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
@@ -190,8 +191,6 @@ class Look:
 
     def found_from(self, k: int) -> float:
         """Shift of a joint (rad, mm) that raises the alarm with a chance of 90 %; infinite where none does."""
-        from scipy.special import fdtri, ndtri
-
         length = float(np.linalg.norm(self.slopes[k]))
         if not self.seen(k) or not length:
             return math.inf

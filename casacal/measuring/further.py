@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
@@ -53,8 +54,6 @@ def error_below(weights: Array, sure: float = SURE) -> float:
 
     By the first three moments of the sum, between which lies a gamma distribution (Pearson's third).
     """
-    from scipy.special import gammaincinv
-
     mean, variance, third = (float((weights**k).sum()) for k in (1, 2, 3))
     if not variance > 0:
         return 0.0

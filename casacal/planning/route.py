@@ -101,12 +101,6 @@ def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
     return _uncrossed(np.array(order), apart)
 
 
-def length_of(robot: Robot, joints: Array) -> float:
-    """How far the joint that has furthest to go goes from posture to posture (N, n), all steps together, rad."""
-    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
-    return float(np.abs(np.diff(places, axis=0)).max(axis=1).sum())
-
-
 def _uncrossed(order: NDArray[np.intp], apart: Array) -> NDArray[np.intp]:
     """The same with parts of the way turned round while that makes it shorter; the first posture stays."""
     count = len(order)

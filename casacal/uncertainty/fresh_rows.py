@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc, gammaincc, ndtri
 
 from casacal.array_types import Array
 from casacal.least_squares.linalg import inverse_triangle
@@ -113,8 +114,6 @@ class FreshRows:
         One at a time, each judged by the rest; the rest's own scatter, where it is larger than expected, is the
         measure.
         """
-        from scipy.special import ndtri
-
         limit = -float(ndtri(CHANCE / (2 * max(len(self.residual), 1))))
         most, kept, found = max(3, int(MOST_GROSS * len(self.residual))), np.arange(len(self.residual)), []
         while kept.size:
@@ -161,8 +160,6 @@ class FreshRows:
 
 def chances(chi_square: Array, freedom: Array | float, noise_freedom: float = math.inf) -> Array:
     """Chance of so much or more, element by element: chi-square, or F where the noise was itself found."""
-    from scipy.special import fdtrc, gammaincc  # without the half second that importing scipy.stats takes
-
     freedom = np.asarray(freedom, dtype=np.float64)
     some = np.maximum(freedom, 1.0)
     if math.isfinite(noise_freedom):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import fdtrc, gammainc, gammaincc, ndtr
 
 from casacal.array_types import Array
 
@@ -44,8 +45,6 @@ def chance_beyond(weights: Array, squares: Array, rest: float, freedom: float) -
         freedom: its degrees of freedom, one or more.
 
     """
-    from scipy.special import fdtrc  # scipy.stats takes half a second to import
-
     total = float(squares.sum()) + rest
     if not total > 0:
         return 1.0
@@ -71,8 +70,6 @@ def chance_of_ratio(traces: Sequence[float], observed: float, freedom: float) ->
         freedom: dimension of that space.
 
     """
-    from scipy.special import gammainc, gammaincc, ndtr
-
     one, two, three = traces[0], 2 * traces[1], 8 * traces[2]
     first = one / freedom
     second = (two + one**2) / (freedom * (freedom + 2))
@@ -129,8 +126,6 @@ def _inverted(sizes: Array, counts: Array) -> float:
 
 def _saddle_point(sizes: Array, counts: Array) -> float:
     """The same far out in the upper tail, to a few hundredths of itself."""
-    from scipy.special import ndtr
-
     sizes = sizes / sizes.max()
     low, high = 0.0, 0.5
     for _ in range(200):

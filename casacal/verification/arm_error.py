@@ -20,6 +20,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
@@ -183,8 +184,6 @@ def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | N
     large. The calibration says so by what it found over what was stated, and the fresh rows by residuals that are too
     small where nothing but noise is expected; then the lower end of either is what counts.
     """
-    from scipy.special import gammaincinv
-
     noise = arm.document.get("noise") or {}
     low, high = noise.get("low"), noise.get("high")
     quieter = float(low) if low and high and high < TENTH and not fresh.other else 1.0

@@ -16,6 +16,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+from scipy.special import gammainc, gammainccinv, gammaincinv
+
 Verdict: TypeAlias = Literal["accept", "reject", "undecided"]
 
 RISK = 0.05
@@ -50,8 +52,6 @@ class Scatter:
 
     def upper_mm(self, chance: float) -> float:
         """Error of which so little or less would be seen with this chance."""
-        from scipy.special import gammaincinv
-
         half = self.freedom / 2
         below = chance * _share_below(half, self.square, self.noise)
         quantile = float(gammaincinv(half, below)) / half
@@ -59,8 +59,6 @@ class Scatter:
 
     def lower_mm(self, chance: float) -> float:
         """Error of which so much or more would be seen with this chance; as much as may be noise is taken for it."""
-        from scipy.special import gammainccinv
-
         half = self.freedom / 2
         quantile = float(gammainccinv(half, chance)) / half
         return math.sqrt(max(self.square / quantile - self.most, 0.0))
@@ -83,8 +81,6 @@ class Scatter:
 
     def reject_above_mm(self, tolerance: float, risk: float) -> float:
         """Smallest measured error that is rejected."""
-        from scipy.special import gammainccinv
-
         half = self.freedom / 2
         square = (tolerance**2 + self.most) * float(gammainccinv(half, risk)) / half
         return math.sqrt(square - self.noise)
@@ -147,8 +143,6 @@ def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Dec
 
 def _share_below(half: float, square: float, mean: float) -> float:
     """Chance of a mean square so small where its mean is another."""
-    from scipy.special import gammainc
-
     return 1.0 if mean <= 0 else float(gammainc(half, max(half * square / mean, SMALLEST)))
 
 
@@ -165,8 +159,6 @@ def _further(scatter: Scatter, given: float, tolerance: float, risk: float) -> i
 
 def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> bool:
     """Whether so many times the rows settle it, if the error is as measured."""
-    from scipy.special import gammainccinv
-
     measured = scatter.measured_mm
     more = replace(scatter, freedom=scatter.freedom * times)
     half = more.freedom / 2
