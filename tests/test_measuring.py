@@ -11,7 +11,7 @@ from measured_world import World, taken
 from scipy.optimize import least_squares
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
-from casacal.measuring.further import error_below, expected_error, spectrum
+from casacal.measuring.linear import error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
 from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy

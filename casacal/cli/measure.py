@@ -130,8 +130,7 @@ def _refuse_plan_of_another(path: str, name: str) -> None:
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
     """The session after its operator ended it, or it was at its end."""
-    from casacal.measuring.conversation import answered
-    from casacal.measuring.spoken import doubt, ended, posture
+    from casacal.measuring.conversation import answered, doubt, ended, posture
 
     for sentence in doubt(session):
         say_paragraph(sentence)
@@ -175,7 +174,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
 def _further(session: Session) -> bool:
     """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
-    from casacal.measuring.further import MOST
+    from casacal.measuring.linear import MOST
 
     beyond = sum(touch.number is None for touch in session.touches)
     if beyond % EVERY:

@@ -10,9 +10,8 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, Setting, State
-from casacal.measuring.further import POOL, Pool, error_below, expected_error, spectrum, wanted_field
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
-from casacal.measuring.linear import innovations_at
+from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum, wanted_field
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.touch import Touch, planned_touches, rows_of
 from casacal.planning.choice import pool_of, refuse_several, wanted_joints
