@@ -20,8 +20,7 @@ from casacal.verification.fresh import Fresh
 JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "shift_base", "shift_base_turn"
 """Keys of the unknowns: joints as the controller counts them, tool and base in mm along and rad about their axes."""
 
-WIDE = 10.0
-"""Standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them."""
+WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,8 @@ def _rigid(place: Expression, turn: Expression) -> Expression:
     return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
 
 
-SAME = 1e-6
-"""Part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow."""
-
-POSES = 60
-"""Postures at which these motions are compared."""
+SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
+POSES = 60  # postures at which these motions are compared
 
 
 def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:

@@ -12,9 +12,7 @@ from casacal.values import Value, frozen
 from casacal.verification.figures import Judged
 from casacal.wording import capital, chance, listed, numbered_lines, times
 
-INTERVAL = 1.96
-"""Standard deviations of an interval of 95 %."""
-
+INTERVAL = 1.96  # standard deviations of an interval of 95 %
 NOTHING, CHANGED, ROWS, UNDECIDED = "nothing", "changed", "rows", "undecided"
 """How it ended: nothing changed that these rows show; one thing did; rows are off; it cannot be told."""
 

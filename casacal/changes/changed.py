@@ -24,14 +24,9 @@ from casacal.samples.samples import Samples
 from casacal.values import is_real
 from casacal.verification.opened import Opened, opened
 
-MOST = 1500
-"""Rows that are looked at: each is compared with every cause as one that is off."""
-
-FEWEST = 3
-"""Rows that may be off, of few; of many one in twenty."""
-
-UNEXPLAINED = 0.01
-"""Chance of what a cause leaves below which it is not the whole of it."""
+MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
+FEWEST = 3  # rows that may be off, of few; of many one in twenty
+UNEXPLAINED = 0.01  # chance of what a cause leaves below which it is not the whole of it
 
 
 def changed(

@@ -22,9 +22,7 @@ from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
 from casacal.wording import counted, sentence
 
-KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")
-"""What an update leaves as it was."""
-
+KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # what an update leaves as it was
 GAIN = 0.9
 """As in the verdict of a calibration: expected tip error over the one of the priors, above which little was gained."""
 

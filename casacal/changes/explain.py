@@ -21,14 +21,9 @@ from casacal.uncertainty.fresh_rows import chance, likelihood, occam
 OFF = 100.0
 """Times its noise by which a row that is off usually is: a turn of a pointer that was not counted, 1 mm of 0.01 mm."""
 
-SURE = 0.95
-"""Part of the evidence from which on one cause is the one."""
-
-STEPS = 60
-"""Of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever."""
-
-NAMED = 0.02
-"""Part of the evidence below which a cause is none of those that remain."""
+SURE = 0.95  # part of the evidence from which on one cause is the one
+STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
+NAMED = 0.02  # part of the evidence below which a cause is none of those that remain
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,20 +17,11 @@ from casacal.changes.causes import Cause, causes_of, with_shifts
 from casacal.uncertainty.fresh_rows import FreshRows, chances, seen_basis
 from casacal.verification.fresh import Fresh
 
-DRAWS = 20_000
-"""Sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %."""
-
-AT_ONCE = 4_000_000
-"""Numbers that are drawn at once."""
-
-SPARE = 1e-6
-"""Part of a row's residual that must be left to it for it to be judged by the others."""
-
-POWER = 0.9
-"""Chance with which a change must be found to count as one that these rows would have shown."""
-
-NEVER = {"rad": 0.05, "mm": 50.0}
-"""A shift that nobody overlooks: what shows only beyond it does not show."""
+DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
+AT_ONCE = 4_000_000  # numbers that are drawn at once
+SPARE = 1e-6  # part of a row's residual that must be left to it for it to be judged by the others
+POWER = 0.9  # chance with which a change must be found to count as one that these rows would have shown
+NEVER = {"rad": 0.05, "mm": 50.0}  # a shift that nobody overlooks: what shows only beyond it does not show
 
 
 def alone(fresh: FreshRows, k: int, per_row: int) -> Array:

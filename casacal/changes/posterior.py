@@ -19,8 +19,7 @@ from casacal.uncertainty.fresh_rows import covariance_root
 from casacal.values import is_real
 from casacal.verification.fresh import Fresh
 
-ANEW = ("growth",)
-"""Keys of effects that move the tip and differ from session to session."""
+ANEW = ("growth",)  # keys of effects that move the tip and differ from session to session
 
 
 def with_memory(fresh: Fresh, arm: CalibratedArm) -> Fresh:

@@ -30,17 +30,12 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
 from casacal.verification.fresh import Fresh
 
-POOL = 400
-"""Touches among which is chosen."""
-
+POOL = 400  # touches among which is chosen
 WIDER = 1.5
 """Size of a face over the way between its touches: where somebody touched, one can touch again, and a little beside."""
 
-LEAST = 20.0
-"""Side of a face, mm, that has hardly been touched."""
-
-TELLS = 3.0
-"""Log-odds, twenty to one, from which touches tell causes apart."""
+LEAST = 20.0  # side of a face, mm, that has hardly been touched
+TELLS = 3.0  # log-odds, twenty to one, from which touches tell causes apart
 
 
 @dataclass(frozen=True, eq=False)

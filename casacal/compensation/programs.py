@@ -23,8 +23,7 @@ from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping
 
-LONGEST = 300
-"""Letters in a comment."""
+LONGEST = 300  # letters in a comment
 
 
 @dataclass(frozen=True)

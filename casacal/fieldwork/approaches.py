@@ -19,23 +19,14 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
 from casacal.values import Value
 
-RETREAT = 20.0
-"""How far the tip stands back before and after a touch, mm."""
-
+RETREAT = 20.0  # how far the tip stands back before and after a touch, mm
 HIGHER = (1.0, 2.0, 4.0, 8.0)
 """Times of that by which it is tried to stand back where the way between two touches is not clear."""
 
-MOST_PLACES = 40
-"""Places through which a way is tried."""
-
-ON_THE_WAY = 60
-"""Postures looked at between two touches."""
-
-FREE = 2.0
-"""How near the tip may come to a face between touches, mm."""
-
-ARRIVED = 0.05
-"""By how much a place above may be missed, mm."""
+MOST_PLACES = 40  # places through which a way is tried
+ON_THE_WAY = 60  # postures looked at between two touches
+FREE = 2.0  # how near the tip may come to a face between touches, mm
+ARRIVED = 0.05  # by how much a place above may be missed, mm
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,9 +33,7 @@ class Program:
     end: tuple[str, ...]
 
 
-LONGEST_LABEL = 40
-"""Letters of a label that fit on a pendant: RAPID holds 80 in a string."""
-
+LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
 PROGRAMS: Mapping[str, Program] = FrozenMapping(
     {
         "rapid": Program(

@@ -15,8 +15,7 @@ from casacal.planning.route import PLANNED_DECIMALS, Route
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 
-WIDE, HIGH = 64.0, 46.0
-"""Size of a picture, in its own units."""
+WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
 
 
 def sheet_page(problem: Problem, route: Route, name: str) -> str:

@@ -231,14 +231,14 @@ def ended(session: Session) -> list[str]:
             met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
         said.append(
             f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
-            f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. casacal "
-            "calibrate judges that"
+            f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "
+            "casacal calibrate judges that"
         )
     if few := session.too_few:
         have = "has" if len(few) == 1 else "have"
         said.append(
-            f"warning: {', '.join(few)} {have} too few touches; casacal calibrate asks for more there, or leaves them "
-            "out"
+            f"warning: {', '.join(few)} {have} too few touches; casacal calibrate asks for more there, or leaves "
+            "them out"
         )
     if session.alarm is not None:
         name = session.shown(session.alarm.touch)

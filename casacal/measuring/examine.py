@@ -24,30 +24,15 @@ from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import chance
 from casacal.values import Value
 
-NEW = 3e-3
-"""Chance of a touch that comes below which it is looked into."""
-
-EARLIER = 1e-4
-"""Chance of one that came before, which every later one tries again."""
-
-CLOSER_LOOK = 0.01
-"""Chance below which an earlier touch is a suspect where a new one is off."""
-
-MOST = 4
-"""Earlier touches that are looked into at once."""
-
-STRAY = 60.0
-"""Range (mm) over which a touch lies anywhere that is off for no known reason."""
-
+NEW = 3e-3  # chance of a touch that comes below which it is looked into
+EARLIER = 1e-4  # chance of one that came before, which every later one tries again
+CLOSER_LOOK = 0.01  # chance below which an earlier touch is a suspect where a new one is off
+MOST = 4  # earlier touches that are looked into at once
+STRAY = 60.0  # range (mm) over which a touch lies anywhere that is off for no known reason
 STRAY_WEIGHT = -2.0
-AS_LIKELY = math.log(20.0)
-"""Logarithm of evidence by which explanations may differ that are both named."""
-
-ALONG = 0.02
-"""Noise of a touch over that of others below which its plunger lies along the face."""
-
-AS_GOOD = 4
-"""Explanations that are named at most."""
+AS_LIKELY = math.log(20.0)  # logarithm of evidence by which explanations may differ that are both named
+ALONG = 0.02  # noise of a touch over that of others below which its plunger lies along the face
+AS_GOOD = 4  # explanations that are named at most
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,20 +24,11 @@ from casacal.values import Value, read_only
 Places = Mapping[str, Array]
 """Where things stand that were declared without a nominal value, by the full name of the unknown."""
 
-FACTORS = tuple(1.25**k for k in range(1, 18))
-"""Noise over what was stated, among which the likeliest is looked for."""
-
-TELLING = 4.5
-"""Logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one."""
-
-NEAR, MOVES = 0.5, 5
-"""Part of what a filter starts with by which a face may be elsewhere; times that it is moved."""
-
-STEPS = 6
-"""Gauss-Newton steps at most; three are the rule."""
-
-FEWEST = 12
-"""Touches from which on their scatter is looked at."""
+FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
+TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
+NEAR, MOVES = 0.5, 5  # part of what a filter starts with by which a face may be elsewhere; times that it is moved
+STEPS = 6  # Gauss-Newton steps at most; three are the rule
+FEWEST = 12  # touches from which on their scatter is looked at
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,14 +19,9 @@ from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
 from casacal.values import Value
 
-SURE = 0.95
-"""Part of all arms whose error stays below what is promised."""
-
-POOL = 600
-"""Touches among which the next one is looked for."""
-
-MOST = 200
-"""More touches than nobody makes."""
+SURE = 0.95  # part of all arms whose error stays below what is promised
+POOL = 600  # touches among which the next one is looked for
+MOST = 200  # more touches than nobody makes
 
 
 @dataclass(frozen=True, eq=False)

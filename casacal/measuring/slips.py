@@ -13,11 +13,8 @@ from casacal.measuring.touch import Touch
 from casacal.problem.problem import Problem
 from casacal.values import Value
 
-SHOWN = 3
-"""Decimals of a reading in mm as people type it, and of a joint value in degrees or mm."""
-
-MOST_TURNS = 2
-"""Turns of a pointer that may be forgotten."""
+SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
+MOST_TURNS = 2  # turns of a pointer that may be forgotten
 
 
 @dataclass(frozen=True, eq=False)

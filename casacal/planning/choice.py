@@ -23,11 +23,8 @@ from casacal.simulation.touches import default_cell
 from casacal.uncertainty.expectation import Box, joints_in_box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
 
-ROUNDS = 20
-"""Times that more touches are drawn where some do not keep clear."""
-
-RARE = 0.05
-"""Part of all that must keep clear, or a plan makes no sense."""
+ROUNDS = 20  # times that more touches are drawn where some do not keep clear
+RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
 
 
 def refuse_several(problem: Problem, what: str, fix: str) -> None:
@@ -76,9 +73,7 @@ def pool_of(
     )
 
 
-UNKNOWN = 1e-9
-"""Information, in units of what filters start from, of what nobody knows beforehand."""
-
+UNKNOWN = 1e-9  # information, in units of what filters start from, of what nobody knows beforehand
 ROUNDING = 1e-12
 """The same as part of all that there is, where rows have told much of some unknowns and nothing of others."""
 

@@ -29,16 +29,11 @@ from casacal.uncertainty.identifiability import NullDirection, WeakDirection, pr
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.wording import listed
 
-GAIN = 0.95
-"""Expected tip error over that without a cure, above which it is not worth recommending."""
-TOOL_STD = 0.2
-"""Standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge."""
-SETTLES = 0.5
-"""Part of a direction's standard deviation below which a cure settles it."""
-LOWERS = 0.95
-"""The same below which a cure helps at all."""
-MOST_TILT = math.radians(85.0)
-"""Tilt of a plunger that hardly touches a face: such an arm is not understood."""
+GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending
+TOOL_STD = 0.2  # standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge
+SETTLES = 0.5  # part of a direction's standard deviation below which a cure settles it
+LOWERS = 0.95  # the same below which a cure helps at all
+MOST_TILT = math.radians(85.0)  # tilt of a plunger that hardly touches a face: such an arm is not understood
 NO_CURE = "none of those tried helps; rely on the prior"
 
 

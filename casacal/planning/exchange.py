@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 
-SWEEPS = 10
-"""Times that every row of a plan is tried against all others."""
-
-BETTER = 1e-7
-"""Part of the error by which an exchange must lower it."""
+SWEEPS = 10  # times that every row of a plan is tried against all others
+BETTER = 1e-7  # part of the error by which an exchange must lower it
 
 Chosen = NDArray[np.intp]
 

@@ -20,20 +20,13 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels
 
-POOL = 240
-"""Touches that are drawn on the faces of a cell, to choose among."""
-ENOUGH_OF_THEM = 0.8
-"""Part of these that has to be found, where it can be: the last ones are the hardest to reach."""
-FEWEST = 120
-"""Touches without which there is nothing to choose among."""
-STARTS = 50
-"""Random poses among which each of them finds its start."""
-MOST_FACES = 8
-"""Faces, those with most rows, on which extra touches are made."""
-SMALLEST = 50.0
-"""Least side of a face that is touched, mm."""
-TRIES = 2
-"""Rounds of tries after which a face that was never reached is out of reach."""
+POOL = 240  # touches that are drawn on the faces of a cell, to choose among
+ENOUGH_OF_THEM = 0.8  # part of these that has to be found, where it can be: the last ones are the hardest to reach
+FEWEST = 120  # touches without which there is nothing to choose among
+STARTS = 50  # random poses among which each of them finds its start
+MOST_FACES = 8  # faces, those with most rows, on which extra touches are made
+SMALLEST = 50.0  # least side of a face that is touched, mm
+TRIES = 2  # rounds of tries after which a face that was never reached is out of reach
 
 
 @dataclass(frozen=True)
@@ -152,12 +145,10 @@ def _usual(samples: Samples) -> Samples:
     return replace(row, columns=columns, labels=labels, extra={})
 
 
-STEP = 100.0
-"""Height of a gauge block, mm."""
+STEP = 100.0  # height of a gauge block, mm
 
 
-BLOCK = (35.0, 35.0)
-"""Its top, mm."""
+BLOCK = (35.0, 35.0)  # its top, mm
 
 
 def raised(face: Face, by: float, label: str) -> Face:

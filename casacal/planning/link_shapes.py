@@ -21,11 +21,8 @@ from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.values import Value
 
-SIDES = 8
-"""Sides of the prism around a cylinder."""
-
-SHORT = 1e-9
-"""Length of a direction below which it is none: edges that are parallel."""
+SIDES = 8  # sides of the prism around a cylinder
+SHORT = 1e-9  # length of a direction below which it is none: edges that are parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +86,10 @@ def gap(one: Body, other: Body) -> Array:
     return np.asarray(apart.max(axis=1) - one.radius - other.radius)
 
 
-FREE = 5.0
-"""Distance that shapes keep, mm: arms err by some, and drawings of their shapes by more."""
-
-THICK = 40.0
-"""Thickness of what carries a face, mm."""
-
-TOOL = 20.0
-"""Distance from the tip, mm, within which a shape is the tool's, which may come near a face."""
-
-POSTURES = 400
-"""Random postures; two shapes that meet in all of them are drawn too large, or belong together."""
+FREE = 5.0  # distance that shapes keep, mm: arms err by some, and drawings of their shapes by more
+THICK = 40.0  # thickness of what carries a face, mm
+TOOL = 20.0  # distance from the tip, mm, within which a shape is the tool's, which may come near a face
+POSTURES = 400  # random postures; two shapes that meet in all of them are drawn too large, or belong together
 
 
 @dataclass(frozen=True, eq=False)

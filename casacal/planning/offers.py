@@ -55,20 +55,13 @@ def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.
     return all_of_them, least
 
 
-EXTRA_TOUCHES = 24
-"""Touches that are added: a quarter of an hour of work."""
-PLENTY = 60
-"""The same for who has an hour."""
-TILT = math.radians(30.0)
-"""Largest tilt of the tool that is offered."""
-NEARLY = math.radians(25.0)
-"""Tilt from which more is none."""
-MARGIN = math.radians(0.1)
-"""By which a tool may lean more than it has: as much as arms err."""
-INCLINED = math.radians(15.0)
-"""By which a plate that stands alone is inclined."""
-ALIKE = math.cos(math.radians(5.0))
-"""Cosine between normals of faces that are as good as one."""
+EXTRA_TOUCHES = 24  # touches that are added: a quarter of an hour of work
+PLENTY = 60  # the same for who has an hour
+TILT = math.radians(30.0)  # largest tilt of the tool that is offered
+NEARLY = math.radians(25.0)  # tilt from which more is none
+MARGIN = math.radians(0.1)  # by which a tool may lean more than it has: as much as arms err
+INCLINED = math.radians(15.0)  # by which a plate that stands alone is inclined
+ALIKE = math.cos(math.radians(5.0))  # cosine between normals of faces that are as good as one
 
 
 @dataclass(frozen=True)

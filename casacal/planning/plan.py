@@ -24,14 +24,9 @@ from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box
 from casacal.values import FrozenMapping, is_real
 
-DRAWS = 8
-"""Random plans of as many touches, for comparison; draws of what is lost."""
-
-LOST = 0.1
-"""Part of the fitted touches of which it is said what losing them costs."""
-
-ARMS = 5
-"""Arms that the prior allows, over which an error is averaged."""
+DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost
+LOST = 0.1  # part of the fitted touches of which it is said what losing them costs
+ARMS = 5  # arms that the prior allows, over which an error is averaged
 
 
 @dataclass(frozen=True, eq=False)

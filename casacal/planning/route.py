@@ -23,8 +23,7 @@ FIT, AGAIN, CHECK = "fit", "again", "check"
 PURPOSES = (FIT, AGAIN, CHECK)
 """What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
 
-EXPECTED = "expected_"
-"""What the names of readings begin with that nobody has made yet."""
+EXPECTED = "expected_"  # what the names of readings begin with that nobody has made yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +44,7 @@ class Route(Value):
         return f"<Route of {len(self)} touches>"
 
 
-PLANNED_DECIMALS = 4
-"""Of joint values in degrees and mm: what controllers take, and a few micrometres at the tip."""
+PLANNED_DECIMALS = 4  # of joint values in degrees and mm: what controllers take, and a few micrometres at the tip
 
 
 def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
@@ -76,8 +74,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     return Route(replace(read, columns=readings, extra={}), purposes)
 
 
-SWEEPS = 40
-"""Times that all pairs of steps are looked at."""
+SWEEPS = 40  # times that all pairs of steps are looked at
 
 
 def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:

@@ -19,17 +19,10 @@ from casacal.problem.problem import Problem
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value
 
-POOL = 600
-"""Touches among which is chosen in each set-up."""
-
-FEW = 3
-"""Touches of each face that show whether it is in reach."""
-
-HIGHER = 300.0
-"""By how much a plate is raised, mm."""
-
-TILTS = (10.0, 30.0, 45.0)
-"""Largest angles between plunger and face that are compared, degrees."""
+POOL = 600  # touches among which is chosen in each set-up
+FEW = 3  # touches of each face that show whether it is in reach
+HIGHER = 300.0  # by how much a plate is raised, mm
+TILTS = (10.0, 30.0, 45.0)  # largest angles between plunger and face that are compared, degrees
 
 
 @dataclass(frozen=True, eq=False)

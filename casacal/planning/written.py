@@ -15,8 +15,7 @@ from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
 from casacal.planning.setups import SetUp
 from casacal.samples.layout import Layout
 
-FLAT = 0.93
-"""Error over that of fewer touches above which more bring little."""
+FLAT = 0.93  # error over that of fewer touches above which more bring little
 
 
 def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool) -> list[str]:

@@ -27,12 +27,8 @@ from scipy.special import fdtrc, gammaincc, ndtri
 from casacal.array_types import Array
 from casacal.least_squares.linalg import inverse_triangle
 
-CHANCE = 1e-4
-"""Chance that rows which are as expected have any that is called gross (Bonferroni)."""
-
-MOST_GROSS = 0.05
-"""Beyond this fraction of the rows (and three of them) it is not single rows that are off."""
-
+CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
+MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off
 SEEN = 0.1
 """Whitened length of a plausible change below which its direction is not looked for: rows could never show it."""
 

@@ -10,24 +10,15 @@ from scipy.special import fdtrc, gammainc, gammaincc, ndtr
 
 from casacal.array_types import Array
 
-BEYOND = 36.0
-"""Largest weight times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance."""
-
+BEYOND = 36.0  # largest weight times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance
 MOST_TERMS = 1 << 14
 
-EQUAL = 1e-12
-"""Part of the largest weight by which weights differ that are the same but for rounding."""
-
-VANISHED = 1e-14
-"""Size of a characteristic function from which on it adds nothing."""
-
+EQUAL = 1e-12  # part of the largest weight by which weights differ that are the same but for rounding
+VANISHED = 1e-14  # size of a characteristic function from which on it adds nothing
 SMALLEST = 1e-300
 
-LARGEST = 0.99
-"""Chance above which one test of several does not speak against the others any more."""
-
-TAIL = 1e-8
-"""Chance below which the sum of a series is mostly rounding, and a saddle point is nearer."""
+LARGEST = 0.99  # chance above which one test of several does not speak against the others any more
+TAIL = 1e-8  # chance below which the sum of a series is mostly rounding, and a saddle point is nearer
 
 
 def chance_beyond(weights: Array, squares: Array, rest: float, freedom: float) -> float:

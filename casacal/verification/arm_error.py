@@ -33,26 +33,13 @@ USUAL, AS_ROWS = 5.0, 20.0
 """Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that
 counts as. It is 2 of a normal distribution; of four arms calibrated from planes half had 2 to 4, a few over 10."""
 
-SURE = 0.01
-"""Chance below which residuals are too small for the noise that was stated."""
-
-ALONE = 0.3
-"""Standard deviation of the arm's error over that of noise below which a direction holds noise alone."""
-
-TENTH = 0.9
-"""Found over stated noise below which the calibration's rows say so."""
-
-BEYOND = 0.025
-"""Chance that the error lies beyond either end of its interval."""
-
-FEWEST = 12
-"""Rows of a part that are told with an interval of their own."""
-
-NARROW = 0.25
-"""Part of the longest side of the volume below which another side is not divided."""
-
-ROUND = 10.0
-"""Multiple of mm at which the volume is divided."""
+SURE = 0.01  # chance below which residuals are too small for the noise that was stated
+ALONE = 0.3  # standard deviation of the arm's error over that of noise below which a direction holds noise alone
+TENTH = 0.9  # found over stated noise below which the calibration's rows say so
+BEYOND = 0.025  # chance that the error lies beyond either end of its interval
+FEWEST = 12  # rows of a part that are told with an interval of their own
+NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
+ROUND = 10.0  # multiple of mm at which the volume is divided
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,15 +20,9 @@ from scipy.special import gammainc, gammainccinv, gammaincinv
 
 Verdict: TypeAlias = Literal["accept", "reject", "undecided"]
 
-RISK = 0.05
-"""Chance of a wrong decision of an arm at the tolerance, unless another is asked for."""
-
-POWER = 0.8
-"""Chance with which so many more rows as are named settle it."""
-
-MOST_TIMES = 50.0
-"""Times as many rows beyond which nobody takes them."""
-
+RISK = 0.05  # chance of a wrong decision of an arm at the tolerance, unless another is asked for
+POWER = 0.8  # chance with which so many more rows as are named settle it
+MOST_TIMES = 50.0  # times as many rows beyond which nobody takes them
 SMALLEST = 1e-300
 
 

@@ -26,8 +26,7 @@ from casacal.uncertainty.identifiability import prior_scale
 from casacal.unknowns import Unknown
 from casacal.wording import counted
 
-MOST = 30_000_000
-"""Elements of a Jacobian that is held as a whole."""
+MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 
 @dataclass(frozen=True, eq=False)

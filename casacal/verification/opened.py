@@ -25,14 +25,9 @@ from casacal.samples.repeats import copies, fitted_among
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
 
-SAME = 1e-6
-"""Difference (mm; of a rotation's elements) of two poses below which arms are one."""
-
-COMPARED = 8
-"""Random joint values at which they are compared."""
-
-SPENT = 0.5
-"""Part of the rows that are those of the calibration, from which on they verify nothing."""
+SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,8 @@ from casacal.pages.render import rendered
 from casacal.verification.figures import ErrorInterval, Figures
 from casacal.verification.sentences import decision_told, measurand, told
 
-LONGEST = 60
-"""Characters of a label in a table."""
-
-BEFORE = '<section id="measured"'
-"""Where the section is put."""
-
+LONGEST = 60  # characters of a label in a table
+BEFORE = '<section id="measured"'  # where the section is put
 STANDING = re.compile(r'<section id="verified".*?</section>\n*', re.DOTALL)
 
 REPORT = "report.html"
@@ -113,15 +109,9 @@ def _between(error: ErrorInterval) -> str:
     return f"{fixed(error.low_mm)} to {fixed(error.high_mm)}"
 
 
-MOST = 16
-"""Parts that have a place in the picture."""
-
-EACH, TOP, BOTTOM = 40.0, 26.0, 44.0
-"""Height of a part, and of what stands above and below all of them."""
-
-DECADES = 5
-"""Powers of ten that the axis spans at most."""
-
+MOST = 16  # parts that have a place in the picture
+EACH, TOP, BOTTOM = 40.0, 26.0, 44.0  # height of a part, and of what stands above and below all of them
+DECADES = 5  # powers of ten that the axis spans at most
 GREY, BLUE, ORANGE, INK = "#8b949f", "#1d5f9e", "#c2560c", "#1b2330"
 
 

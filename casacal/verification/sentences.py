@@ -8,16 +8,11 @@ from casacal.verification.decision import Decision
 from casacal.verification.figures import LEVEL, FaceVerification, Figures, PartError
 from casacal.wording import capital, chance, counted, mm, numbered_lines, shortened
 
-SHOWN = 12
-"""Faces, or lines of rows, that are named one by one."""
-
-CERTAIN = 0.9999
-"""Probability beyond which nobody asks how near to one."""
-
+SHOWN = 12  # faces, or lines of rows, that are named one by one
+CERTAIN = 0.9999  # probability beyond which nobody asks how near to one
 VERDICTS = {"accept": "Accepted", "reject": "Rejected", "undecided": "Undecided"}
 
-WORTH_SAYING = 1.05
-"""Noise over noise beyond which a difference is worth saying."""
+WORTH_SAYING = 1.05  # noise over noise beyond which a difference is worth saying
 
 
 def told(found: Figures) -> list[str]:

@@ -29,8 +29,7 @@ from casacal.verification.opened import Opened, opened
 from casacal.verification.page import verification_page
 from casacal.verification.sentences import told
 
-LEAST_RISK = 1e-4
-"""Risk below which nobody knows the noise well enough."""
+LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough
 
 
 class Verification(Figures):
