@@ -10,13 +10,12 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators.sckf import Belief
 from casacal.measuring.known import Known
 from casacal.measuring.touch import Touch, rows_of
+from casacal.planning.choice import row_slopes
 from casacal.planning.exchange import gains
 from casacal.samples.samples import Samples
-from casacal.uncertainty.workspace import up_to_base, workspace_joints
 from casacal.values import Value
 
 SURE = 0.95  # part of all arms whose error stays below what is promised
@@ -58,8 +57,7 @@ class LinearRows:
         """Of touches, about what is known."""
         samples = touches if isinstance(touches, Samples) else rows_of(touches)
         bound, x = known.bound.on(samples), known.x
-        slopes = (bound.jacobian(x) * bound.start_std).reshape(len(samples), -1, bound.unknowns)
-        return LinearRows(bound.residual(x).reshape(len(samples), -1), slopes, bound.block.noise)
+        return LinearRows(bound.residual(x).reshape(len(samples), -1), row_slopes(bound, x), bound.block.noise)
 
     def without(self, k: int) -> LinearRows:
         """All but one."""
@@ -100,13 +98,6 @@ def square(value: Array, spread: Array) -> float:
 def length(value: Array) -> float:
     """The number itself with its sign; of several, their length."""
     return float(value[0]) if len(value) == 1 else math.sqrt(float((value**2).sum()))
-
-
-def wanted_field(bound: BoundProblem, joints: Array) -> Array:
-    """Moves (3 M, n) of the tip at joint values (M, q), apart from the position of the base, per unit of the belief."""
-    frame = workspace_joints(bound.problem.robot)
-    sets = [(bound.tip_jacobian(bound.x0, q), bound.tips(bound.x0, q)) for q in (joints, frame)]
-    return np.asarray(up_to_base(*sets[0], *sets[1]) * bound.start_std)
 
 
 def spectrum(root: Array, field: Array) -> Array:

@@ -11,10 +11,10 @@ from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, Setting, State
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
-from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum, wanted_field
+from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum
 from casacal.measuring.slips import Slip, slips_of
 from casacal.measuring.touch import Touch, planned_touches, rows_of
-from casacal.planning.choice import pool_of, refuse_several, wanted_joints
+from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.problem.disturbances import Disturbances
@@ -170,7 +170,7 @@ class Standing(Value):
         if self.state.known is None:
             return None
         bound = self.state.known.bound
-        return wanted_field(bound, wanted_joints(bound, self.box, self.targets))
+        return wanted_field(bound, bound.x0, wanted_joints(bound, self.box, self.targets))
 
     @cached_property
     def weights(self) -> Array | None:

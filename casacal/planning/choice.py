@@ -103,10 +103,8 @@ class Choice:
         count: how many of the rows can be chosen; the others have been made. loose: what may have moved since, by the
         name of the unknown: its standard deviation. at: the arm (n,), by default as drawn.
         """
-        x, units, frame = bound.x0 if at is None else at, bound.start_std, workspace_joints(bound.problem.robot)
-        sets = [(bound.tip_jacobian(x, q), bound.tips(x, q)) for q in (joints, frame)]
-        field = up_to_base(*sets[0], *sets[1]) * units
-        rows = (bound.jacobian(x) * units).reshape(len(bound.measured), -1, bound.unknowns)
+        x, units = bound.x0 if at is None else at, bound.start_std
+        rows, field = row_slopes(bound, x), wanted_field(bound, x, joints)
         known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
         if count is not None and count < len(rows):
             made = rows[count:].reshape(-1, bound.unknowns)
@@ -126,14 +124,13 @@ class Choice:
         field: slopes (3M, s) of a tip that is wanted at M postures, by the first unknowns; the others move none.
         """
         units = extra.start_std
-        rows = (extra.jacobian(x) * units).reshape(len(extra.measured), -1, extra.unknowns)
         held = known + np.diag(extra.prior_information)
         held = held * np.outer(units, units)
         held += max(UNKNOWN, ROUNDING * float(np.trace(held))) * np.eye(units.size)
         slopes = field.reshape(-1, field.shape[-1]) * units[: field.shape[-1]]
         weight = np.zeros_like(held)
         weight[: slopes.shape[1], : slopes.shape[1]] = slopes.T @ slopes / (len(slopes) / 3)
-        return Choice(rows, np.asarray(held), weight)
+        return Choice(row_slopes(extra, x), np.asarray(held), weight)
 
     def error(self, chosen: Chosen) -> float:
         """Tip error (mm RMS) that some measurements leave."""
@@ -166,6 +163,18 @@ class Choice:
         left = max(len(best) - max(round(part * len(best)), 1), 1)
         errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
         return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def row_slopes(bound: BoundProblem, x: Array) -> Array:
+    """Whitened slopes (N, m, n) of each measurement at x (n,), in units of what filters start from."""
+    return np.asarray((bound.jacobian(x) * bound.start_std).reshape(len(bound.measured), -1, bound.unknowns))
+
+
+def wanted_field(bound: BoundProblem, x: Array, joints: Array) -> Array:
+    """Moves (3 M, n) of the tip at joint values (M, q), apart from the position of the base, in the same units."""
+    frame = workspace_joints(bound.problem.robot)
+    sets = [(bound.tip_jacobian(x, q), bound.tips(x, q)) for q in (joints, frame)]
+    return np.asarray(up_to_base(*sets[0], *sets[1]) * bound.start_std)
 
 
 def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -> Array:

@@ -31,22 +31,23 @@ TRIES = 2  # rounds of tries after which a face that was never reached is out of
 
 @dataclass(frozen=True)
 class Touches:
-    """An arm as calibrated before its faces as they were found."""
+    """An arm as calibrated before its faces as they were found.
+
+    problem: with a face for each label. faces: rectangles around what was touched, their normals towards the tool;
+    those with most rows first. senses: whether each face's plane has that normal, or its opposite: +1, -1. tilt:
+    largest angle (rad) between plunger and normal in the samples there are. other: a row as those that there are mostly
+    look: what is neither joints nor a reading nor a face stays like that. held: whether it is known where the faces
+    are, so that a new one makes no sense.
+    """
 
     problem: Problem
-    """With a face for each label."""
     probe: Probe
     touch: Touch
     faces: tuple[Face, ...]
-    """Rectangles around what was touched, their normals towards the tool; those with most rows first."""
     senses: tuple[int, ...]
-    """Whether each face's plane has that normal, or its opposite: +1, -1."""
     tilt: float
-    """Largest angle (rad) between plunger and normal in the samples there are."""
     other: Samples
-    """A row as those that there are mostly look: what is neither joints nor a reading nor a face stays like that."""
     held: bool
-    """Whether it is known where the faces are, so that a new one makes no sense."""
 
     @staticmethod
     def of(bound: BoundProblem, x: Array) -> Touches | None:

@@ -66,16 +66,17 @@ ALIKE = math.cos(math.radians(5.0))  # cosine between normals of faces that are 
 
 @dataclass(frozen=True)
 class Offer:
-    """One way to go on; of several of the same kind, the best is meant."""
+    """One way to go on; of several of the same kind, the best is meant.
+
+    noise: factor of the noise. touches: how many are chosen of those that can be made in the cell.
+    """
 
     kind: str
     words: str
     problem: Problem
     cell: Cell
     noise: float = 1.0
-    """Factor of the noise."""
     touches: int = EXTRA_TOUCHES
-    """How many are chosen of those that can be made in the cell."""
 
 
 def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
@@ -85,7 +86,9 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     same = _cell(faces, now)
     for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
         yield Offer(kind, f"{count} planned touches of the same kind", problem, same, touches=count)
-    how = "the mean of four readings each" if _is_found(bound) else "a better dial, or the mean of four readings each"
+    # noise beyond what is stated no better indicator takes away
+    found = any(factor > 1.1 for factor in by_face(bound.scale).values())
+    how = "the mean of four readings each" if found else "a better dial, or the mean of four readings each"
     yield Offer("noise", f"{EXTRA_TOUCHES} planned touches at half the noise ({how})", problem, same, 0.5)
     if now < NEARLY:
         words = f"{EXTRA_TOUCHES} planned touches with the tool tilted by up to 30 degrees"
@@ -124,11 +127,6 @@ def _step(touches: Touches, tilt: float) -> Iterator[Offer]:
 
 def _cell(faces: tuple[Face, ...], tilt: float) -> Cell:
     return Cell(faces=faces, tilt=tilt, error_scale=0.0, repeatability=0.0, resolution=0.0)
-
-
-def _is_found(bound: BoundProblem) -> bool:
-    """Whether the rows show more noise than is stated, which no better indicator takes away."""
-    return any(factor > 1.1 for factor in by_face(bound.scale).values())
 
 
 def _across(face: Face) -> tuple[Array, ...]:
