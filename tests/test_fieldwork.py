@@ -19,7 +19,7 @@ from casacal.fieldwork.sheet import sheet_page
 from casacal.planning.clearance import Clearance, near_face, nodes_of
 from casacal.planning.exchange import Criterion, exchange
 from casacal.planning.plan import touches_for
-from casacal.planning.setups import set_ups
+from casacal.planning.set_ups import set_ups
 from casacal.robots.joint_space import random_joints
 from casacal.uncertainty.expectation import planned_accuracy
 

@@ -14,7 +14,7 @@ from casacal.errors import CasacalError
 if TYPE_CHECKING:
     from casacal.planning.clearance import Clearance
     from casacal.planning.plan import Plan
-    from casacal.planning.setups import SetUp
+    from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "plan which touches to make"
@@ -95,7 +95,7 @@ def _add_written(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.planning.offers import rows_needed
+    from casacal.planning.route import rows_needed
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
@@ -193,7 +193,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
 
 def _compared(source: ProblemFile, options: argparse.Namespace, found: Plan) -> tuple[SetUp, ...]:
     from casacal.compensation.predict import read_joints
-    from casacal.planning.setups import set_ups
+    from casacal.planning.set_ups import set_ups
 
     fitted = found.purposes.count("fit")
     box = None if options.box is None else box_of(options.box)

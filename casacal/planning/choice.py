@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
+from casacal.binding.slots import instances
 from casacal.errors import CasacalError, came
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
@@ -163,6 +164,29 @@ class Choice:
         left = max(len(best) - max(round(part * len(best)), 1), 1)
         errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
         return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Measurements of a pool (N,) of faces that the chosen ones touch too seldom to say where they are.
+
+    Such touches place the face at best, and tell nothing of the arm. Of all such faces, and of the one that is touched
+    least but touched.
+    """
+    taken = np.zeros(len(pool), dtype=bool)
+    taken[chosen] = True
+    all_of_them, least, fewest = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool), len(pool)
+    for key in problem.instrument.datum:
+        unknown = problem.instrument.unknowns[key]
+        flat = int((~np.isfinite(unknown.prior_stds)).sum())
+        for _, rows in instances(problem.instrument, key, unknown, pool):
+            count = int(taken[rows].sum())
+            if count * problem.models[0].components > flat:
+                continue
+            all_of_them[rows] = True
+            if 0 < count < fewest:
+                fewest, least = count, np.zeros(len(pool), dtype=bool)
+                least[rows] = True
+    return all_of_them, least
 
 
 def row_slopes(bound: BoundProblem, x: Array) -> Array:

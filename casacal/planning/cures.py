@@ -21,7 +21,7 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
 from casacal.planning.estimate import Estimate
 from casacal.planning.extra_touches import Touches
-from casacal.planning.offers import EXTRA_TOUCHES, Offer, offers
+from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, offers
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

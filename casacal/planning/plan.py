@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.planning.choice import Choice, pool_of, refuse_several, wanted_joints
+from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
-from casacal.planning.offers import seldom
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.binding.slots import instances
 from casacal.errors import SamplesError
+from casacal.problem.problem import Problem
 from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
@@ -51,6 +53,17 @@ def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, not
     """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
     before = {"touch": [str(k) for k in range(1, len(purposes) + 1)], "purpose": list(purposes)}
     return samples_text(layout, samples, notes, before=before, joint_decimals=PLANNED_DECIMALS, prefix=EXPECTED)
+
+
+def rows_needed(problem: Problem, route: Route) -> tuple[int, int]:
+    """How many touches a plan has to fit, and how many `calibrate` takes at least for all unknowns of arm and faces."""
+    fitted = np.flatnonzero([purpose == FIT for purpose in route.purposes])
+    own = sum(
+        u.size * len(instances(problem.instrument, key, u, route.samples.take(fitted)))
+        for key, u in problem.instrument.unknowns.items()
+    )
+    total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
+    return len(fitted), -(-total // problem.models[0].components)
 
 
 def read_route(path: str | Path, layout: Layout) -> Route:

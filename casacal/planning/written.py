@@ -12,7 +12,7 @@ from casacal.files import write_text
 from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
-from casacal.planning.setups import SetUp
+from casacal.planning.set_ups import SetUp
 from casacal.samples.layout import Layout
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
