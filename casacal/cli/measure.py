@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.adjust import add_clearance, clearance_of
-from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
+from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
@@ -46,8 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", type=float, metavar="MM", help="end when the tip error is below this with 95 %% probability"
     )
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
+    add_where(parser)
     parser.add_argument(
         "--best-first",
         action="store_true",
@@ -89,7 +88,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
     """The session as it begins or goes on, and its file."""
-    from casacal.compensation.predict import read_joints
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
     from casacal.planning.route import read_route
@@ -100,8 +98,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
         source.problem,
         route,
         options.tolerance,
-        None if options.box is None else box_of(options.box),
-        None if options.targets is None else read_joints(options.targets, source).joints,
+        *where(options, source),
         source.cell,
         clearance_of(options, source.problem),
         options.best_first,

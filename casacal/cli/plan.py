@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_clearance, clearance_of, stds_of
-from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
+from casacal.cli.common import DONE, add_instrument, add_json, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -42,15 +42,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead of --touches: as many as this expected tip error takes",
     )
     _add_choice(parser)
-    _add_cell(parser)
+    add_clearance(parser)
+    parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
     _add_written(parser)
     parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
     add_json(parser)
 
 
 def _add_choice(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
+    add_where(parser)
     parser.add_argument(
         "--criterion",
         default="tip",
@@ -74,11 +74,6 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_cell(parser: argparse.ArgumentParser) -> None:
-    add_clearance(parser)
-    parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
-
-
 def _add_written(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheet", metavar="FILE", help="write a sheet to print and fill in, such as sheet.html")
     parser.add_argument(
@@ -96,6 +91,7 @@ def _add_written(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
     from casacal.planning.route import rows_needed
+    from casacal.planning.set_ups import set_ups
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
@@ -109,11 +105,16 @@ def run(options: argparse.Namespace) -> int:
     clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
-    compared = _compared(source, options, found) if options.setups else ()
+    compared: tuple[SetUp, ...] = ()
+    if options.setups:
+        box, targets = where(options, source)
+        fitted = found.purposes.count("fit")
+        compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
     if options.json:
         say_json(document(found, compared, written, clearance))
         return DONE
-    for sentence in told(found, compared, where=_where(options), pool=options.pool, after=options.after is not None):
+    there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
+    for sentence in told(found, compared, where=there, pool=options.pool, after=options.after is not None):
         say_paragraph(sentence)
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraph(clearance.shapes.words)
@@ -129,11 +130,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
-    from casacal.compensation.predict import read_joints
     from casacal.planning.plan import plan, touches_for
 
-    box = None if options.box is None else box_of(options.box)
-    targets = None if options.targets is None else read_joints(options.targets, source).joints
+    box, targets = where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
     touches = TOUCHES if options.touches is None else options.touches
     loose = stds_of("--loose", options.loose)
@@ -189,19 +188,3 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     for path, text in texts.items():
         write_text(path, text)
     return [path.as_posix() for path in texts]
-
-
-def _compared(source: ProblemFile, options: argparse.Namespace, found: Plan) -> tuple[SetUp, ...]:
-    from casacal.compensation.predict import read_joints
-    from casacal.planning.set_ups import set_ups
-
-    fitted = found.purposes.count("fit")
-    box = None if options.box is None else box_of(options.box)
-    targets = None if options.targets is None else read_joints(options.targets, source).joints
-    return set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
-
-
-def _where(options: argparse.Namespace) -> str:
-    if options.box is not None:
-        return "inside the box"
-    return "over the workspace" if options.targets is None else "at the targets"

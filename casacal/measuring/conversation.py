@@ -146,7 +146,7 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
         return Answer(session, (), ended=True)
     if command.word == SKIP:
         if session.alarm is not None:
-            return Answer(session, (*doubt(session),))
+            return Answer(session, tuple(doubt(session)))
         if proposed is None or proposed.number is None:
             raise CasacalError("The plan has no touch left to skip", "Type q to end")
         return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
@@ -170,7 +170,7 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
 
 def posture(touch: Touch, layout: Layout) -> str:
     """Where to go: face, joint values, what to expect."""
-    joints = " ".join(
+    joints = (
         f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}"
         for value, kind in zip(touch.joints, layout.joints, strict=True)
     )
@@ -181,7 +181,8 @@ def posture(touch: Touch, layout: Layout) -> str:
         for name, kind in layout.columns.items()
     )
     purpose = {"again": "once more", "check": "to check with"}.get(touch.purpose, "")
-    return "; ".join(part for part in (f"{number} {where}".strip(), purpose, f"joints {joints}", expected) if part)
+    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints)}", expected)
+    return "; ".join(part for part in parts if part)
 
 
 def _told(session: Session) -> str:
@@ -235,17 +236,13 @@ def ended(session: Session) -> list[str]:
             "casacal calibrate judges that"
         )
     if few := session.too_few:
-        have = "has" if len(few) == 1 else "have"
-        said.append(
-            f"warning: {', '.join(few)} {have} too few touches; casacal calibrate asks for more there, or leaves "
-            "them out"
-        )
+        have = f"{', '.join(few)} {'has' if len(few) == 1 else 'have'}"
+        said.append(f"warning: {have} too few touches; casacal calibrate asks for more there, or leaves them out")
     if session.alarm is not None:
         name = session.shown(session.alarm.touch)
         said.append(f"warning: touch {name} is still in doubt; continue the session to settle it")
     if (checked := session.checked()) is not None:
         off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
-        said.append(
-            f"{counted(len(checked[0]), 'touch')} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected"
-        )
+        count = counted(len(checked[0]), "touch")
+        said.append(f"{count} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected")
     return said
