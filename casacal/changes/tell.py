@@ -6,7 +6,7 @@ each cause knows its part with a covariance S; half of D' S^-1 D is the logarith
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -38,12 +38,8 @@ LEAST = 20.0  # side of a face, mm, that has hardly been touched
 TELLS = 3.0  # log-odds, twenty to one, from which touches tell causes apart
 
 
-@dataclass(frozen=True, eq=False)
-class _Expected:
-    """What a cause expects of each touch of the pool: whitened residuals (N, m), slopes (N, m, k) by its doubt."""
-
-    residual: Array
-    slopes: Array
+_Expected = tuple[Array, Array]
+"""What a cause expects of each touch of a pool: whitened residuals (N, m), slopes (N, m, k) by its doubt."""
 
 
 def telling(
@@ -82,15 +78,15 @@ def _expected(look: Look, fitted: Fitted, there: BoundProblem) -> _Expected:
     ways = np.hstack([Prior.of(look.fresh, look.shifted.unknowns).ways, fitted.ways])
     half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))
     slopes = there.jacobian(posterior.x) @ ways @ half
-    return _Expected(there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1]))
+    return there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
 
 
 def _odds(one: _Expected, two: _Expected, rows: list[int]) -> float:
     """Logarithm of the odds to expect of some touches between two causes."""
-    apart = (one.residual[rows] - two.residual[rows]).ravel()
+    apart = (one[0][rows] - two[0][rows]).ravel()
     spread = np.eye(apart.size)
-    for each in (one, two):
-        part = each.slopes[rows].reshape(apart.size, -1)
+    for _, slopes in (one, two):
+        part = slopes[rows].reshape(apart.size, -1)
         spread += part @ part.T / 2
     return float(apart @ np.linalg.solve(spread, apart)) / 2
 

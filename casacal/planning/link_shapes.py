@@ -157,11 +157,8 @@ class LinkShapes(Value):
         """Each shape in postures (N, n; rad, mm), in the base frame."""
         flat = np.array(self._motions.map(len(joints))(joints.T))  # (4, 4 n N): of each posture, of each link
         motions = flat.reshape(4, len(joints), -1, 4).transpose(1, 2, 0, 3)
-        bodies = [_body(shape) for shape in self.shapes]
-        return [
-            body if shape.carrier < 0 else body.moved(motions[:, shape.carrier])
-            for shape, body in zip(self.shapes, bodies, strict=True)
-        ]
+        bodies = [(shape.carrier, _body(shape)) for shape in self.shapes]
+        return [body if carrier < 0 else body.moved(motions[:, carrier]) for carrier, body in bodies]
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:

@@ -172,7 +172,7 @@ def set_ups(
 def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
     """Words, problem and cell of each."""
     count, tilt = len(cell.faces), math.degrees(cell.tilt)
-    yield f"as it is: {_faces(count)}, tilt up to {tilt:.0f} degrees", problem, cell
+    yield f"as it is: {'one face' if count == 1 else f'{count} faces'}, tilt up to {tilt:.0f} degrees", problem, cell
     first = cell.faces[0]
     several = problem.instrument.with_faces_by_label()
     labelled = problem if several is None else Problem(problem.robot, several)
@@ -183,7 +183,8 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
         words = f"one plate, '{first.label}', and it again {HIGHER:g} mm higher"
         yield words, labelled, replace(cell, faces=(first, higher))
         if not _right_angles(cell):
-            yield "three faces at right angles", labelled, replace(cell, faces=_corner_on(first))
+            walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
+            yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
         label = fresh("gauge block", cell.faces)
         stepped = several.with_step(label, first.label, STEP)
         if stepped is not None:
@@ -194,18 +195,8 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
 
 
-def _faces(count: int) -> str:
-    return "one face" if count == 1 else f"{count} faces"
-
-
 def _right_angles(cell: Cell) -> bool:
     """Whether there are three faces at right angles already."""
     normals = np.array([face.axes[0] for face in cell.faces])
     across = np.abs(normals @ normals.T) < math.sin(math.radians(10))
     return len(normals) > 2 and bool((across.sum(axis=1) >= 2).any())
-
-
-def _corner_on(first: Face) -> tuple[Face, ...]:
-    """A face and two that rise at right angles from two of its edges."""
-    _, aside, across = first.axes
-    return (first, rising(first, aside, fresh("wall", (first,))), rising(first, across, fresh("side", (first,))))
