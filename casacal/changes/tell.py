@@ -20,14 +20,12 @@ from casacal.changes.look import Look
 from casacal.changes.posterior import Prior
 from casacal.errors import CasacalError
 from casacal.files import write_text
-from casacal.planning.choice import pool_of
+from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.cell import Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.simulation.reach import Touch
-from casacal.simulation.true_arm import true_unknowns
 from casacal.verification.fresh import Fresh
 
 POOL = 400  # touches among which is chosen
@@ -97,11 +95,7 @@ def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
     if probe is None:
         return None
     samples = bound.block.samples
-    touch = Touch.of(
-        problem.robot, problem.instrument, probe, true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
-    )
-    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
-    tips, directions, *_ = touch(samples.joints, readings)
+    _, _, tips, directions = drawn_touch(problem, probe, samples)
     rows_of, faces = samples.faces(problem.instrument.groups).rows(), list[Face]()
     for slot in bound.slots:
         kind, shown = slot.unknown.shown(slot.nominal, fresh.x[slot.columns.start : slot.columns.stop])

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.planning.choice import cell_of
+from casacal.planning.choice import cell_of, drawn_touch
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import Route
 from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.simulation.reach import Touch
-from casacal.simulation.true_arm import true_unknowns
 from casacal.values import Value
 
 RETREAT = 20.0  # how far the tip stands back before and after a touch, mm
@@ -63,11 +62,8 @@ def approaches(
             f"{type(problem.instrument).__name__} has no plunger that could be drawn back", "Use the plan's CSV"
         )
     still = cell_of(problem, cell)
-    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
-    arm = Touch.of(problem.robot, problem.instrument, probe, local)
     samples = route.samples
-    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
-    tips, axes = arm.place(arm.local, samples.joints, readings[:, None])
+    arm, readings, tips, axes = drawn_touch(problem, probe, samples)
     levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
     if not np.isfinite(levels[0]).all():
         k = int(np.flatnonzero(~np.isfinite(levels[0]).all(axis=1))[0])

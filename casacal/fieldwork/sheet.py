@@ -11,7 +11,7 @@ from casacal.errors import ProblemError
 from casacal.pages.markup import tag, together
 from casacal.pages.render import rendered
 from casacal.planning.clearance import nodes_of
-from casacal.planning.route import PLANNED_DECIMALS, Route
+from casacal.planning.route import Route
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 
@@ -30,10 +30,7 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
     rows = []
     for k, purpose in enumerate(route.purposes):
         picture = [] if pictures is None else [pictures[k]]
-        numbers = [
-            f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}"
-            for value, kind in zip(samples.joints[k], layout.joints, strict=True)
-        ]
+        numbers = joints_shown(samples.joints[k], layout)
         numbers += [f"{samples.columns[column][k] * WRITTEN[kind][1]:.2f}" for column, kind in layout.columns.items()]
         rows.append(
             {

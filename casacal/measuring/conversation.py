@@ -15,7 +15,7 @@ from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
-from casacal.planning.route import PLANNED_DECIMALS
+from casacal.planning.route import joints_shown
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
 from casacal.wording import counted
@@ -170,10 +170,6 @@ def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answe
 
 def posture(touch: Touch, layout: Layout) -> str:
     """Where to go: face, joint values, what to expect."""
-    joints = (
-        f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}"
-        for value, kind in zip(touch.joints, layout.joints, strict=True)
-    )
     where = ", ".join(touch.labels[name] for name in layout.labels)
     number = "one more" if touch.number is None else f"touch {touch.number}"
     expected = ", ".join(
@@ -181,7 +177,7 @@ def posture(touch: Touch, layout: Layout) -> str:
         for name, kind in layout.columns.items()
     )
     purpose = {"again": "once more", "check": "to check with"}.get(touch.purpose, "")
-    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints)}", expected)
+    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints_shown(touch.joints, layout))}", expected)
     return "; ".join(part for part in parts if part)
 
 

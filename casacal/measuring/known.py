@@ -56,7 +56,7 @@ class Known(Value):
 
     def knows(self, touch: Touch) -> bool:
         """Whether there are unknowns for the face of a touch."""
-        return _covers(self.bound, self.bound.problem, {name: (label,) for name, label in touch.labels.items()})
+        return bool(covered(self.bound, rows_of([touch])).all())
 
 
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
@@ -100,8 +100,7 @@ def known_from(
     """
     samples = rows_of(touches)
     proposed = frozenset(name for name, enough in counts(problem, samples).items() if enough and name not in places)
-    labels = {name: column.names for name, column in samples.labels.items()}
-    if before is not None and before.proposed == proposed and _covers(before.bound, problem, labels):
+    if before is not None and before.proposed == proposed and covered(before.bound, samples).all():
         bound = before.bound.with_noise().on(samples)
     else:
         bound = _bound(problem, samples, places, planned, proposed)
@@ -201,9 +200,13 @@ def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArra
                 yield key if label is None else f"{key}.{label}", rows, enough
 
 
-def _covers(bound: BoundProblem, problem: Problem, labels: Mapping[str, Sequence[str]]) -> bool:
-    """Whether there are unknowns for all labels."""
-    have = {slot.name for slot in bound.slots}
-    keys = [(key, unknown.per) for key, unknown in problem.instrument.unknowns.items() if unknown.per is not None]
-    instance = problem.instrument.instance
-    return all(f"{key}.{instance(key, name)}" in have for key, per in keys for name in labels.get(per, ()))
+def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
+    """Which rows (N,) have their unknowns among those that are bound: whose face is known, and the like."""
+    have, instrument = {slot.name for slot in bound.slots}, bound.problem.instrument
+    found = np.ones(len(samples), dtype=bool)
+    for key, unknown in instrument.unknowns.items():
+        if unknown.per is not None:
+            labels = samples.labels[unknown.per]
+            named = [f"{key}.{instrument.instance(key, name)}" in have for name in labels.names]
+            found &= np.array(named)[labels.codes]
+    return found

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 
 from casacal.array_types import Array
 from casacal.estimators.sckf import Belief
-from casacal.measuring.known import Known
+from casacal.measuring.known import Known, covered
 from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.choice import row_slopes
 from casacal.planning.exchange import gains
@@ -137,14 +137,7 @@ class Pool(Value):
     @staticmethod
     def of(known: Known, samples: Samples) -> Pool:
         """Those of faces that the belief knows."""
-        instrument, there = known.bound.problem.instrument, np.ones(len(samples), dtype=bool)
-        have = {slot.name for slot in known.bound.slots}
-        for key, unknown in instrument.unknowns.items():
-            if unknown.per is not None:
-                labels = samples.labels[unknown.per]
-                named = [f"{key}.{instrument.instance(key, name)}" in have for name in labels.names]
-                there &= np.array(named)[labels.codes]
-        rows = samples.take(np.flatnonzero(there))
+        rows = samples.take(np.flatnonzero(covered(known.bound, samples)))
         return Pool(rows, LinearRows.of(known, rows).slope)
 
     def most_telling(self, covariance: Array, field: Array) -> int:

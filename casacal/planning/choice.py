@@ -13,14 +13,17 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
 from casacal.binding.slots import instances
 from casacal.errors import CasacalError, came
+from casacal.instruments.description import Probe
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
 from casacal.problem.cell import Cell
 from casacal.problem.disturbances import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
+from casacal.simulation.reach import Touch
 from casacal.simulation.simulate import simulate
 from casacal.simulation.touches import default_cell
+from casacal.simulation.true_arm import true_unknowns
 from casacal.uncertainty.expectation import Box, joints_in_box
 from casacal.uncertainty.workspace import up_to_base, workspace_joints
 
@@ -45,6 +48,14 @@ def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
     if isinstance(cell, Cell):
         still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
     return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
+
+
+def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch, Array, Array, Array]:
+    """The arm as drawn with its plunger, and of rows what it reads (N,), its tips and plungers (N, 3)."""
+    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
+    arm = Touch.of(problem.robot, problem.instrument, probe, local)
+    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
+    return arm, readings, *arm.place(arm.local, samples.joints, readings[:, None])
 
 
 def pool_of(

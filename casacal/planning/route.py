@@ -17,7 +17,7 @@ from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
-from casacal.samples.write import samples_text
+from casacal.samples.write import WRITTEN, samples_text
 from casacal.tables.read import read_columns
 from casacal.values import Value
 
@@ -53,6 +53,12 @@ def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, not
     """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
     before = {"touch": [str(k) for k in range(1, len(purposes) + 1)], "purpose": list(purposes)}
     return samples_text(layout, samples, notes, before=before, joint_decimals=PLANNED_DECIMALS, prefix=EXPECTED)
+
+
+def joints_shown(joints: Array, layout: Layout) -> list[str]:
+    """Joint values (n,; rad, mm) as a plan has them, in degrees and mm."""
+    pairs = zip(joints, layout.joints, strict=True)
+    return [f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}" for value, kind in pairs]
 
 
 def rows_needed(problem: Problem, route: Route) -> tuple[int, int]:
