@@ -11,7 +11,7 @@ from casacal.errors import ProblemError
 from casacal.pages.markup import tag, together
 from casacal.pages.render import rendered
 from casacal.planning.clearance import nodes_of
-from casacal.planning.route import Route
+from casacal.planning.route import Route, joints_shown
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 

@@ -55,7 +55,8 @@ def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch
     local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
     arm = Touch.of(problem.robot, problem.instrument, probe, local)
     readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
-    return arm, readings, *arm.place(arm.local, samples.joints, readings[:, None])
+    tips, plungers = arm.place(arm.local, samples.joints, readings[:, None])
+    return arm, readings, tips, plungers
 
 
 def pool_of(
