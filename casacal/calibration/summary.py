@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.effect_words import corrected_words, size_words, tried_words
+from casacal.calibration.doubts import corrected_words, size_words, tried_words
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.result_parts import parameter_rows
 from casacal.calibration.verdict import verdict_of

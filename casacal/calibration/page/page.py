@@ -11,15 +11,14 @@ from markupsafe import Markup
 
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.corrections import VERY_STRONG
-from casacal.calibration.effect_words import size_words
+from casacal.calibration.doubts import size_words
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.page.expected import expected_error
 from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
 from casacal.calibration.page.touches import TITLES, Touches
 from casacal.calibration.verdict import Level
-from casacal.pages.numbers import count, fixed, left_out_rows, mm, shortened, shown_unit
-from casacal.pages.render import rendered
+from casacal.pages.render import count, fixed, left_out_rows, mm, rendered, shortened, shown_unit
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import KNOWN_FROM, correlated_pairs
 from casacal.wording import capital, numbered_lines, sized
