@@ -106,8 +106,8 @@ def tried_words(calibration: Calibration) -> list[str]:
     """One line for each effect that could be corrected and that the rows speak for."""
     asked = [each for each in calibration.tried if each.unseen]
     if not asked:
-        return ["  None of them is corrected."] if calibration.tried else []
-    return [f"  {became(each)}" for each in asked]
+        return ["None of them is corrected."] if calibration.tried else []
+    return [became(each) for each in asked]
 
 
 def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
