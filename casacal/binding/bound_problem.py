@@ -21,7 +21,7 @@ from casacal.binding.row_groups import RowGroups, places
 from casacal.binding.slots import Slot, coordinates, make_slots, nominals
 from casacal.binding.sums import COMPACT, Sums
 from casacal.binding.symbolic import SymbolicProblem
-from casacal.discrepancy.survey import Survey
+from casacal.discrepancy.effect import Survey
 from casacal.kernels.filter_passes import extended_pass
 from casacal.least_squares.arrow import Arrow, Groups
 from casacal.least_squares.elimination import GroupRows

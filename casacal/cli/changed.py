@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of, numbers_of
-from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, fresh_rows, made_from, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -24,21 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "something changed or is undecided."
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration")
-    parser.add_argument(
-        "--alarm", type=float, default=0.01, metavar="RATE", help="rate of false alarms, 0.001 to 0.5; default: 0.01"
+    add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
+    add(
+        parser,
+        "--drift NAME=STD ...",
+        "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
     )
-    parser.add_argument(
-        "--drift",
-        action="append",
-        default=[],
-        metavar="NAME=STD",
-        help="allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
-    )
-    parser.add_argument("--update", metavar="DIR", help="write an updated result from the old one and these rows")
-    parser.add_argument(
-        "--touches", metavar="FILE", help=f"write {TOUCHES} touches that would settle the cause, where needed"
-    )
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
+    add(parser, "--update DIR", "write an updated result from the old one and these rows")
+    add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
     add_json(parser)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
-from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, of_instrument, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add, add_instrument, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
@@ -39,31 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_instrument(parser, "which one takes the readings")
-    parser.add_argument("--plan", required=True, metavar="FILE", help="what casacal plan wrote")
-    parser.add_argument(
-        "--out", required=True, metavar="FILE", help="samples to write; those to check with go to FILE_check"
-    )
-    parser.add_argument(
-        "--tolerance", type=float, metavar="MM", help="end when the tip error is below this with 95 %% probability"
-    )
+    add(parser, "--plan FILE", "what casacal plan wrote", required=True)
+    add(parser, "--out FILE", "samples to write; those to check with go to FILE_check", required=True)
+    add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
     add_where(parser)
-    parser.add_argument(
-        "--best-first",
-        action="store_true",
-        help="choose the touch that lowers the tip error most, not the next on the planned way",
-    )
+    add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
     add_clearance(parser)
-    parser.add_argument("--serial", metavar="PORT", help="where a gauge is connected, such as COM3 or /dev/ttyUSB0")
-    parser.add_argument("--gauge", default="plain", metavar="NAME", help="digimatic, sylvac or plain; default: plain")
-    parser.add_argument(
-        "--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) around the number"
-    )
-    parser.add_argument("--unit", metavar="UNIT", help="of readings that say none: mm, in or um; default: mm")
-    parser.add_argument(
-        "--ask", metavar="TEXT", help="text that makes the gauge send a reading, sent when you press Enter"
-    )
-    parser.add_argument("--baud", type=whole_number, default=9600, metavar="N", help="of the line; default: 9600")
-    parser.add_argument("--frame", default="8N1", metavar="8N1", help="bits, parity and stop bits; default: 8N1")
+    add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
+    add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
+    add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
+    add(parser, "--unit UNIT", "of readings that say none: mm, in or um; default: mm")
+    add(parser, "--ask TEXT", "text that makes the gauge send a reading, sent when you press Enter")
+    add(parser, "--baud N", "of the line; default: 9600", kind=whole_number, default=9600)
+    add(parser, "--frame 8N1", "bits, parity and stop bits; default: 8N1", default="8N1")
 
 
 def run(options: argparse.Namespace) -> int:

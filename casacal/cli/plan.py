@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
-from casacal.cli.common import DONE, add_instrument, add_json, add_problem, of_instrument, spare, whole_number
+from casacal.cli.common import DONE, add, add_instrument, add_json, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -31,61 +31,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_instrument(parser, "for which one")
-    parser.add_argument("--out", required=True, metavar="FILE", help="plan to write, such as plan.csv")
-    parser.add_argument(
-        "--touches", type=whole_number, metavar="N", help=f"number of touches in all; default: {TOUCHES}"
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="MM",
-        help="instead of --touches: as many as this expected tip error takes",
-    )
-    _add_choice(parser)
-    add_clearance(parser)
-    parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
-    _add_written(parser)
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
-    add_json(parser)
-
-
-def _add_choice(parser: argparse.ArgumentParser) -> None:
+    add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
+    add(parser, "--touches N", f"number of touches in all; default: {TOUCHES}", kind=whole_number)
+    add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
     add_where(parser)
-    parser.add_argument(
-        "--criterion",
+    add(
+        parser,
+        "--criterion NAME",
+        "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
         default="tip",
-        metavar="NAME",
-        help="tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
     )
-    parser.add_argument("--after", metavar="FILE", help="samples that were taken already; the plan adds to them")
-    parser.add_argument(
-        "--loose",
-        action="append",
-        default=[],
-        metavar="NAME=STD",
-        help="with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
+    add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
+    add(
+        parser,
+        "--loose NAME=STD ...",
+        "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
     )
-    parser.add_argument(
-        "--pool", type=whole_number, default=3000, metavar="N", help="number of candidates; default: 3000"
-    )
-    parser.add_argument("--check", type=float, default=0.15, metavar="F", help="part kept to verify; default: 0.15")
-    parser.add_argument(
-        "--again", type=float, default=0.05, metavar="F", help="part repeated at the end; default: 0.05"
-    )
-
-
-def _add_written(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sheet", metavar="FILE", help="write a sheet to print and fill in, such as sheet.html")
-    parser.add_argument(
-        "--program",
-        action="append",
-        default=[],
-        metavar="LANGUAGE",
-        help="also write a robot program: rapid, krl or urscript; may be repeated",
-    )
-    parser.add_argument(
-        "--retreat", type=float, default=20.0, metavar="MM", help="standoff of programs from the face; default: 20"
-    )
+    add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
+    add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
+    add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
+    add_clearance(parser)
+    add(parser, "--setups", "also compare other set-ups of the cell")
+    add(parser, "--sheet FILE", "write a sheet to print and fill in, such as sheet.html")
+    add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
+    add(parser, "--retreat MM", "standoff of programs from the face; default: 20", kind=float, default=20.0)
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, fresh_rows, made_from, spare
+from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -24,24 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration promised, or if the arm is not accepted by the tolerance."
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration and are not fitted again")
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="MM",
-        help="largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
+    add(
+        parser,
+        "--tolerance MM",
+        "largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
+        kind=float,
     )
-    parser.add_argument(
-        "--risk",
-        type=float,
-        metavar="P",
-        help="chance of a wrong decision for an arm at the tolerance; default: 0.05",
-    )
-    parser.add_argument("--report", metavar="FILE", help="write a self-contained HTML page")
-    parser.add_argument(
-        "--into-report",
-        action="store_true",
-        help="add it to the report.html beside RESULT, in place of an earlier one",
-    )
+    add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
+    add(parser, "--report FILE", "write a self-contained HTML page")
+    add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")
     add_json(parser)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.instruments.declaration import with_unknown
+from casacal.instruments.instrument import with_unknown
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
 

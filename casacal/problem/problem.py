@@ -9,7 +9,7 @@ from pathlib import Path
 
 from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
-from casacal.instruments.declaration import with_setting
+from casacal.instruments.instrument import with_setting
 from casacal.problem.compile import RowModel, models_like
 from casacal.problem.edits import chosen, replaced, with_std
 from casacal.problem.measured_arm import MeasuredArm

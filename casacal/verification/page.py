@@ -11,10 +11,8 @@ from typing import Any
 from markupsafe import Markup
 
 from casacal.errors import CasacalError
-from casacal.pages.drawing import Panel, figure, number, picture
-from casacal.pages.markup import tag
-from casacal.pages.numbers import fixed, mm, shortened
-from casacal.pages.render import rendered
+from casacal.pages.drawing import Panel, figure, number, picture, tag
+from casacal.pages.render import fixed, mm, rendered, shortened
 from casacal.verification.figures import ErrorInterval, Figures
 from casacal.verification.sentences import decision_told, measurand, told
 
