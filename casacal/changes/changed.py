@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from casacal.calibration.saved import AsArm
 from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
-from casacal.changes.explain import SURE, Explanation, contenders, explanations
+from casacal.changes.explain import SURE, Explanation, contenders, explanations, telling
 from casacal.changes.look import Look
 from casacal.changes.posterior import with_drift, with_memory
-from casacal.changes.tell import telling
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem

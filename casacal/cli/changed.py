@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
     from casacal.changes.changed import looked
-    from casacal.changes.tell import write_touches
+    from casacal.changes.explain import write_touches
     from casacal.changes.update import after
     from casacal.verification.opened import opened
 

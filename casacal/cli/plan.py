@@ -134,8 +134,7 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
     from casacal.fieldwork.approaches import approaches
-    from casacal.fieldwork.programs import PROGRAMS, program_text
-    from casacal.fieldwork.sheet import sheet_page
+    from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
     from casacal.files import write_text
     from casacal.planning.written import plan_text
 

@@ -16,8 +16,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.measuring.known import Known, Places, known_before, known_from, telling
 from casacal.measuring.linear import LinearRows, Told, innovations_at, length, log_density, square
-from casacal.measuring.slips import Slip
-from casacal.measuring.touch import Touch, rows_of
+from casacal.measuring.touch import Slip, Touch, rows_of
 from casacal.planning.route import CHECK
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

@@ -12,8 +12,7 @@ from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, Setting, State
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
 from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum
-from casacal.measuring.slips import Slip, slips_of
-from casacal.measuring.touch import Touch, planned_touches, rows_of
+from casacal.measuring.touch import Slip, Touch, planned_touches, rows_of, slips_of
 from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
