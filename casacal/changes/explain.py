@@ -44,7 +44,7 @@ NAMED = 0.02  # part of the evidence below which a cause is none of those that r
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, r) that show."""
+    """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, v) to that."""
 
     shift: Array
     std: Array
@@ -89,12 +89,13 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
         used = _shown(look, k)
         ways = np.zeros((look.shifted.unknowns, n))
         ways[cause.columns] = used
-        posterior = prior.with_ways(ways, np.ones(n)).given(look.shifted, most=STEPS, strict=False)
+        wider = prior.with_ways(ways, np.ones(n))
+        posterior = wider.given(look.shifted, most=STEPS, strict=False)
         covariance = posterior.covariance[-n:, -n:]
         std = np.sqrt(np.maximum(np.diagonal(used @ covariance @ used.T), 0.0))
         left, evidence = _judged(look, posterior.chi_square, n, cost)
         p = chance(max(nothing - posterior.chi_square, 0.0), n, tests.noise)
-        fitted = Fitted(used @ posterior.v[-n:], std, posterior, ways)
+        fitted = Fitted(used @ posterior.v[-n:], std, posterior, wider.ways)
         found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
     per_row = tests.rows.shape[2]
     for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
@@ -158,7 +159,7 @@ def telling(
         there = look.shifted.on(replace(pool, sha256="pool"))
     except CasacalError:  # out of reach, or of faces that these rows do not know
         return None, 0.0
-    told = [_expected(look, each, there) for each in causes]
+    told = [_expected(each, there) for each in causes]
     pairs = list(combinations(range(len(causes)), 2))
     chosen, odds = list[int](), 0.0
     for _ in range(min(count, len(pool))):
@@ -173,12 +174,11 @@ def telling(
     return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
 
 
-def _expected(look: Look, fitted: Fitted, there: BoundProblem) -> _Expected:
+def _expected(fitted: Fitted, there: BoundProblem) -> _Expected:
     """Of an explanation: where it puts the arm, and what it leaves open."""
     posterior, count = fitted.posterior, len(there.block.samples)
-    ways = np.hstack([Prior.of(look.fresh, look.shifted.unknowns).ways, fitted.ways])
     half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))
-    slopes = there.jacobian(posterior.x) @ ways @ half
+    slopes = there.jacobian(posterior.x) @ fitted.ways @ half
     return there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
 
 
