@@ -23,8 +23,7 @@ from casacal.study.runs import Run
 
 KINDS = (STATED, RANDOM, BLOCKED)
 QUICK_FOLDS = 1
-QUICK_ROWS = 100
-"""Rows at most of a set in the quick form."""
+QUICK_ROWS = 100  # rows at most of a set in the quick form
 
 
 @dataclass(frozen=True)
@@ -133,11 +132,8 @@ def mean_squares(squares: Array, rows: Array, seed: int = 0) -> tuple[float, flo
     return total, float(low), float(high)
 
 
-LEAKS = 1.5
-"""Blocked over random from which a method is said to live on neighbours."""
-
-REPRODUCED = 0.05
-"""Part of a published figure within which it counts as reproduced."""
+LEAKS = 1.5  # blocked over random from which a method is said to live on neighbours
+REPRODUCED = 0.05  # part of a published figure within which it counts as reproduced
 
 MARK = "†"
 

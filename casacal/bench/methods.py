@@ -26,8 +26,7 @@ from casacal.estimators.scipy_least_squares import scipy_least_squares
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
-MOST_OF_A_PROCESS = 1500
-"""Rows that a Gaussian process is made of; of more, some."""
+MOST_OF_A_PROCESS = 1500  # rows that a Gaussian process is made of; of more, some
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,7 @@ def _repair(calibration: Calibration, check: str) -> str:
     return f"{cure.words}." if cure is not None else "give every parameter a prior, or hold it with --fix."
 
 
-MOST_LINES = 15
-"""Lines of the whole, files written included."""
+MOST_LINES = 15  # lines of the whole, files written included
 
 
 def brief(

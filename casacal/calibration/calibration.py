@@ -14,18 +14,12 @@ from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.identifiability import (
-    Identifiability,
-    NullDirection,
-    WeakDirection,
-    identifiability,
-)
+from casacal.uncertainty.identifiability import Identifiability, NullDirection, WeakDirection, identifiability
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
 
-HARMLESS = 0.01
-"""Tip motion (mm under the prior) below which an unseen direction needs no cure."""
+HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 
 NOT_NEEDED = "none needed"
 

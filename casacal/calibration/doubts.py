@@ -29,8 +29,7 @@ class Doubt:
     step: str = ""
 
 
-OF_THE_DIAL = ("gain", "cycle")
-"""Keys of the tests of a dial's own errors; they are made where these are no unknowns."""
+OF_THE_DIAL = ("gain", "cycle")  # keys of the tests of a dial's own errors; they are made where these are no unknowns
 
 DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
 

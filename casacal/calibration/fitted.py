@@ -34,8 +34,7 @@ from casacal.uncertainty.noise import Noise, noise_over_stated
 from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
 from casacal.values import FrozenMapping, Value
 
-MINIMISERS = ("lm", "sckf-lm", "ipopt")
-"""Methods that promise the minimum; filters and controls may honestly miss it."""
+MINIMISERS = ("lm", "sckf-lm", "ipopt")  # methods that promise the minimum; filters and controls may honestly miss it
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -34,8 +34,7 @@ METHODS: Mapping[str, Method] = {
 RANDOM = ("annealing", "swarm", "evolution")
 """Methods that draw random numbers, to search a box of the geometry: that of effects beside it is too wide."""
 
-WORSE = 1e-9
-"""Part of the drawing's cost by which an estimate may exceed it: rounding."""
+WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
 
 
 def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]:
@@ -93,8 +92,7 @@ def _is_far(found: Result) -> bool:
     return step is not None and step.squared_length > found.problem.unknowns
 
 
-AGREEMENT = 1e-8
-"""Largest relative gap between the costs of two solvers that found the same minimum."""
+AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum
 
 NEGLIGIBLE = 1e-6
 """A gap in cost that means nothing, however small the costs are.
@@ -111,10 +109,8 @@ class Reference(Value):
 
     solver: str
     result: Result
-    cost: float
-    """The objective as that solver itself evaluated it."""
-    relative_gap: float
-    """(cost of the method - cost of the reference) / cost of the reference."""
+    cost: float  # the objective as that solver itself evaluated it
+    relative_gap: float  # (cost of the method - cost of the reference) / cost of the reference
 
     @property
     def gap(self) -> float:

@@ -14,8 +14,7 @@ Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
 
 WHEN = ("before", "after")
 
-Pair: TypeAlias = tuple[Array, Array]
-"""Unknowns (n,) before and after."""
+Pair: TypeAlias = tuple[Array, Array]  # unknowns (n,) before and after
 
 
 def residual_metrics(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair) -> Metrics:

@@ -22,8 +22,7 @@ SMALLEST = 1e-3
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
 
 
-PART = 0.5
-"""Tip error with a tool that is exactly known over that as it is, below which the tool decides most of it."""
+PART = 0.5  # tip error with a tool that is exactly known over that as it is, below which the tool decides most of it
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,21 +11,11 @@ from casacal.calibration.calibration import Calibration
 from casacal.files import place_whole
 from casacal.uncertainty.workspace import tip_stds, without_rigid
 
-FILTER_POINTS = 60
-"""Rows at which a filter's objective is drawn."""
-
-FLOOR = 1e-9
-"""Added so that the lowest value itself can stand on a logarithmic axis; below rounding."""
-
-NAMED = 24
-"""Faces named under a picture; of more, some are."""
-
-LINED = 200
-"""Faces with a line between them."""
-
-LONGEST = 24
-"""Characters of a label in a picture."""
-
+FILTER_POINTS = 60  # rows at which a filter's objective is drawn
+FLOOR = 1e-9  # added so that the lowest value itself can stand on a logarithmic axis; below rounding
+NAMED = 24  # faces named under a picture; of more, some are
+LINED = 200  # faces with a line between them
+LONGEST = 24  # characters of a label in a picture
 BEFORE, AFTER, HELD = "#b8b8b8", "#1f6fb2", "#d1622b"
 
 

@@ -149,11 +149,7 @@ def truth_document(
 
 
 def write_calibration(
-    calibration: Calibration,
-    folder: Path,
-    *,
-    command: str | None = None,
-    box: Box | None = None,
+    calibration: Calibration, folder: Path, *, command: str | None = None, box: Box | None = None
 ) -> list[Path]:
     """Write report.html, result.json, parameters.csv and pictures into a folder.
 
@@ -174,10 +170,7 @@ def write_calibration(
     with together(folder, PLACED) as place:
         write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
         write_json(place / "result.json", document)
-        write_text(
-            place / "parameters.csv",
-            _table(document["parameters"]),
-        )
+        write_text(place / "parameters.csv", _table(document["parameters"]))
         save_plots(calibration, place)
         made = [name for name in FILES if (place / name).exists()]
     return [folder / name for name in made]

@@ -111,11 +111,7 @@ class AsArm(ABC):
         arm = self.arm
         rounding = rounding_of(form, arm.source.problem.robot)
         meant = targets_from(targets, arm.source)
-        text = text_of(
-            compensate(arm, meant, frame=frame, largest=most, rounding=rounding, force=force),
-            form,
-            arm,
-        )
+        text = text_of(compensate(arm, meant, frame=frame, largest=most, rounding=rounding, force=force), form, arm)
         if path is not None:
             write_text(path, text)
         return text
@@ -171,8 +167,7 @@ class AsArm(ABC):
         return values_of(self.arm, frame=frame, nominal=nominal)
 
 
-COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")
-"""Of a parameter in result.json."""
+COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")  # of a parameter in result.json
 
 
 @dataclass(frozen=True, eq=False, repr=False)

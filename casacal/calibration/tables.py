@@ -16,8 +16,7 @@ from casacal.pages.render import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.wording import capital
 
-LONGEST = 60
-"""Characters of a face's name."""
+LONGEST = 60  # characters of a face's name
 
 
 @dataclass(frozen=True)

@@ -18,23 +18,15 @@ from casacal.wording import listed, mm, sentence, times
 
 Level = Literal["calibrated", "use with care", "do not use"]
 
-GAIN = 0.9
-"""Expected tip error over the one before, above which little was gained."""
-
-WORSE = 1.1
-"""Residual after over before, on the very rows that were fitted, above which calibrating made the arm worse."""
-
-EXPLAINED = 0.5
-"""Residual after over before, above which a fit that does not reach the noise has explained nothing."""
-
-BENT = 10.0
-"""Prior standard deviations by which no arm differs from its drawing; who knows better states wider priors."""
+GAIN = 0.9  # expected tip error over the one before, above which little was gained
+WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
+EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
+BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
 
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 
-SHOWN = 0.01
-"""Millimetres below which nobody asks how little a tip errs."""
+SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
 
 LEFT_TO_PRIORS = 0.5
 """Expected tip error over the one before, above which the priors decide more of it than the samples."""

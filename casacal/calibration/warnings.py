@@ -18,23 +18,12 @@ from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import chance, lower, mm, sized, times
 
-FAR = 4.0
-"""Prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does."""
-
-NOISE_BAND = (0.9, 1.1)
-"""Found over stated noise: an interval outside this band is worth a warning."""
-
-LACK_OF_FIT = 2.0
-"""Found over stated noise beyond which something systematic is wrong, as `check` judges it."""
-
-IMPROBABLE = 0.01
-"""Chance below which a drawn arm that misses the planes by so little contradicts its priors."""
-
-TOO_TIGHT = 1e-4
-"""Chance of moves as large as these, all together, below which the priors are too tight for this arm."""
-
-SETTLED = 0.1
-"""Expected tip error over that before, below which the samples decide, however loose the priors."""
+FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
+NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
+LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
+IMPROBABLE = 0.01  # chance below which a drawn arm that misses the planes by so little contradicts its priors
+TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which the priors are too tight for this arm
+SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 
 SHOWN = 6
 

@@ -14,20 +14,13 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.wording import times
 
-SUSPICIOUS = 2.0
-"""Misfit, in stated standard deviations, above which something systematic is looked for."""
-BETTER = 0.25
-"""An undone fault must shrink the misfit to this part to be believed."""
-CHANCE = 1.3
-"""A misfit of this size is chance: whatever leaves no more explains it all."""
-ALIKE = 1.5
-"""Within this factor a fault and its absence cannot be told apart."""
-PROMISING = 12
-"""Faults, or pairs of them, that a first look finds best and that are fitted to the end."""
-PAIRED = 3
-"""Single faults, beside the usual ones, that are tried together with others."""
-RIVALS = 3
-"""Faults that would explain it equally well and are named."""
+SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
+BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
+ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
+PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
+PAIRED = 3  # single faults, beside the usual ones, that are tried together with others
+RIVALS = 3  # faults that would explain it equally well and are named
 
 
 @dataclass(frozen=True)
@@ -44,8 +37,7 @@ class _Trial:
 
     faults: tuple[Fault, ...]
     undone: Undone
-    size: float
-    """The misfit that is left."""
+    size: float  # the misfit that is left
 
     @property
     def freedom(self) -> int:

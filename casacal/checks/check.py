@@ -30,17 +30,10 @@ from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import times
 
-MOST_ROWS = 600
-"""Rows used to look for systematic faults; more add time, not insight."""
-
-OF_A_FACE = 12
-"""Rows of a face, where faces are many, that tell of systematic faults."""
-
-SPREAD = 20_000
-"""Rows that tell of the set-up and of what the prior explains; more add memory, not insight."""
-
-MOST_STRAYS = 0.3
-"""Beyond this fraction of the rows, it is not single rows that are wrong."""
+MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
+OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
+SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
 
 OF_TWO = 3.0
 """Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
@@ -167,12 +160,7 @@ def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
         if misfit(undone.problem, undone.samples) <= ALIKE * base:
             unseen.append(fault.about)
     return [
-        Finding(
-            "remark",
-            f"{about}?",
-            "these samples would look the same, so they cannot show it",
-            "Check it by hand",
-        )
+        Finding("remark", f"{about}?", "these samples would look the same, so they cannot show it", "Check it by hand")
         for about in unseen
     ]
 

@@ -76,15 +76,11 @@ def tells_a_wrong_sign(slope: float, std: float) -> bool:
 TURNS_MM = (1.0, 0.5, 2.54, 0.2)
 """What one turn of a pointer shows, by the dials that are sold; several turns are only looked for of the first."""
 
-SHORT_TRAVEL = 2.0
-"""Travel (mm) up to which a dial has turns of less than half a millimetre."""
+SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
 
 MOST_TURNS = 3
-SURE = 4.0
-"""Standard deviations within which a reading must then fit."""
-
-SMALL = 1e-4
-"""Step of the finite difference, mm."""
+SURE = 4.0  # standard deviations within which a reading must then fit
+SMALL = 1e-4  # step of the finite difference, mm
 
 
 def lost_turns(

@@ -19,14 +19,12 @@ from casacal.tables.columns import Labels
 from casacal.uncertainty.prior_moves import chance_of_move
 from casacal.unknowns import Parameter
 
-ROUNDS = 4
-"""Gauss-Newton steps for a fault of one number; all are nearly linear in it."""
+ROUNDS = 4  # Gauss-Newton steps for a fault of one number; all are nearly linear in it
 
 PLACES = 12
 """Places in the order of the rows at which something may have moved, before the best one is looked at closely."""
 
-FEWEST = 5
-"""Rows that a face needs on either side of such a place to have a plane there."""
+FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 
 
 def tool_keys(problem: Problem) -> list[str]:
@@ -141,12 +139,8 @@ def _fitted(problem: Problem, samples: Samples, change: Callable[[Samples, float
     return size
 
 
-SMALL = 1e-5
-"""Step of the finite difference, mm or mm per rad."""
-
-
-CHANCE = 1e-3
-"""Chance that a tool as stated moves so far, all its components together."""
+SMALL = 1e-5  # step of the finite difference, mm or mm per rad
+CHANCE = 1e-3  # chance that a tool as stated moves so far, all its components together
 
 FAR = 2.0
 """Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""

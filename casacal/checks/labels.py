@@ -12,15 +12,11 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.wording import counted
 
-MARGIN = 2
-"""Rows that a label needs beside one for each unknown of its own."""
+MARGIN = 2  # rows that a label needs beside one for each unknown of its own
 RARE = 0.03
-FEW = 3
-"""A label of no more rows, in no more than this part of all, is rare."""
-SHORTEST = 4
-"""Letters from which one letter more or less is a slip and not another name."""
-MOST_LABELS = 200
-"""Labels that are compared with one another; where there are more they are numbers, not names."""
+FEW = 3  # a label of no more rows, in no more than this part of all, is rare
+SHORTEST = 4  # letters from which one letter more or less is a slip and not another name
+MOST_LABELS = 200  # labels that are compared with one another; where there are more they are numbers, not names
 
 
 def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:

@@ -19,20 +19,14 @@ from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_moves import DULL
 from casacal.unknowns import Parameter
 
-WIDE = {"rad": "0.1", "mm": "20"}
-"""Prior under which `calibrate` tries another number, by unit."""
-
-WRONG = 5.0
-"""Prior standard deviations from the drawing at which a number is another, not an error of manufacture."""
-
-SURE = 3.0
-"""Standard deviations, with the noise as found, by which it must lie beyond."""
+WIDE = {"rad": "0.1", "mm": "20"}  # prior under which `calibrate` tries another number, by unit
+WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
+SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
 
 ALONE = 16.0
 """Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
 
-TRIED = 2
-"""Numbers that are freed one by one, those first that gain most."""
+TRIED = 2  # numbers that are freed one by one, those first that gain most
 
 
 def numbers(problem: Problem) -> Iterator[Fault]:

@@ -24,20 +24,14 @@ from casacal.uncertainty.figures import leverages
 from casacal.unknowns.fits import fitted_plane
 from casacal.wording import counted
 
-SUBSETS = 300
-"""Random planes through three tips tried for the least median of squares."""
-JUDGES = 5_000
-"""Tips, drawn at random, whose median judges them."""
-GROSS = 8.0
-"""Times the robust scatter beyond which a nominal tip is not on its plane at all."""
-FEWEST_OF_A_FACE = 12
-"""Rows of a face that can tell how rough it is."""
+SUBSETS = 300  # random planes through three tips tried for the least median of squares
+JUDGES = 5_000  # tips, drawn at random, whose median judges them
+GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
+FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
 """Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
-ONES_OWN = 2
-"""Rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong."""
-CHANCE = 1e-4
-"""Chance that a clean set has any row called an outlier (Bonferroni)."""
+ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
+CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
 
 
 def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], dict[str, Array]]:
@@ -100,12 +94,9 @@ class Outliers:
     """Rows of a robust fit that chance does not explain: places (m,) in the samples, the worst first, and sizes."""
 
     rows: tuple[int, ...]
-    worst: float
-    """Size of the largest, in standard deviations."""
-    limit: float
-    """Size that chance explains."""
-    scale: float
-    """Robust noise over what was used, of all rows."""
+    worst: float  # size of the largest, in standard deviations
+    limit: float  # size that chance explains
+    scale: float  # robust noise over what was used, of all rows
 
 
 def robust_fit(bound: BoundProblem) -> tuple[BoundProblem, Result] | None:

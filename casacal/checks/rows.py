@@ -18,8 +18,7 @@ from casacal.wording import counted
 
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-ENOUGH_ROWS = 12
-"""Rows from which a common grid of values cannot be chance."""
+ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
 
 
 def repeated(samples: Samples) -> list[Finding]:

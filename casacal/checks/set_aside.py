@@ -13,24 +13,14 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
 from casacal.checks.check import strays
 from casacal.checks.finding import Finding
-from casacal.checks.outliers import (
-    GROSS,
-    Outliers,
-    most_by_chance,
-    robust_fit,
-    single_rows,
-    studentised_outliers,
-)
+from casacal.checks.outliers import GROSS, Outliers, most_by_chance, robust_fit, single_rows, studentised_outliers
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
 from casacal.uncertainty.prior_moves import prior_scatter
 
-MOST = 0.1
-"""Part of the rows that may be set aside; where more are wrong, it is not single rows that are."""
-
-ROUNDS = 3
-"""Fits without the rows found before: large outliers hide small ones."""
+MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
+ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
 
 WORTH_ANOTHER_LOOK = 10.0
 """Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""

@@ -15,10 +15,8 @@ from casacal.unknowns.fits import fitted_plane
 
 SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
-SMALLEST_FACE = 0.05
-"""Fraction of the arm's reach that touches of a face should span."""
-SMALLEST_ANGLE = 20.0
-"""Degrees between faces below which they count as parallel."""
+SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
+SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
 ROWS_PER_UNKNOWN = 2.0
 NO_LENGTH = "no length was measured"
 
@@ -87,12 +85,7 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
         same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
     if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
         findings.append(
-            Finding(
-                "warning",
-                "faces nearly parallel",
-                same,
-                "Add a face at an angle; three at right angles are best",
-            )
+            Finding("warning", "faces nearly parallel", same, "Add a face at an angle; three at right angles are best")
         )
     # on faces of certified angles a sliding joint is a ruler
     ruler = probe.knows_angles and not bound.problem.robot.revolute.all()

@@ -11,13 +11,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.checks.fitted_faults import (
-    drifting,
-    geared,
-    somewhere_moved,
-    tool_elsewhere,
-    tool_keys,
-)
+from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere, tool_keys
 from casacal.checks.numbers import numbers
 from casacal.checks.undone import Fault, Undo, Undone
 from casacal.instruments import Suspect

@@ -19,14 +19,10 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
-KEPT = 0.9
-"""Part of the rows, the best of them, that a misfit is made of."""
-OF_NORMAL = 0.62297
-"""Mean square of that part of a standard normal distribution."""
-STEPS = 25
-"""Steps of a quick robust fit."""
-FIRST_STEPS = 6
-"""Steps of a first look, which tells what is promising: with the cause undone, a fit needs few."""
+KEPT = 0.9  # part of the rows, the best of them, that a misfit is made of
+OF_NORMAL = 0.62297  # mean square of that part of a standard normal distribution
+STEPS = 25  # steps of a quick robust fit
+FIRST_STEPS = 6  # steps of a first look, which tells what is promising: with the cause undone, a fit needs few
 
 
 @dataclass(frozen=True)

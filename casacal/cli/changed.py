@@ -12,8 +12,7 @@ from casacal.errors import CasacalError
 
 HELP = "tell whether the robot has changed since, what, and by how much"
 
-TOUCHES = 6
-"""How many touches are proposed where causes cannot be told apart."""
+TOUCHES = 6  # how many touches are proposed where causes cannot be told apart
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration")
     add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
-    add(
-        parser,
-        "--drift NAME=STD ...",
-        "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
-    )
+    add(parser, "--drift NAME=STD ...", "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5")
     add(parser, "--update DIR", "write an updated result from the old one and these rows")
     add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
     add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from casacal.compensation.targets import Compensation
 
 HELP = "correct joint targets for the calibrated arm"
-SHOWN = 5
-"""Targets not reached that are named one by one."""
+SHOWN = 5  # targets not reached that are named one by one
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

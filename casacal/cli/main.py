@@ -70,8 +70,7 @@ class _Parser(argparse.ArgumentParser):
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
-NEGATIVE_RANGE = re.compile(r"-[\d.]+:")
-"""How a box begins whose first range is below zero."""
+NEGATIVE_RANGE = re.compile(r"-[\d.]+:")  # how a box begins whose first range is below zero
 
 
 def build_parser() -> _Parser:

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 HELP = "take touches at the machine, each judged at once"
 
-EVERY = 10
-"""Touches beyond the plan between two words about how many more it takes."""
+EVERY = 10  # touches beyond the plan between two words about how many more it takes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -140,8 +139,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
         answer = answered(session, proposed, entered, meter)
         if answer.change != "none" and file.sizes() != sizes:
             raise CasacalError(
-                f"another program changed '{file.path}'",
-                "End the other session, and go on with this command",
+                f"another program changed '{file.path}'", "End the other session, and go on with this command"
             )
         if answer.change == "added":
             file.append(answer.session.touches[-1], len(answer.session))

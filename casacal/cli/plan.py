@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 HELP = "plan which touches to make"
 
-TOUCHES = 60
-"""How many where nothing is said."""
+TOUCHES = 60  # how many where nothing is said
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,7 @@ from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fres
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
-HEAD = 20_000
-"""Characters of a page in which its title stands."""
+HEAD = 20_000  # characters of a page in which its title stands
 
 HELP = "test a calibration on fresh rows"
 

@@ -19,8 +19,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.unknowns import Parameter
 from casacal.values import Value
 
-FRAMES = ("flange", "tip")
-"""What a pose may be of: `robot.pose`, or where the instrument touches."""
+FRAMES = ("flange", "tip")  # what a pose may be of: `robot.pose`, or where the instrument touches
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,12 +35,9 @@ from casacal.samples.samples import Samples
 
 TOLERANCE = 5e-3, 5e-6
 """Position (mm) and orientation (rad) within which the written joints must bring the calibrated robot to a pose."""
-LARGEST = math.radians(10)
-"""Joint motion (rad, or its weight in mm) beyond which a correction is a jump."""
-ROUNDED = 1e-6
-"""How far (rad, mm) the rounding of a file may put joint values beyond a limit."""
-STEPS = 150
-"""At most, for rows that creep along a singularity."""
+LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
+ROUNDED = 1e-6  # how far (rad, mm) the rounding of a file may put joint values beyond a limit
+STEPS = 150  # at most, for rows that creep along a singularity
 RETRIES, SCATTER = 3, 0.1
 """Further starts, and how far they lie from the first (rad), for rows where the first one stuck."""
 

@@ -11,10 +11,8 @@ from casacal.errors import CasacalError
 from casacal.samples.layout import LARGEST
 from casacal.samples.repeats import is_listing
 
-LEVELS = ("calibrated", "use with care", "do not use")
-"""Of a verdict."""
-HUGE = 1e300
-"""Numbers that no arm has; an integer may be too long for any float."""
+LEVELS = ("calibrated", "use with care", "do not use")  # of a verdict
+HUGE = 1e300  # numbers that no arm has; an integer may be too long for any float
 FIX = "Restore the file, or calibrate again"
 
 

@@ -22,12 +22,9 @@ FEW_JOINTS_WEIGHT = 1.0
 """Millimetres that weigh as much as one radian where an arm has fewer than six joints: position first, and the
 orientation as near as the position allows (what it costs the position is below a tenth of a micrometre)."""
 
-ARRIVED = 1e-18
-"""Squared miss (mm^2) below which a row is done."""
-STILL = 1e-11
-"""Step (rad, or mm over `AXIS_WEIGHT`) below which a row is done."""
-GIVEN_UP = 1e9
-"""Damping at which no step helps any more."""
+ARRIVED = 1e-18  # squared miss (mm^2) below which a row is done
+STILL = 1e-11  # step (rad, or mm over `AXIS_WEIGHT`) below which a row is done
+GIVEN_UP = 1e9  # damping at which no step helps any more
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,13 @@ from casacal.compensation.inverse_kinematics import PosedArm, joint_units
 from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
 
-BANK = 4096
-"""Random postures among which starts are looked for."""
-ROUNDS = (6, 24)
-"""Starts per pose in the first round, and in the second for poses that none of them reached."""
-PATIENCE = 16
-"""Steps of a start: those that are not there by then creep along a singularity, and others are faster."""
+BANK = 4096  # random postures among which starts are looked for
+ROUNDS = (6, 24)  # starts per pose in the first round, and in the second for poses that none of them reached
+PATIENCE = 16  # steps of a start: those that are not there by then creep along a singularity, and others are faster
 SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5
 """Times that torn paths are repaired; joint motion (rad) between rows at which one is torn; and how near two poses must
 be (in units of a radian or `AXIS_WEIGHT` mm) to count as one path."""
-BEYOND = 1.05
-"""Fraction of the farthest random posture's distance from the base beyond which no pose is looked for."""
+BEYOND = 1.05  # fraction of the farthest random posture's distance from the base beyond which no pose is looked for
 
 
 def postures(arm: PosedArm, positions: Array, rotations: Array, tolerance: tuple[float, float]) -> Array:

@@ -27,8 +27,7 @@ from casacal.robots.robot import Arm
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Parameter
 
-FREE = ("seal", "seconds")
-"""Keys that are not sealed."""
+FREE = ("seal", "seconds")  # keys that are not sealed
 
 FIX = "Restore it, or calibrate again"
 
@@ -60,12 +59,8 @@ def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
     return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-SCHEMA = 2
-"""Of the files that this version writes. Those without a number are older: they need their problem.py."""
-
-
-LARGEST_SOURCE = 100_000_000
-"""Bytes beyond which a file is none that an arm was made from."""
+SCHEMA = 2  # of the files that this version writes. Those without a number are older: they need their problem.py
+LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
 
 
 def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:

@@ -10,14 +10,9 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.problem.problem import Problem
 from casacal.values import FrozenMapping
 
-NAMED = ("parameters", "unknowns")
-"""Parts of a result whose entries have the name of an unknown."""
-
-OTHERS = "others."
-"""Before the names of what other instruments share."""
-
-ALL_ROWS = "plane"
-"""What a face is called where there is one for all rows."""
+NAMED = ("parameters", "unknowns")  # parts of a result whose entries have the name of an unknown
+OTHERS = "others."  # before the names of what other instruments share
+ALL_ROWS = "plane"  # what a face is called where there is one for all rows
 
 
 def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:

@@ -27,8 +27,7 @@ from casacal.values import FrozenMapping, Value, frozen
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 POSE: Mapping[str, Dimension] = FrozenMapping({**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")})
 
-UNIT_LENGTH = 1e-3
-"""How far a quaternion may be from unit length: more than rounding leaves is a mistake."""
+UNIT_LENGTH = 1e-3  # how far a quaternion may be from unit length: more than rounding leaves is a mistake
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,7 @@ from casacal.robots.joints import Conventions
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.uncertainty.workspace import workspace_joints
 
-LEVER = 100.0
-"""Distance (mm) from the flange's origin of the points that stand for its orientation."""
+LEVER = 100.0  # distance (mm) from the flange's origin of the points that stand for its orientation
 STEPS = 5
 
 

@@ -102,8 +102,7 @@ def _array(matrix: ca.DM) -> Array:
     return dense.ravel() if dense.shape[1] == 1 else dense
 
 
-LEVER = 300.0
-"""Millimetres that weigh as much as one radian in a step."""
+LEVER = 300.0  # millimetres that weigh as much as one radian in a step
 
 HEAD = """/*
 {remarks}

@@ -30,8 +30,7 @@ from casacal.values import Value
 SKEW = math.sin(math.radians(5.0))
 """Sine of the angle below which faces are parallel, or points on a line, and fix no frame."""
 
-STEP = 1e-6
-"""Of a tilt (rad) or an offset (mm), for slopes."""
+STEP = 1e-6  # of a tilt (rad) or an offset (mm), for slopes
 
 
 @dataclass(frozen=True, eq=False)

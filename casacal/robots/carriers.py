@@ -18,17 +18,10 @@ from casacal.unknowns import Direction, Parameter
 from casacal.unknowns.unknown import PRIOR_STD
 from casacal.values import is_real
 
-CARRIER = "carrier_"
-"""What the names of the carrier's parameters begin with."""
-
-LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6
-"""Travel of a rail, mm: what is shorter was meant in metres."""
-
-MOST_TURNS = 10
-"""Turns of a table from one limit to the other: more were meant in degrees."""
-
-SCALE = 0.1
-"""Millimetres by which a metre of a rack or a spindle may well be long or short."""
+CARRIER = "carrier_"  # what the names of the carrier's parameters begin with
+LEAST_TRAVEL, MOST_TRAVEL = 50.0, 1e6  # travel of a rail, mm: what is shorter was meant in metres
+MOST_TURNS = 10  # turns of a table from one limit to the other: more were meant in degrees
+SCALE = 0.1  # millimetres by which a metre of a rack or a spindle may well be long or short
 
 
 def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
@@ -145,8 +138,7 @@ class Carried:
         return chain(self.by(theirs, q[: self.count]), self.arm(p, q[self.count :]))
 
 
-OTHER = "other_"
-"""What the names of the other arm's parameters begin with."""
+OTHER = "other_"  # what the names of the other arm's parameters begin with
 
 
 def facing(one: Robot, other: Robot, *, shared: int = 0, name: str | None = None) -> Robot:

@@ -43,8 +43,7 @@ class DHTable:
     parallel: tuple[int, ...] = ()
     beta: tuple[float, ...] = ()
     conventions: Conventions | None = None
-    path: str = field(default="", compare=False)
-    """File that it was read from, if any; it says nothing of the arm."""
+    path: str = field(default="", compare=False)  # file that it was read from, if any; it says nothing of the arm
 
     def __post_init__(self) -> None:
         count = len(self.alpha)

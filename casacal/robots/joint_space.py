@@ -10,8 +10,7 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.robots.robot import Robot
 
-AXIS_WEIGHT = 300.0
-"""Millimetres at the tip that weigh as much as one radian of plunger direction."""
+AXIS_WEIGHT = 300.0  # millimetres at the tip that weigh as much as one radian of plunger direction
 
 
 def joint_values(q: Any, robot: Robot) -> Array:

@@ -16,8 +16,7 @@ from casacal.values import is_real
 
 MOST_JOINTS = 100
 
-MOST_RATIO = 1000.0
-"""Largest gear ratio of a robot's joint."""
+MOST_RATIO = 1000.0  # largest gear ratio of a robot's joint
 
 
 @dataclass(frozen=True)

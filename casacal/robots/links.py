@@ -16,11 +16,8 @@ from casacal.robots.joints import Conventions
 from casacal.robots.robot import Robot
 from casacal.robots.traced_pose import TracedPose
 
-PROOFS = 4
-"""Postures at which the screws must give the pose."""
-
-ALIKE = 1e-6
-"""How far (mm, or of one) they may be from it."""
+PROOFS = 4  # postures at which the screws must give the pose
+ALIKE = 1e-6  # how far (mm, or of one) they may be from it
 
 
 @dataclass(frozen=True, eq=False)

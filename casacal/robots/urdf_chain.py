@@ -19,8 +19,7 @@ from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Parameter, Unknown
 
-MM = 1000.0
-"""Millimetres in a URDF's metre."""
+MM = 1000.0  # millimetres in a URDF's metre
 
 
 @dataclass(frozen=True)

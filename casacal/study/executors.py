@@ -18,8 +18,7 @@ from casacal.threads import one_thread_each
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
 
-AHEAD = 4
-"""Tasks a process has waiting; more would only delay the end of an interrupted run."""
+AHEAD = 4  # tasks a process has waiting; more would only delay the end of an interrupted run
 CONNECT_SECONDS = 10
 
 

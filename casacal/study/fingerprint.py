@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-PACKAGES = ("casadi", "numpy", "scipy")
-"""Packages whose version can change a number."""
+PACKAGES = ("casadi", "numpy", "scipy")  # packages whose version can change a number
 
 
 def fingerprint(value: Any) -> str:

@@ -25,13 +25,10 @@ except ImportError:  # Windows
 Record: TypeAlias = dict[str, Any]
 Key: TypeAlias = tuple[str, int]
 
-DIGITS = 10
-"""Significant digits that a record keeps of a number."""
+DIGITS = 10  # significant digits that a record keeps of a number
 TIMING_DIGITS = 4
-TIMINGS = "seconds"
-"""The one entry of a record that may differ when the trial is run again."""
-LIMIT = "limit"
-"""What a record has besides where a time limit ended its method: that limit in seconds."""
+TIMINGS = "seconds"  # the one entry of a record that may differ when the trial is run again
+LIMIT = "limit"  # what a record has besides where a time limit ended its method: that limit in seconds
 _CHECKED = re.compile(rb',"check":"([0-9a-f]{16})"}$')
 """How a line ends: with the first half of the SHA-256 of the line without this end."""
 

@@ -18,8 +18,7 @@ from casacal.simulation.simulate import simulate
 from casacal.uncertainty.figures import nees, residual_figures
 from casacal.uncertainty.workspace import bayesian_bound, tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
-Z95 = 1.959963984540054
-"""Half width of a 95 % interval in standard deviations."""
+Z95 = 1.959963984540054  # half width of a 95 % interval in standard deviations
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,7 @@ class SimulatedTrial:
 
     problem: BoundProblem
     heldout: BoundProblem
-    truth: Array
-    """True x (n,) of the problem."""
+    truth: Array  # true x (n,) of the problem
 
     def judge(self, result: Result) -> dict[str, float]:
         """Figures of merit of a result, from its x and covariance alone.

@@ -32,12 +32,10 @@ class Interval:
 class Paired:
     """How two methods compare over trials that both finished: ratio of their figures, and Wilcoxon's p."""
 
-    ratio: Interval
-    """Geometric mean of the ratios; below one, the first method's figure is smaller."""
+    ratio: Interval  # geometric mean of the ratios; below one, the first method's figure is smaller
     p: float
     pairs: int
-    wins: int
-    """Pairs in which the first method's figure is smaller by more than iterations' tolerance."""
+    wins: int  # pairs in which the first method's figure is smaller by more than iterations' tolerance
     losses: int
 
 

@@ -22,10 +22,8 @@ from casacal.study.trial import failed, heads, trial_records
 from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
-BEGIN_SECONDS = 300.0
-"""How long a process may take to import what it needs and to read the study."""
-LEEWAY = 30.0
-"""Seconds beyond its limit after which a process whose parent is gone is ended by the system."""
+BEGIN_SECONDS = 300.0  # how long a process may take to import what it needs and to read the study
+LEEWAY = 30.0  # seconds beyond its limit after which a process whose parent is gone is ended by the system
 _CHILDREN = threading.Lock()
 """To start a process, Python asks all others whether they have ended; only one thread may hear it."""
 

@@ -40,9 +40,7 @@ class Task:
         """The task without the methods that are recorded already."""
         kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
         return replace(
-            self,
-            methods=tuple(self.methods[i] for i in kept),
-            fingerprints=tuple(self.fingerprints[i] for i in kept),
+            self, methods=tuple(self.methods[i] for i in kept), fingerprints=tuple(self.fingerprints[i] for i in kept)
         )
 
 
@@ -79,10 +77,8 @@ def _folder() -> str | None:
         return None
 
 
-POINTS = 24
-"""Points that a record keeps of the way to the estimate."""
-CANDIDATES = 64
-"""States evaluated at once while warming up: what population methods ask for."""
+POINTS = 24  # points that a record keeps of the way to the estimate
+CANDIDATES = 64  # states evaluated at once while warming up: what population methods ask for
 
 
 def heads(study: str, task: Task) -> list[Record]:

@@ -20,13 +20,9 @@ from casacal.uncertainty.expectation import Box, accuracy_in_box
 from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.wording import METRE
 
-SQUARES = 24
-"""Squares along the longer side of a view."""
-MARKED = 240
-"""Touches drawn on the maps, of all faces together."""
-
-POSTURES = 8192
-"""Random postures within the joint limits that the map is made of; a multiple of the kernels' block."""
+SQUARES = 24  # squares along the longer side of a view
+MARKED = 240  # touches drawn on the maps, of all faces together
+POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
 
 
 def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> dict[str, Any]:

@@ -12,14 +12,9 @@ from casacal.calibration.page.touches import LOOKED_AT, Part, Touches
 from casacal.pages.render import count, fixed, shortened
 from casacal.wording import capital
 
-MOST_FACES = 40
-"""Faces with a line of their own."""
-
-SHOWN = 10
-"""Rows listed."""
-
-LARGE = 4.0
-"""Whitened residual beyond which fewer than one in ten thousand good rows lie."""
+MOST_FACES = 40  # faces with a line of their own
+SHOWN = 10  # rows listed
+LARGE = 4.0  # whitened residual beyond which fewer than one in ten thousand good rows lie
 
 
 def measured(touches: Touches, document: Mapping[str, Any]) -> dict[str, Any]:

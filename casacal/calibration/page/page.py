@@ -24,8 +24,7 @@ from casacal.wording import capital, numbered_lines, sized
 LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
 """How the page paints each level."""
 
-LINES = 60
-"""Line numbers that are named."""
+LINES = 60  # line numbers that are named
 
 
 def report_page(

@@ -11,30 +11,18 @@ from casacal.pages.drawing import Panel, Ticks, axes, bars, cells, dots, figure,
 from casacal.pages.maps import Scale, Squares, in_squares
 from casacal.pages.render import shortened
 
-BINS = (15, 41)
-"""Fewest and most bars, odd, so that one stands about zero."""
-BARS_REACH = 4.5
-"""Robust standard deviations to which the axis goes."""
-NOISE_OF = 1500
-"""Rows whose noise is looked at."""
-
-DRAWN = 1500
-"""Points of one picture at most, but for the largest of each series."""
-LARGEST = 10
-"""Rows of each series that thinning must not hide."""
+BINS = (15, 41)  # fewest and most bars, odd, so that one stands about zero
+BARS_REACH = 4.5  # robust standard deviations to which the axis goes
+NOISE_OF = 1500  # rows whose noise is looked at
+DRAWN = 1500  # points of one picture at most, but for the largest of each series
+LARGEST = 10  # rows of each series that thinning must not hide
 REACH = 8.0
 """Robust standard deviations beyond which a residual stands at the edge, so that it does not flatten all others."""
-NAMED = 6
-"""Series with their names under the axis."""
-MOST_SERIES = 200
-"""Series that are drawn; of more, some are, evenly spread."""
-LINED = 30
-"""Series with lines between them."""
-
-MOST_POINTS = 150
-"""Touches of a face beyond which means over small squares are drawn in place of points."""
-FACE_SQUARES = 14
-"""Squares along the longer side of a face."""
+NAMED = 6  # series with their names under the axis
+MOST_SERIES = 200  # series that are drawn; of more, some are, evenly spread
+LINED = 30  # series with lines between them
+MOST_POINTS = 150  # touches of a face beyond which means over small squares are drawn in place of points
+FACE_SQUARES = 14  # squares along the longer side of a face
 MOST_MAPS = 12
 
 

@@ -21,8 +21,7 @@ from casacal.unknowns.fits import fitted_plane
 
 Rows: TypeAlias = NDArray[np.intp]
 
-LOOKED_AT = 4096
-"""Rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block."""
+LOOKED_AT = 4096  # rows of a face, evenly spread, whose tips and tilts are looked at; a multiple of the kernels' block
 COORDINATES = "xyz"
 When: TypeAlias = Literal["before", "after"]
 TITLES: Mapping[When, str] = {"before": "Before", "after": "After"}
@@ -42,8 +41,7 @@ class Part:
     before: Array
     after: Array
     noise: Array
-    weight: Array
-    """Under a robust loss (N,), the smallest of a row's residuals; one without."""
+    weight: Array  # under a robust loss (N,), the smallest of a row's residuals; one without
 
     def residuals(self, when: When) -> Array:
         """Of one of the two arms (N, m), mm."""
@@ -77,14 +75,11 @@ class Part:
 class Places:
     """Where some rows of a face touched."""
 
-    tips: Array
-    """In the base frame at the estimate, (k, 3), mm."""
-    tilts: Array
-    """Angle between plunger and normal (k,), deg; empty for instruments without a plunger."""
+    tips: Array  # in the base frame at the estimate, (k, 3), mm
+    tilts: Array  # angle between plunger and normal (k,), deg; empty for instruments without a plunger
     uv: Array
     """On the face (k, 2), mm from the middle of the touches: v is up on an upright face, else u along the base's x."""
-    residuals: Array
-    """After, (k,), mm."""
+    residuals: Array  # after, (k,), mm
     held: NDArray[np.bool_]
     upright: bool
 

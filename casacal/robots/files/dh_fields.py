@@ -38,8 +38,7 @@ ROW_FIELDS = (
 )
 OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
 BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
-MISNAMED = {"type": "kind", "joint_type": "kind"}
-"""What other tables call a field that is called otherwise here."""
+MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
 

@@ -70,8 +70,7 @@ def _inertials(path: str | Path) -> list[tuple[str, float, Array]]:
 SIZES = {"box": ("size", 3), "cylinder": ("radius length", 1), "sphere": ("radius", 1)}
 """What each shape says of its size, and how many numbers that are."""
 
-LARGEST = 20.0
-"""Metres, beyond which a size must be millimetres."""
+LARGEST = 20.0  # metres, beyond which a size must be millimetres
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ ATTRIBUTES = {
     "mimic": ("joint", "multiplier", "offset"),
 }
 """Parts of a joint that matter here, and what they may say."""
-PLACING = ("origin", "axis", "parent", "child")
-"""Those in which nothing may be overlooked."""
+PLACING = ("origin", "axis", "parent", "child")  # those in which nothing may be overlooked
 
 
 def read_urdf(path: str | Path) -> UrdfFile:
@@ -58,8 +57,7 @@ class _Reader:
     name: str = ""
     links: list[str] = field(default_factory=list)
     joints: list[UrdfJoint] = field(default_factory=list)
-    seen: set[tuple[int, str]] = field(default_factory=set)
-    """Parts of joints, by how many joints there are."""
+    seen: set[tuple[int, str]] = field(default_factory=set)  # parts of joints, by how many joints there are
 
     def __post_init__(self) -> None:
         self.parser = expat.ParserCreate()
