@@ -182,9 +182,8 @@ class BenchmarkSet(Value):
         if not path.is_file():
             raise CasacalError(f"The measurements of '{self.name}' are not at {path}", f"Get them from {self.source}")
         if hashlib.sha256(path.read_bytes()).hexdigest() != self.sha256:
-            raise CasacalError(
-                f"{path} is not the file that '{self.name}' describes", "Fetch it again, or correct its hash"
-            )
+            fix = "Fetch it again, or correct its hash"
+            raise CasacalError(f"{path} is not the file that '{self.name}' describes", fix)
         return path
 
     def read(self, data: Path, problem: Problem) -> Samples:
@@ -221,7 +220,6 @@ def read_sets(folder: str | Path) -> tuple[BenchmarkSet, ...]:
     """All sets below a folder, by name; raises CasacalError where there is none."""
     found = sorted(path.parent for path in Path(folder).glob(f"*/{DESCRIPTION}"))
     if not found:
-        raise CasacalError(
-            f"There is no set of the benchmark in '{folder}'", f"Give a folder of folders with {DESCRIPTION}"
-        )
+        fix = f"Give a folder of folders with {DESCRIPTION}"
+        raise CasacalError(f"There is no set of the benchmark in '{folder}'", fix)
     return tuple(read_set(each) for each in found)

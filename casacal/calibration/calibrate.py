@@ -183,11 +183,8 @@ def _refuse_too_few(fit: BoundProblem) -> None:
         return
     samples = fit.measured
     least = -(-fit.unknowns * len(samples) // fit.rows)
-    raise SamplesError(
-        samples.file,
-        f"{fit.rows} rows are fitted for {fit.unknowns} unknowns",
-        f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix",
-    )
+    fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
+    raise SamplesError(samples.file, f"{fit.rows} rows are fitted for {fit.unknowns} unknowns", fix)
 
 
 def _check(fit: BoundProblem, method: str, result: Result) -> Reference:

@@ -195,10 +195,8 @@ class Calibrated(Calibration, AsArm):
         Raises CasacalError where the verdict is not to use this result.
         """
         if self.denied:
-            raise CasacalError(
-                f"{verdict_of(self).words.removesuffix('.')}; so nothing is known of how uncertain the tip is",
-                "Mend what the verdict names, and calibrate again",
-            )
+            what = f"{verdict_of(self).words.removesuffix('.')}; so nothing is known of how uncertain the tip is"
+            raise CasacalError(what, "Mend what the verdict names, and calibrate again")
         return self._drawn(plot_tip_std, ax, (6.0, 5.0))
 
     def __repr__(self) -> str:

@@ -45,10 +45,8 @@ def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]
         method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):
         if not callable(method):
-            raise CasacalError(
-                f"Got {came(method)} as the method",
-                f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem",
-            )
+            fix = f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem"
+            raise CasacalError(f"Got {came(method)} as the method", fix)
         name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
         return method, name
     if method not in METHODS:

@@ -143,13 +143,12 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
     cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
     if known:
         return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
-    return Finding(
-        "error",
-        "misfit",
-        f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it",
+    cause = f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it"
+    fix = (
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
-        "be the cause",
+        "be the cause"
     )
+    return Finding("error", "misfit", cause, fix)
 
 
 def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
@@ -177,11 +176,6 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     ratio, low, high = noise_interval(plain)
     if low <= 1.1 and high >= 0.9:
         return []
-    return [
-        Finding(
-            "warning",
-            "noise",
-            f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})",
-            "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out",
-        )
-    ]
+    cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
+    fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
+    return [Finding("warning", "noise", cause, fix)]

@@ -25,14 +25,9 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
         return []
     reading = samples.columns[probe.column]
     if float(reading.std()) < 5 * probe.noise_std:
-        return [
-            Finding(
-                "remark",
-                "dial sign not tested",
-                "the readings are nearly constant, so these samples cannot show whether the dial's sign is wrong",
-                "Let the reading vary over the dial's travel in a few touches",
-            )
-        ]
+        cause = "the readings are nearly constant, so these samples cannot show whether the dial's sign is wrong"
+        fix = "Let the reading vary over the dial's travel in a few touches"
+        return [Finding("remark", "dial sign not tested", cause, fix)]
     sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
     residual = bound.plain_residual(bound.x0)
     assert sight.plungers is not None
@@ -57,15 +52,12 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
     slope, std = float(np.average(slopes, weights=weights)), float(1 / np.sqrt(weights.sum()))
     if not tells_a_wrong_sign(slope, std):
         return []
-    return [
-        Finding(
-            "error",
-            WRONG_SIGN,
-            f"with the arm as drawn the residuals already follow the reading, with a slope of {slope:.2f} +- {std:.2f} "
-            "(0 is expected, 2 if the sign is wrong)",
-            f"Reverse the sign of the dial in the problem (--set sign={-probe.sign} tries it)",
-        )
-    ]
+    cause = (
+        f"with the arm as drawn the residuals already follow the reading, with a slope of {slope:.2f} +- {std:.2f} "
+        "(0 is expected, 2 if the sign is wrong)"
+    )
+    fix = f"Reverse the sign of the dial in the problem (--set sign={-probe.sign} tries it)"
+    return [Finding("error", WRONG_SIGN, cause, fix)]
 
 
 def tells_a_wrong_sign(slope: float, std: float) -> bool:

@@ -175,11 +175,6 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     if not far or chance_of_move(bound, x, covariance, own) > CHANCE:
         return []
     moved = ", ".join(f"{name} by {x[j]:+.2f} mm (its prior: {bound.prior_std[j]:.2g})" for name, j in named.items())
-    return [
-        Finding(
-            "warning",
-            "tool elsewhere",
-            f"the samples put the tool in another place than the problem file does: {moved}",
-            "Measure the tool again, and correct its position or prior in the problem file",
-        )
-    ]
+    cause = f"the samples put the tool in another place than the problem file does: {moved}"
+    fix = "Measure the tool again, and correct its position or prior in the problem file"
+    return [Finding("warning", "tool elsewhere", cause, fix)]

@@ -26,15 +26,9 @@ def repeated(samples: Samples) -> list[Finding]:
     again = copies_of(samples)
     if not again.any():
         return []
-    return [
-        Finding(
-            "warning",
-            "repeated rows",
-            f"{counted(int(again.sum()))} with the same joints and readings as an earlier row",
-            "Remove them, unless the arm really went there twice and the dial read the same; each counts once",
-            _lines(samples, again),
-        )
-    ]
+    cause = f"{counted(int(again.sum()))} with the same joints and readings as an earlier row"
+    fix = "Remove them, unless the arm really went there twice and the dial read the same; each counts once"
+    return [Finding("warning", "repeated rows", cause, fix, _lines(samples, again))]
 
 
 def outside(problem: Problem, samples: Samples) -> list[Finding]:
@@ -45,28 +39,18 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         reading = samples.columns[probe.column]
         bad = (reading < 0) | (reading > probe.travel)
         if bad.any():
-            findings.append(
-                Finding(
-                    "error",
-                    "readings outside travel",
-                    f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
-                    f"(from {reading.min():g} to {reading.max():g} mm)",
-                    _within_travel(float(reading.min()), float(reading.max()), probe.travel),
-                    _lines(samples, bad),
-                )
+            cause = (
+                f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
+                f"(from {reading.min():g} to {reading.max():g} mm)"
             )
+            fix = _within_travel(float(reading.min()), float(reading.max()), probe.travel)
+            findings.append(Finding("error", "readings outside travel", cause, fix, _lines(samples, bad)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         if bad.any():
-            findings.append(
-                Finding(
-                    "warning",
-                    f"joint {i + 1} outside its limits",
-                    f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares",
-                    "Check the order, signs and units of the joint columns, or the limits",
-                    _lines(samples, bad),
-                )
-            )
+            cause = f"{counted(int(bad.sum()), 'value')} outside the limits that the problem declares"
+            fix = "Check the order, signs and units of the joint columns, or the limits"
+            findings.append(Finding("warning", f"joint {i + 1} outside its limits", cause, fix, _lines(samples, bad)))
     return findings
 
 
@@ -98,26 +82,18 @@ def rounded(bound: BoundProblem) -> list[Finding]:
         if effect > 0.5 * noise:
             step = max(steps[i] for i in coarse)
             shown = f"{math.degrees(step):g} degrees" if kind == "revolute" else f"{step:g} mm"
-            findings.append(
-                Finding(
-                    "error" if effect > 2 * noise else "warning",
-                    "joints rounded",
-                    f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which moves the "
-                    f"tip by up to {effect:.2g} mm; the stated noise is {noise:.2g} mm",
-                    "Log the joints with more digits, or declare the joint repeatability",
-                )
+            cause = (
+                f"joints {', '.join(str(i + 1) for i in coarse)} are written in steps of {shown}, which moves the "
+                f"tip by up to {effect:.2g} mm; the stated noise is {noise:.2g} mm"
             )
+            fix = "Log the joints with more digits, or declare the joint repeatability"
+            findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
     lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
     step = max((_grid(samples.columns[name], np.array(GRIDS_MM)) for name in lengths), default=0.0)
     if step / math.sqrt(12) > noise:
-        findings.append(
-            Finding(
-                "warning",
-                "readings rounded",
-                f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm",
-                "Read the dial more finely, or declare a larger noise_std",
-            )
-        )
+        cause = f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm"
+        fix = "Read the dial more finely, or declare a larger noise_std"
+        findings.append(Finding("warning", "readings rounded", cause, fix))
     return findings
 
 

@@ -41,24 +41,16 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
             small.append(f"'{label}' {span:.0f} mm")
     tilt = float(np.concatenate(tilts).max())
     if tilt < SMALLEST_TILT:
-        findings.append(
-            Finding(
-                "warning",
-                "tilt too small",
-                f"the tool is within {tilt:.1f} degrees of the normal in every touch, so some combinations of "
-                f"parameters that move the tip stay unseen",
-                "Tilt the tool by 10 degrees or more, in several directions",
-            )
+        cause = (
+            f"the tool is within {tilt:.1f} degrees of the normal in every touch, so some combinations of "
+            f"parameters that move the tip stay unseen"
         )
+        fix = "Tilt the tool by 10 degrees or more, in several directions"
+        findings.append(Finding("warning", "tilt too small", cause, fix))
     if small:
-        findings.append(
-            Finding(
-                "warning",
-                "faces too small",
-                f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}",
-                "Use larger faces, or spread the touches over them",
-            )
-        )
+        cause = f"the touches cover a small region for an arm that reaches {reach:.0f} mm: {', '.join(small)}"
+        fix = "Use larger faces, or spread the touches over them"
+        findings.append(Finding("warning", "faces too small", cause, fix))
     return findings + _directions(bound, probe, np.array(normals))
 
 
@@ -67,14 +59,9 @@ def enough_rows(bound: BoundProblem) -> list[Finding]:
     ratio = bound.rows / max(bound.unknowns, 1)
     if ratio >= ROWS_PER_UNKNOWN:
         return []
-    return [
-        Finding(
-            "error" if ratio < 1 else "warning",
-            "few rows",
-            f"{bound.rows} rows for {bound.unknowns} unknowns",
-            f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)} rows, or hold parameters with --fix",
-        )
-    ]
+    cause = f"{bound.rows} rows for {bound.unknowns} unknowns"
+    fix = f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)} rows, or hold parameters with --fix"
+    return [Finding("error" if ratio < 1 else "warning", "few rows", cause, fix)]
 
 
 def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Finding]:
@@ -84,9 +71,8 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
     if len(normals) > 1:
         same = f"all {len(normals)} faces look the same way, within {max(angles.max(), 1):.0f} degrees"
     if float(angles.max()) < SMALLEST_ANGLE and not probe.knows_angles:
-        findings.append(
-            Finding("warning", "faces nearly parallel", same, "Add a face at an angle; three at right angles are best")
-        )
+        fix = "Add a face at an angle; three at right angles are best"
+        findings.append(Finding("warning", "faces nearly parallel", same, fix))
     # on faces of certified angles a sliding joint is a ruler
     ruler = probe.knows_angles and not bound.problem.robot.revolute.all()
     if not probe.steps and not ruler:

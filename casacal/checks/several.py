@@ -64,13 +64,12 @@ def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:
     if together <= max(APART * worst, SUSPICIOUS):
         return []
     shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
-    return [
-        Finding(
-            "error",
-            "instruments contradict each other",
-            f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
-            f"({times(together)} times){shared}",
-            "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
-            "same; too small a stated noise of one instrument can also be the cause",
-        )
-    ]
+    cause = (
+        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
+        f"({times(together)} times){shared}"
+    )
+    fix = (
+        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+        "same; too small a stated noise of one instrument can also be the cause"
+    )
+    return [Finding("error", "instruments contradict each other", cause, fix)]

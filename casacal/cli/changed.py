@@ -76,9 +76,8 @@ def _spare(options: argparse.Namespace, inputs: list[Path]) -> None:
     outs = [] if options.touches is None else [options.touches]
     if options.update is not None:
         if not options.update.strip() or (Path(options.update).exists() and not Path(options.update).is_dir()):
-            raise CasacalError(
-                f"--update '{options.update}' is no folder", "Name a folder, or one that does not exist yet"
-            )
+            fix = "Name a folder, or one that does not exist yet"
+            raise CasacalError(f"--update '{options.update}' is no folder", fix)
         outs.append(Path(options.update) / "result.json")
     result = Path(options.result)
     place = result / "result.json" if result.is_dir() else result

@@ -77,10 +77,8 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
     """The same arm measured by one of its instruments; CasacalError where there are several and none is named."""
     problem = source.problem
     if name is None and len(problem.instruments) > 1:
-        raise CasacalError(
-            f"This is for one instrument, and there are {', '.join(problem.names)}",
-            f"Name it: --instrument {problem.names[0]}",
-        )
+        fix = f"Name it: --instrument {problem.names[0]}"
+        raise CasacalError(f"This is for one instrument, and there are {', '.join(problem.names)}", fix)
     return source if name is None else replace(source, problem=problem.measured_by(name))
 
 
@@ -125,9 +123,8 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
     for out in outs:
         for given in inputs:
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
-                raise CasacalError(
-                    f"'{out}' is to be written, and it is what the command reads", f"Name another {option}"
-                )
+                fix = f"Name another {option}"
+                raise CasacalError(f"'{out}' is to be written, and it is what the command reads", fix)
 
 
 def made_from(result: CalibratedArm) -> list[Path]:

@@ -58,9 +58,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import write_text
 
     if not 0 < options.largest < math.inf:
-        raise CasacalError(
-            f"--largest {options.largest:g} is not a joint motion", "Give degrees above zero, such as 10"
-        )
+        fix = "Give degrees above zero, such as 10"
+        raise CasacalError(f"--largest {options.largest:g} is not a joint motion", fix)
     spare([options.out], options.result, options.targets)
     result = seen_by(read_result(options.result), options.instrument)
     spare([options.out], *made_from(result))

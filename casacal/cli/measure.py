@@ -138,9 +138,8 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
                 continue
         answer = answered(session, proposed, entered, meter)
         if answer.change != "none" and file.sizes() != sizes:
-            raise CasacalError(
-                f"another program changed '{file.path}'", "End the other session, and go on with this command"
-            )
+            fix = "End the other session, and go on with this command"
+            raise CasacalError(f"another program changed '{file.path}'", fix)
         if answer.change == "added":
             file.append(answer.session.touches[-1], len(answer.session))
         elif answer.change == "changed":
@@ -202,7 +201,6 @@ def _lines(line: SerialLine | None) -> Iterator[str]:
 def _frame(text: str) -> dict[str, Any]:
     """Bits, parity and stop bits as people write them."""
     if len(text) != 3 or text[0] not in "78" or text[1].upper() not in "NEO" or text[2] not in "12":
-        raise CasacalError(
-            f"--frame {text} is not such as 8N1", "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
-        )
+        fix = "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
+        raise CasacalError(f"--frame {text} is not such as 8N1", fix)
     return {"bits": int(text[0]), "parity": text[1].upper(), "stops": int(text[2])}

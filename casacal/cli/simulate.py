@@ -79,9 +79,8 @@ def run(options: argparse.Namespace) -> int:
     out = Path(options.out)
     _spare_measurements(out)
     if out.suffix.lower() not in (".csv", ".txt", ""):
-        raise CasacalError(
-            f"simulate writes CSV, but '{out}' does not end in .csv", f"Name it {out.with_suffix('.csv').name}"
-        )
+        fix = f"Name it {out.with_suffix('.csv').name}"
+        raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
     source = load_problem(options.problem)
     for place in sample_paths(out, source.problem.names):
         _spare_measurements(place)

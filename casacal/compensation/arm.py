@@ -125,10 +125,8 @@ def check_usable(result: CalibratedArm, *, force: bool) -> None:
     """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
     words = denial(result)
     if words is not None and not force:
-        raise CasacalError(
-            f"{result.file}: {words.removesuffix('.')}",
-            "Mend what the verdict names and calibrate again; --force (force=True) uses it all the same, and says so",
-        )
+        fix = "Mend what the verdict names and calibrate again; --force (force=True) uses it all the same, and says so"
+        raise CasacalError(f"{result.file}: {words.removesuffix('.')}", fix)
 
 
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:

@@ -89,10 +89,8 @@ def moved_arm(result: CalibratedArm) -> Moved:
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
     lost = sorted({each["name"] for each in result.document["discrepancy"]["unknowns"]} - set(names))
     if lost:
-        raise CasacalError(
-            f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have",
-            "Give the problem that it was calibrated with, or calibrate again",
-        )
+        what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
+        raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
     whole, off = found
     places = {name: j for j, name in enumerate(off)}
     at = [i for i, name in enumerate(names) if name in places]

@@ -43,9 +43,8 @@ class Language:
         """Raise CasacalError for a robot whose joints the language does not hold."""
         kinds = "".join(joint.kind[0].upper() for joint in robot.axes)
         if kinds != "RRRRRR":
-            raise CasacalError(
-                f"'{robot.name}' has {len(kinds)} joints ({kinds}), and a {move} in {self.name} has six that turn", fix
-            )
+            what = f"'{robot.name}' has {len(kinds)} joints ({kinds}), and a {move} in {self.name} has six that turn"
+            raise CasacalError(what, fix)
 
     def written(self, joints: Array, decimals: int) -> str:
         """Joint values (6,; rad) as a move names them."""

@@ -100,9 +100,8 @@ def _read(place: Path) -> dict[str, Any]:
         raise CasacalError(f"{place}: this is not a result of casacal", fix) from None
     schema = document.get("schema", 0) if isinstance(document, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
-        raise CasacalError(
-            f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})", "Update casacal"
-        )
+        what = f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})"
+        raise CasacalError(what, "Update casacal")
     check_document(str(place), document)
     if "seal" in document or "arm" in document:  # what an older casacal wrote has neither, and is refused later
         check_seal(str(place), document)
@@ -142,10 +141,8 @@ def _refuse_changes(place: Path, document: Mapping[str, Any], problem: Problem) 
             continue
         same = now.sha256 == kept["sha256"] or _same_code(path, now.text, kept["text"])
         if not same and not _same_arm(path, problem.robot.arm):
-            raise CasacalError(
-                f"{place}: {path} has changed since the calibration",
-                "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was",
-            )
+            fix = "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was"
+            raise CasacalError(f"{place}: {path} has changed since the calibration", fix)
 
 
 def _same_code(path: Path, one: str, other: str) -> bool:
@@ -174,10 +171,8 @@ def _older_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
         file = path / "problem.py" if path.is_dir() else path
         if file.is_file():
             if SourceFile.read(file).sha256 != digest:
-                raise CasacalError(
-                    f"{place}: its problem {file.as_posix()} has changed since the calibration",
-                    "Calibrate again, or restore the problem file",
-                )
+                fix = "Calibrate again, or restore the problem file"
+                raise CasacalError(f"{place}: its problem {file.as_posix()} has changed since the calibration", fix)
             return load_problem(path)
     what = f"its problem '{named}' is not there" if named else "it holds no problem"
     raise CasacalError(f"{place}: {what}", "Give the problem: casacal.load(path, problem=...), or calibrate again")
@@ -192,10 +187,8 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
         for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
             was = began.get(name)
             if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
-                raise CasacalError(
-                    f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})",
-                    "Calibrate again, or restore the file that the problem reads",
-                )
+                what = f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})"
+                raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
 
 
 def verdict_part(result: CalibratedArm) -> dict[str, str] | None:
@@ -214,8 +207,6 @@ def arm_from(given: Any) -> CalibratedArm:
     """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
     arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
     if not isinstance(arm, CalibratedArm):
-        raise CasacalError(
-            f"Got {came(given)} as the calibrated arm",
-            "Give a calibration, or what casacal.load or casacal.read_result returns",
-        )
+        fix = "Give a calibration, or what casacal.load or casacal.read_result returns"
+        raise CasacalError(f"Got {came(given)} as the calibrated arm", fix)
     return seen_by(arm)

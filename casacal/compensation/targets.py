@@ -124,12 +124,8 @@ def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
     positions, wxyz = (np.column_stack([numbers[name] for name in part]) for part in (PLACE, QUATERNION))
     lengths = np.linalg.norm(wxyz, axis=1)
     for i in np.flatnonzero(np.abs(lengths - 1) > UNIT_LENGTH)[:1]:
-        raise SamplesError(
-            table.file,
-            f"the quaternion has the length {lengths[i]:.6g}",
-            "Give a unit quaternion qw,qx,qy,qz",
-            line=table.lines[i],
-        )
+        fix = "Give a unit quaternion qw,qx,qy,qz"
+        raise SamplesError(table.file, f"the quaternion has the length {lengths[i]:.6g}", fix, line=table.lines[i])
     return positions, Rotation.from_quat(np.roll(wxyz, -1, axis=1)).as_matrix()
 
 

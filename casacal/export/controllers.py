@@ -147,9 +147,8 @@ def ur_kinematics_text(result: CalibratedArm) -> str:
     if isinstance(arm, UrdfChain) and not _is_plain(arm):
         raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
     if not _is_built_like_one(_origins(arm, arm_values(result, nominal=True), conventions)[0]):
-        raise CasacalError(
-            f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles", fix
-        )
+        what = f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles"
+        raise CasacalError(what, fix)
     origins, rest = _origins(arm, arm_values(result), conventions)
     lines = [f"# {line}" for line in remark(result, form="ur")]
     if not np.allclose(rest, np.eye(4), rtol=0, atol=1e-12):

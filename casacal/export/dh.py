@@ -157,10 +157,8 @@ def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bo
     result = arm_from(result)
     arm = result.source.problem.robot.arm
     if not isinstance(arm, DHTable):
-        raise CasacalError(
-            f"'{result.source.problem.robot.name}' was not built from a DH table",
-            other_forms(result.source.problem.robot),
-        )
+        fix = other_forms(result.source.problem.robot)
+        raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a DH table", fix)
     table = arm.at(arm_values(result))
     if source is None:
         return _remarked(dh_file_text(table, "arm.toml" if toml else "arm.csv"), remark(result, form="dh"))
@@ -200,9 +198,8 @@ def _check_source(source: str | Path, arm: DHTable) -> None:
                 wrong = f"{key} of row {i} is {one:.9g}, where the calibration began with {two:.9g} (mm, rad)"
                 break
     if wrong:
-        raise CasacalError(
-            f"{source}: {wrong}", "Give the file that the problem was made from, or leave out the source"
-        )
+        fix = "Give the file that the problem was made from, or leave out the source"
+        raise CasacalError(f"{source}: {wrong}", fix)
 
 
 def _same_conventions(one: DHTable, two: DHTable) -> bool:
@@ -229,6 +226,5 @@ def _check_written(text: str, source: str | Path, table: DHTable) -> None:
         except ProblemError:
             good = False
     if not good:
-        raise CasacalError(
-            f"{source}: its layout cannot be written back", "Leave out the source: then the table is written afresh"
-        )
+        fix = "Leave out the source: then the table is written afresh"
+        raise CasacalError(f"{source}: its layout cannot be written back", fix)

@@ -79,9 +79,8 @@ def _text(arm: CalibratedArm, form: str, path: str | Path | None, source: str | 
     if form == "dh":
         toml = is_toml(path) if path is not None else source is not None and is_toml(source)
         if source is not None and is_toml(source) != toml:
-            raise CasacalError(
-                f"'{path}' and '{source}' are of different formats", "Let both names end in .csv, or both in .toml"
-            )
+            fix = "Let both names end in .csv, or both in .toml"
+            raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
         return dh_text(arm, source, toml=toml)
     if form == "urdf":
         return urdf_text(arm, source)

@@ -83,10 +83,8 @@ def values_of(
     trace = symbols.trace
     wanted = [key for key in symbols.value_functions["tip"].name_in() if key in trace.unknowns]
     if unsure := set(wanted) & set(trace.constants):
-        raise CasacalError(
-            f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label",
-            "Use tip_function() without free",
-        )
+        what = f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label"
+        raise CasacalError(what, "Use tip_function() without free")
     packed = [ca.SX(trace.unknowns[key].packed(trace.values[key])) for key in wanted]
     found = ca.Function("values", [trace.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
     return {key: _array(matrix) for key, matrix in zip(wanted, found, strict=True)}
@@ -155,9 +153,8 @@ def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
         plain = re.sub(r"[\W_]+", "_", result.source.name, flags=re.ASCII).strip("_")
         prefix = plain if plain[:1].isalpha() else f"arm_{plain}".rstrip("_")
     if not ca.Function.check_name(f"{prefix}_pose"):
-        raise CasacalError(
-            f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and _"
-        )
+        fix = "Give a prefix of letters, digits and _"
+        raise CasacalError(f"'{prefix}' cannot begin the name of a C function", fix)
     functions = c_functions(result, prefix)
     generator = ca.CodeGenerator(f"{prefix}_code", {"with_header": False})
     for function in functions:

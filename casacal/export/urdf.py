@@ -37,9 +37,8 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     result = arm_from(result)
     arm = result.source.problem.robot.arm
     if not isinstance(arm, UrdfChain):
-        raise CasacalError(
-            f"'{result.source.problem.robot.name}' was not built from a URDF", other_forms(result.source.problem.robot)
-        )
+        fix = other_forms(result.source.problem.robot)
+        raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a URDF", fix)
     data = _source_text(result, arm, source)
     places = _Places.of(data)
     edits: list[tuple[int, int, bytes]] = []

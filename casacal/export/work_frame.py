@@ -184,9 +184,8 @@ def _of_faces(faces: Array) -> Array:
     normals, points = faces[:, :3], faces[:, 3:]
     z, across = normals[0], normals[1] - (normals[1] @ normals[0]) * normals[0]
     if np.linalg.norm(across) < SKEW or abs(np.linalg.det(normals)) < SKEW:
-        raise CasacalError(
-            "These three faces do not meet in one point", "Name three that are at an angle to each other"
-        )
+        fix = "Name three that are at an angle to each other"
+        raise CasacalError("These three faces do not meet in one point", fix)
     return _frame(across, z, np.linalg.solve(normals, (normals * points).sum(axis=1)))
 
 

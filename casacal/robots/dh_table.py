@@ -65,15 +65,11 @@ class DHTable:
         count = len(self.alpha)
         rows = self.parallel
         if len(set(rows)) < len(rows) or any(row not in range(1, count) for row in rows) or sorted(rows) != list(rows):
-            raise ProblemError(
-                f"The parallel rows of '{self.name}' are {list(rows)}",
-                f"Name rows of 1 to {count - 1} in order, each whose axis is parallel to the next one",
-            )
+            fix = f"Name rows of 1 to {count - 1} in order, each whose axis is parallel to the next one"
+            raise ProblemError(f"The parallel rows of '{self.name}' are {list(rows)}", fix)
         if len(self.beta) != len(rows):
-            raise ProblemError(
-                f"The DH table of '{self.name}' has {len(self.beta)} beta for {len(rows)} parallel rows",
-                "Give one beta for each row named in parallel",
-            )
+            what = f"The DH table of '{self.name}' has {len(self.beta)} beta for {len(rows)} parallel rows"
+            raise ProblemError(what, "Give one beta for each row named in parallel")
         for row in rows:
             if abs(math.sin(self.twist(row))) > math.sin(NEARLY):
                 raise ProblemError(

@@ -41,9 +41,8 @@ class Joint:
         if self.kind not in ("revolute", "prismatic"):
             raise ProblemError(f"A joint is '{self.kind}'", "Joints are 'revolute' or 'prismatic'")
         if not self.lower < self.upper or not math.isfinite(self.upper - self.lower):
-            raise ProblemError(
-                f"A joint has the limits {self.lower!r} to {self.upper!r}", "Give finite limits, lower below upper"
-            )
+            fix = "Give finite limits, lower below upper"
+            raise ProblemError(f"A joint has the limits {self.lower!r} to {self.upper!r}", fix)
         if not (is_real(self.repeatability_std) and 0 <= self.repeatability_std < math.inf):
             raise ProblemError(f"A joint has repeatability_std {self.repeatability_std!r}", "Give zero or more")
         if not (is_real(self.gear_ratio) and (self.gear_ratio == 0 or 1 <= self.gear_ratio <= MOST_RATIO)):
@@ -95,14 +94,12 @@ class Conventions:
         if any(sign not in (1, -1) for sign in self.signs):
             raise ProblemError(f"The joint signs are {self.signs}", "Use 1 or -1 for each joint")
         if len(self.offsets) != joints or not all(math.isfinite(offset) for offset in self.offsets):
-            raise ProblemError(
-                f"Got {len(self.offsets)} joint offsets for {joints} signs", "Give one finite offset for each joint"
-            )
+            fix = "Give one finite offset for each joint"
+            raise ProblemError(f"Got {len(self.offsets)} joint offsets for {joints} signs", fix)
         for i, j, factor in self.coupling:
             if not (1 <= i <= joints and 1 <= j <= joints) or i == j or not math.isfinite(factor):
-                raise ProblemError(
-                    f"A coupling is ({i}, {j}, {factor})", f"Give two different joints of 1 to {joints} and a factor"
-                )
+                fix = f"Give two different joints of 1 to {joints} and a factor"
+                raise ProblemError(f"A coupling is ({i}, {j}, {factor})", fix)
         if abs(np.linalg.det(self.matrix)) < 1e-9:
             raise ProblemError(f"The coupling {self.coupling} makes joints depend on one another", "Leave one out")
 
@@ -114,10 +111,8 @@ class Conventions:
     def check_joints(self, count: int, name: str) -> None:
         """Raise ProblemError unless these are conventions of `count` joints."""
         if len(self.signs) != count:
-            raise ProblemError(
-                f"'{name}' has {count} joints and conventions for {len(self.signs)}",
-                "Give one sign and one offset per joint",
-            )
+            fix = "Give one sign and one offset per joint"
+            raise ProblemError(f"'{name}' has {count} joints and conventions for {len(self.signs)}", fix)
 
     @property
     def matrix(self) -> Array:

@@ -97,10 +97,8 @@ class Links:
         for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
             there = joints if self.conventions is None else self.conventions.to_model(joints)
             if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
-                raise ProblemError(
-                    f"The joints of '{robot.name}' do not carry one another in order",
-                    "Leave out LinkSag; GravitySag asks nothing of the order",
-                )
+                fix = "Leave out LinkSag; GravitySag asks nothing of the order"
+                raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
 
 
 def _pose_of(traced: TracedPose, joints: int) -> ca.Function:

@@ -90,9 +90,8 @@ class Study:
             raise StudyError(f"The study '{self.name}' has no setting or no method", "Give at least one of each")
         for name, what in self.methods.items():
             if not callable(what):
-                raise StudyError(
-                    f"Method '{name}' of the study '{self.name}' is a {type(what).__name__}", "Give a function"
-                )
+                fix = "Give a function"
+                raise StudyError(f"Method '{name}' of the study '{self.name}' is a {type(what).__name__}", fix)
         if self.trials < 1:
             raise StudyError(f"The study '{self.name}' has {self.trials} trials", "Give at least one")
 

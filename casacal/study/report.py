@@ -48,9 +48,8 @@ def read_machines(out: Path) -> list[dict[str, Any]]:
     except FileNotFoundError:
         return []
     except (ValueError, KeyError, TypeError):
-        raise StudyError(
-            f"'{out / MACHINES}' is damaged", "Remove it; the report will then not name a machine"
-        ) from None
+        fix = "Remove it; the report will then not name a machine"
+        raise StudyError(f"'{out / MACHINES}' is damaged", fix) from None
 
 
 def write_report(source: StudyFile, run: Run, options: str) -> Path:

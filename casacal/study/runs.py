@@ -101,10 +101,8 @@ def run(
     if workers < 1 or not 1 <= shard[0] <= shard[1]:
         raise StudyError(f"{workers} workers and shard {shard[0]}/{shard[1]} were asked for", "Count both from one")
     if timeout is not None and not (0 < timeout < math.inf and scheduler is None):
-        raise StudyError(
-            f"A time limit of {timeout:g} s was asked for{'' if scheduler is None else ', and a cluster'}",
-            "Give seconds above zero, and let local processes do the work",
-        )
+        what = f"A time limit of {timeout:g} s was asked for{'' if scheduler is None else ', and a cluster'}"
+        raise StudyError(what, "Give seconds above zero, and let local processes do the work")
     path, everything = (out / RECORDS).absolute(), tasks_of(study)
     mine = everything[shard[0] - 1 :: shard[1]]
     with records.appending(path) as appender:

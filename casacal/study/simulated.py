@@ -109,9 +109,8 @@ class Simulated:
 
     def __post_init__(self) -> None:
         if not 0 < self.heldout < self.samples:
-            raise StudyError(
-                f"{self.heldout} of {self.samples} samples of a setting are held out", "Hold some out and fit the rest"
-            )
+            fix = "Hold some out and fit the rest"
+            raise StudyError(f"{self.heldout} of {self.samples} samples of a setting are held out", fix)
 
     def trial(self, seed: int) -> SimulatedTrial:
         """One simulated arm and its touches; the same for the same seed."""

@@ -159,10 +159,8 @@ def opened(errand: Errand | Carried) -> Study:
     if isinstance(errand, Carried):
         return _unpacked(errand.study)
     if [_fingerprint(errand, method) for method in errand.task.methods] != list(errand.task.fingerprints):
-        raise StudyError(
-            "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
-            "Give all of them the same",
-        )
+        what = "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks"
+        raise StudyError(what, "Give all of them the same")
     return _study(errand.path, errand.quick, errand.trials)
 
 
@@ -171,10 +169,8 @@ def carried(study: Study) -> bytes:
     try:
         return pickle.dumps(study)
     except Exception as error:  # closures and whatever else a user's methods hold
-        raise StudyError(
-            f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}",
-            "Write it to a file, or run it here",
-        ) from error
+        what = f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}"
+        raise StudyError(what, "Write it to a file, or run it here") from error
 
 
 @functools.lru_cache(maxsize=4)

@@ -70,10 +70,8 @@ def _records(name: str, errand: Errand | Carried, seconds: float, workers: int, 
         if ended is None:
             break
         if not heard.begun:
-            raise StudyError(
-                f"The process of a trial did not begin ({ended['error']})",
-                "Where a script runs the study, let it do so under if __name__ == '__main__'",
-            )
+            fix = "Where a script runs the study, let it do so under if __name__ == '__main__'"
+            raise StudyError(f"The process of a trial did not begin ({ended['error']})", fix)
         blamed = left[:1] if heard.made else left  # a trial that cannot be made fails every method
         found += [{**head, **ended} for head in blamed]
         left = left[len(blamed) :]

@@ -99,15 +99,13 @@ def conventions_of(fields: Fields, joints: Sequence[Joint]) -> Conventions | Non
     for unit in (*ANGLE, *LENGTH):
         values = block.get(f"offsets_{unit}", [0.0] * count)
         if len(values) != count:
-            raise ProblemError(
-                f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", "Give one per joint"
-            )
+            fix = "Give one per joint"
+            raise ProblemError(f"{fields.file}: offsets_{unit} has {len(values)} numbers for {count} joints", fix)
         for i, (value, joint) in enumerate(zip(values, joints, strict=True)):
             if value and (unit in ANGLE) != (joint.turns):
-                raise ProblemError(
-                    f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}",
-                    "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others",
-                )
+                what = f"{fields.file}: offsets_{unit} gives {value:g} for joint {i + 1}, which is {joint.kind}"
+                fix = "Give offsets of turning joints in deg or rad, of sliding ones in mm or m; zero for the others"
+                raise ProblemError(what, fix)
             offsets[i] += value * {**ANGLE, **LENGTH}[unit]
     try:
         made = Conventions(
@@ -134,9 +132,8 @@ def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> fl
     if unit == "rad" and abs(value) > 4 * math.pi + 1e-6:
         raise ProblemError(f"{where}: {field}_rad is {value:g}", f"That is no angle in rad; name it {field}_deg")
     if unit == "deg" and 0.5 < turns < 4.5 and abs(turns - round(turns)) < 1e-4:
-        raise ProblemError(
-            f"{where}: {field}_deg is {value:g}, which is {round(turns)} quarter turns in rad", f"Name it {field}_rad"
-        )
+        fix = f"Name it {field}_rad"
+        raise ProblemError(f"{where}: {field}_deg is {value:g}, which is {round(turns)} quarter turns in rad", fix)
     return value * units[unit]
 
 
@@ -180,10 +177,8 @@ def _parallel(fields: Fields) -> tuple[tuple[int, ...], tuple[float, ...]]:
         if any(f"beta_{unit}" in row for unit in ANGLE):
             beta[i] = quantity(row, "beta", ANGLE, f"{fields.file}, {place}")
             if beta[i] and i not in rows:
-                raise ProblemError(
-                    f"{fields.file}, {place}: row {i} has beta but is not named in parallel",
-                    "Name it there, if its axis is parallel to the next one",
-                )
+                fix = "Name it there, if its axis is parallel to the next one"
+                raise ProblemError(f"{fields.file}, {place}: row {i} has beta but is not named in parallel", fix)
     return rows, tuple(beta.get(row, 0.0) for row in rows)
 
 

@@ -50,16 +50,14 @@ class UrdfFile:
             base = self._only([link for link in self.links if link not in above], "base")
         for link in (base, tip):
             if link not in self.links:
-                raise ProblemError(
-                    f"{self.file}: there is no link named '{link}'", f"Name one of {', '.join(self.links)}"
-                )
+                fix = f"Name one of {', '.join(self.links)}"
+                raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
         found: list[UrdfJoint] = []
         link = tip
         while link != base:
             if link not in above or len(found) > len(self.joints):
-                raise ProblemError(
-                    f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip"
-                )
+                fix = "Name a base above the tip"
+                raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", fix)
             found.append(above[link])
             link = above[link].parent
         return tuple(reversed(found))
@@ -82,10 +80,8 @@ def check_joint(file: str, joint: UrdfJoint) -> None:
     if joint.mimics is not None:
         raise ProblemError(f"{where} mimics '{joint.mimics}'", "Choose base and tip so that no joint mimics another")
     if joint.kind not in (*MOVING, "fixed"):
-        raise ProblemError(
-            f"{where} is of type '{joint.kind}'",
-            "Between base and tip there may be revolute, continuous, prismatic and fixed joints",
-        )
+        fix = "Between base and tip there may be revolute, continuous, prismatic and fixed joints"
+        raise ProblemError(f"{where} is of type '{joint.kind}'", fix)
     if max(abs(v) for v in joint.xyz) > 20:
         raise ProblemError(f"{where} lies {max(map(abs, joint.xyz)):g} from its parent", "A URDF is in metres, not mm")
     if max(abs(v) for v in joint.rpy) > 2 * math.pi + 1e-6:

@@ -140,10 +140,8 @@ def _shapes(
             )
         ]
         if min(size) <= 0 or max(size) > LARGEST:
-            raise ProblemError(
-                f"{path}: the collision {part.tag} of link '{link}' measures {' '.join(f'{s:g}' for s in size)}",
-                f"Give metres, above zero and below {LARGEST:g}",
-            )
+            what = f"{path}: the collision {part.tag} of link '{link}' measures {' '.join(f'{s:g}' for s in size)}"
+            raise ProblemError(what, f"Give metres, above zero and below {LARGEST:g}")
         yield part.tag, tuple(value * MM for value in size), placed(place[0], place[1])
 
 

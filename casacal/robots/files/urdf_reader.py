@@ -77,14 +77,11 @@ class _Reader:
                 if not link:
                     raise ProblemError(f"{where} has no {what}", f"Add <{what} link=>")
                 if link not in links:
-                    raise ProblemError(
-                        f"{where} has the {what} '{link}', which is no link", f"Add <link name='{link}'>"
-                    )
+                    fix = f"Add <link name='{link}'>"
+                    raise ProblemError(f"{where} has the {what} '{link}', which is no link", fix)
             if joint.child in children:
-                raise ProblemError(
-                    f"{where} and joint '{children[joint.child]}' both hold link '{joint.child}'",
-                    "A URDF is a tree: give each link one joint above it",
-                )
+                fix = "A URDF is a tree: give each link one joint above it"
+                raise ProblemError(f"{where} and joint '{children[joint.child]}' both hold link '{joint.child}'", fix)
             children[joint.child] = joint.name
         return UrdfFile(self.file, self.name or Path(self.file).stem, tuple(self.links), tuple(self.joints))
 
