@@ -9,8 +9,8 @@ import pytest
 from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.causes import _simplest, _Trial, explained
+from casacal.checks.finding import Fault, Undone, misfit
 from casacal.checks.fitted_faults import tool_elsewhere
-from casacal.checks.undone import Fault, Undone, misfit
 from casacal.problem.cell import Cell, Face
 from studies.cell_mistakes import PROBLEMS, planted, simulated
 

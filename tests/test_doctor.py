@@ -10,9 +10,8 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
-from casacal.checks.dial import tells_a_wrong_sign
-from casacal.checks.labels import odd_labels
-from casacal.checks.rows import outside
+from casacal.checks.rows import odd_labels, outside
+from casacal.checks.setup import tells_a_wrong_sign
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
@@ -128,7 +127,7 @@ def test_many_rows_are_judged_as_few_are(hsr, corner_simulation, name, monkeypat
     expected = check(hsr.problem, samples)
     monkeypatch.setattr(sys.modules["casacal.checks.check"], "SPREAD", 90)
     monkeypatch.setattr("casacal.uncertainty.figures.TOGETHER", 25)
-    monkeypatch.setattr("casacal.checks.outliers.JUDGES", 30)
+    monkeypatch.setattr("casacal.checks.set_aside.JUDGES", 30)
     found = check(hsr.problem, samples)
     assert [(each.severity, each.about, each.lines) for each in found] == [
         (each.severity, each.about, each.lines) for each in expected

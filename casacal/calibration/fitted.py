@@ -18,10 +18,10 @@ from casacal.calibration.methods import Reference
 from casacal.calibration.metrics import Metrics, metrics_by_part, residual_metrics
 from casacal.calibration.motion import used_arm
 from casacal.checks import Finding, check
-from casacal.checks.dial import sign_before_fit
 from casacal.checks.fitted_faults import tool_elsewhere_at
 from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, repeated, rounded
+from casacal.checks.setup import sign_before_fit
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.beside import beside_geometry
-from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained
-from casacal.checks.dial import WRONG_SIGN, sign_before_fit
-from casacal.checks.finding import Finding
+from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained, flips
+from casacal.checks.finding import Finding, misfit
 from casacal.checks.fitted_faults import tool_moved
-from casacal.checks.labels import absent_labels, odd_labels
 from casacal.checks.numbers import wrong_number
-from casacal.checks.outliers import exchanged_labels, gross_rows, robust_fit, single_rows, studentised_outliers
-from casacal.checks.rows import outside, repeated, rounded
-from casacal.checks.setup import setup_findings
-from casacal.checks.several import check_several
-from casacal.checks.suspects import flips
-from casacal.checks.undone import misfit
+from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
+from casacal.checks.rows import absent_labels, odd_labels, outside, repeated, rounded
+from casacal.checks.set_aside import strays
+from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
@@ -33,7 +31,6 @@ from casacal.wording import times
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
 SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
-MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
 
 OF_TWO = 3.0
 """Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
@@ -59,15 +56,15 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         if not isinstance(samples, Measurements) or samples.names != problem.names:
             fix = f"Give Measurements of {', '.join(problem.names)}"
             raise CasacalError("The samples are not those of the problem's instruments", fix)
-        return _in_order([*check_several(problem, samples, lambda each: check(each.problem, each.samples))])
+        return _in_order(_of_several(problem, samples))
     samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
-        return (Finding("error", "cannot be bound", error.what, error.fix), *_in_order(findings))
-    some = bound if len(samples) <= SPREAD else bound.on(_spread(samples, SPREAD))
+        return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
+    some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
     bad, stray = strays(problem, samples, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
@@ -84,24 +81,6 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
     return _in_order(findings)
-
-
-def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
-
-    Args:
-        problem: with one instrument.
-        samples: its rows.
-        scatter: distance (mm) that prior errors of the arm explain.
-
-    """
-    none = np.zeros(len(samples), dtype=bool)
-    if problem.instrument.probe is None:
-        return none, []
-    bad, planes = gross_rows(problem, samples, scatter)
-    if not bad.any() or bad.mean() > MOST_STRAYS:
-        return none, []
-    return bad, exchanged_labels(problem, samples, bad, planes, scatter)
 
 
 def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem) -> list[Finding]:
@@ -121,21 +100,20 @@ def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
 
 
-def _spread(samples: Samples, count: int) -> Samples:
-    """So many rows, evenly over all; all where there are fewer."""
-    return samples.take(np.unique(np.linspace(0, len(samples) - 1, count).astype(int)))
-
-
 def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
     """About `MOST_ROWS` rows, evenly over their faces, or of some faces where these are many."""
     if len(samples) <= MOST_ROWS:
         return samples
     faces = samples.faces(problem.instrument.groups)
     rows = [some for some in faces.rows().values() if some.size]
-    chosen = np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS // OF_A_FACE).astype(int)).tolist()
-    most = MOST_ROWS // len(chosen)
-    kept = [some[np.unique(np.linspace(0, some.size - 1, most).astype(int))] for some in (rows[k] for k in chosen)]
+    chosen = [rows[k] for k in _evenly(len(rows), MOST_ROWS // OF_A_FACE)]
+    kept = [some[_evenly(some.size, MOST_ROWS // len(chosen))] for some in chosen]
     return samples.take(np.sort(np.concatenate(kept)))
+
+
+def _evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Places of so many of `count` things, evenly over all; all where there are fewer."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 
 
 def _unexplained(base: float, findings: list[Finding]) -> Finding:
@@ -153,15 +131,10 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
 
 def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
     """Remarks on flips that these samples would not notice."""
-    unseen = []
-    for fault in flips(problem):
-        undone = fault.undo(problem, samples)
-        if misfit(undone.problem, undone.samples) <= ALIKE * base:
-            unseen.append(fault.about)
-    return [
-        Finding("remark", f"{about}?", "these samples would look the same, so they cannot show it", "Check it by hand")
-        for about in unseen
-    ]
+    undone = {fault.about: fault.undo(problem, samples) for fault in flips(problem)}
+    unseen = [about for about, each in undone.items() if misfit(each.problem, each.samples) <= ALIKE * base]
+    cause = "these samples would look the same, so they cannot show it"
+    return [Finding("remark", f"{about}?", cause, "Check it by hand") for about in unseen]
 
 
 def _rows(bound: BoundProblem) -> list[Finding]:
@@ -179,3 +152,53 @@ def _rows(bound: BoundProblem) -> list[Finding]:
     cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
     fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
     return [Finding("warning", "noise", cause, fix)]
+
+
+UNBOUND = "cannot be bound"
+
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+
+OF_ALL = ("few rows", NO_LENGTH)
+"""What is asked of the rows of all instruments together, not of each; what faces do not tell, another may."""
+
+
+def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
+    """What is wrong with each instrument's samples, and with all together.
+
+    An instrument whose rows cannot be fitted without the others is looked at row by row alone.
+    """
+    found = list[Finding]()
+    for alone in each_alone(problem, measured.sets):
+        of_it = [each for each in check(alone.problem, alone.samples) if each.about not in OF_ALL]
+        fixes = [each.fix.replace("--set ", f"--set {alone.name}.") for each in of_it]
+        found += [replace(each, instrument=alone.name, fix=fix) for each, fix in zip(of_it, fixes, strict=True)]
+    try:
+        bound = bind(problem, *measured.sets)
+    except CasacalError as error:
+        if any(finding.about == UNBOUND for finding in found):  # said already of the instrument that it is about
+            return found
+        return [Finding("error", UNBOUND, error.what, error.fix), *found]
+    found += enough_rows(bound)
+    if all(finding.severity != "error" for finding in found):
+        found += _contradict(problem, measured)
+    return found
+
+
+def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:
+    """An error where each instrument fits by itself and all together do not."""
+    together = misfit(problem, measured)
+    sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
+    worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
+    if together <= max(APART * worst, SUSPICIOUS):
+        return []
+    shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
+    cause = (
+        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
+        f"({times(together)} times){shared}"
+    )
+    fix = (
+        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+        "same; too small a stated noise of one instrument can also be the cause"
+    )
+    return [Finding("error", "instruments contradict each other", cause, fix)]

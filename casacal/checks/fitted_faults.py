@@ -11,8 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import ENOUGH
-from casacal.checks.finding import Finding
-from casacal.checks.undone import FIRST_STEPS, Undone, misfit, quick_fit
+from casacal.checks.finding import FIRST_STEPS, Finding, Undone, misfit, quick_fit
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels

@@ -10,8 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.checks.finding import Finding
-from casacal.checks.undone import Fault, Undone, quick_fit
+from casacal.checks.finding import Fault, Finding, Undone, quick_fit
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

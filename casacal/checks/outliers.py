@@ -1,92 +1,28 @@
-"""Single rows that do not belong: gross ones before a fit, studentised residuals after it, exchanged labels."""
+"""Single rows that do not belong: studentised residuals of a robust fit, and turns of a pointer that were lost."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import times
-from casacal.binding.nominal import nominal_tips
-from casacal.checks.dial import lost_turns
 from casacal.checks.finding import Finding
 from casacal.estimators import lm
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
-from casacal.problem.problem import Problem
-from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import leverages
-from casacal.unknowns.fits import fitted_plane
 from casacal.wording import counted
 
-SUBSETS = 300  # random planes through three tips tried for the least median of squares
-JUDGES = 5_000  # tips, drawn at random, whose median judges them
-GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
 """Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
-ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
-
-
-def gross_rows(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], dict[str, Array]]:
-    """Rows (N,) whose nominal tip lies far off its plane, and a robust plane (n, c) of each label.
-
-    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.
-
-    Args:
-        problem: with a touched plane.
-        samples: its rows.
-        scatter: distance (mm) that prior errors of the arm explain.
-
-    """
-    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
-    bad, planes = np.zeros(len(samples), dtype=bool), {}
-    for label, rows in faces.rows().items():
-        if len(rows) < 8:
-            continue
-        plane, size = _median_plane(tips[rows])
-        planes[label] = plane
-        bad[rows] = np.abs(tips[rows] @ plane[:3] - plane[3]) > GROSS * max(size, scatter)
-    return bad, planes
-
-
-def exchanged_labels(
-    problem: Problem, samples: Samples, bad: NDArray[np.bool_], planes: dict[str, Array], scatter: float
-) -> list[Finding]:
-    """Gross rows that lie on another label's plane, and gross rows that lie on none."""
-    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
-    home: dict[tuple[str, str], list[int]] = defaultdict(list)
-    lost = []
-    for i in np.flatnonzero(bad).tolist():
-        label = faces[i]
-        fits = [name for name, plane in planes.items() if abs(tips[i] @ plane[:3] - plane[3]) < GROSS * scatter]
-        if fits and label not in fits:
-            home[label, fits[0]].append(samples.lines[i])
-        else:
-            lost.append(samples.lines[i])
-    findings = [
-        Finding(
-            "error", "labels exchanged",
-            f"{counted(len(lines))} labelled '{label}' fit{'s' if len(lines) == 1 else ''} '{fits}'",
-            "Correct the labels" + (", or the joints, if they are another row's" if len(lines) <= ONES_OWN else ""),
-            tuple(lines),
-        )
-        for (label, fits), lines in home.items()
-    ]  # fmt: skip
-    if lost:
-        findings.append(
-            Finding(
-                "error", "outliers", "the tips are far from every plane, even with the arm as drawn",
-                "Check joints and readings of these rows, or remove them", tuple(lost),
-            )
-        )  # fmt: skip
-    return findings
 
 
 @dataclass(frozen=True)
@@ -159,9 +95,7 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
         found: the rows.
 
     """
-    if not found.rows:
-        return []
-    findings = []
+    findings = list[Finding]()
     for i, own in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
         if own.size:
             findings += _of_instrument(bound, result, found, i, own.tolist())
@@ -173,45 +107,62 @@ def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int,
     samples = bound.samples[i]
     name = bound.problem.names[i] if len(bound.samples) > 1 else ""
     turns = lost_turns(bound, result, own, found.scale, i)
-    findings = [
-        Finding(
-            "error",
-            "lost revolution",
-            f"with {by:+.3g} mm added to the reading {'this row fits' if len(rows) == 1 else 'these rows fit'}: "
-            f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm",
-            "Measure again, or correct the reading if the pointer was misread",
-            tuple(sorted(samples.lines[k] for k in rows)),
-            name,
-        )
-        for (by, turned), rows in turns.items()
-    ]
+    findings = []
+    for (by, turned), rows in turns.items():
+        fits = "this row fits" if len(rows) == 1 else "these rows fit"
+        dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
+        fix = "Measure again, or correct the reading if the pointer was misread"
+        lines = tuple(sorted(samples.lines[k] for k in rows))
+        cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
+        findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
     explained = {k for rows in turns.values() for k in rows}
     lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
     if lines:
-        cause = (
-            f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations; more than {found.limit:.1f} is "
-        )
+        off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
         fix = "Measure them again or remove them; calibrate leaves them out if they are few"
-        findings.append(Finding("error", "outliers", f"{cause}not chance", fix, lines, name))
+        cause = f"{off}; more than {found.limit:.1f} is not chance"
+        findings.append(Finding("error", "outliers", cause, fix, lines, name))
     return findings
 
 
-def _median_plane(tips: Array) -> tuple[Array, float]:
-    """Plane (n, c) with the smallest median distance of the tips, and their robust scatter."""
-    rng = np.random.default_rng(0)
-    best, plane = math.inf, np.array([0.0, 0.0, 1.0, 0.0])
-    judges = tips if len(tips) <= JUDGES else tips[rng.choice(len(tips), JUDGES, replace=False)]
-    for _ in range(SUBSETS):
-        a, b, c = judges[rng.choice(len(judges), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = float(np.linalg.norm(normal))
-        if length < 1e-9:
+TURNS_MM = (1.0, 0.5, 2.54, 0.2)
+"""What one turn of a pointer shows, by the dials that are sold; several turns are only looked for of the first."""
+SHORT_TRAVEL = 2.0  # travel (mm) up to which a dial has turns of less than half a millimetre
+MOST_TURNS = 3
+SURE = 4.0  # standard deviations within which a reading must then fit
+SMALL = 1e-4  # step of the finite difference, mm
+
+
+def lost_turns(
+    bound: BoundProblem, result: Result, rows: Sequence[int], scale: float, i: int = 0
+) -> dict[tuple[float, int], list[int]]:
+    """Rows that fit with whole turns added to their reading, by what was added (mm) and how many turns that is.
+
+    Args:
+        bound: with a dial that has a reading; nothing is found for any other.
+        result: a robust fit that these rows hardly pull.
+        rows: places of outliers in the samples of one instrument.
+        scale: noise of the other rows over what is used.
+        i: which instrument.
+
+    """
+    probe, samples, own = bound.problem.instruments[i].probe, bound.samples[i], bound.sample_rows(i)
+    if probe is None or probe.column is None or own.stop - own.start != len(samples):
+        return {}
+    reading, sets = samples.columns[probe.column], list(bound.samples)
+    sets[i] = replace(samples, columns={**samples.columns, probe.column: reading + SMALL})
+    here = bound.residual(result.x)[own]
+    slopes = (bound.on(*sets).residual(result.x)[own] - here) / SMALL
+    found: dict[tuple[float, int], list[int]] = defaultdict(list)
+    for k in rows:
+        if abs(slopes[k]) < 1e-9:
             continue
-        normal = normal / length
-        middle = float(np.median(np.abs((judges - a) @ normal)))
-        if middle < best:
-            best, plane = middle, np.array([*normal, normal @ a])
-    near = np.abs(tips @ plane[:3] - plane[3]) <= 2.5 * 1.4826 * best + 1e-9
-    fitted = fitted_plane(tips[near])
-    refined = np.array([*fitted.normal, fitted.normal @ fitted.centre])
-    return refined, 1.4826 * float(np.median(np.abs(tips @ fitted.normal - refined[3])))
+        missing, spread = -float(here[k] / slopes[k]), SURE * scale / abs(float(slopes[k]))
+        for turn in TURNS_MM:
+            count = round(missing / turn)
+            sharp = spread < turn / 8 and (turn >= 0.5 or probe.travel <= SHORT_TRAVEL)
+            most = MOST_TURNS if turn == TURNS_MM[0] else 1
+            if sharp and 1 <= abs(count) <= most and math.isclose(missing, count * turn, abs_tol=spread):
+                found[count * turn, count].append(k)
+                break
+    return found

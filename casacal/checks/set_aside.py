@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -11,19 +13,28 @@ from casacal.array_types import Array
 from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import times
-from casacal.checks.check import strays
+from casacal.binding.nominal import nominal_tips
 from casacal.checks.finding import Finding
-from casacal.checks.outliers import GROSS, Outliers, most_by_chance, robust_fit, single_rows, studentised_outliers
+from casacal.checks.outliers import Outliers, most_by_chance, robust_fit, single_rows, studentised_outliers
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
 from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.unknowns.fits import fitted_plane
+from casacal.wording import counted
 
 MOST = 0.1  # part of the rows that may be set aside; where more are wrong, it is not single rows that are
 ROUNDS = 3  # fits without the rows found before: large outliers hide small ones
 
 WORTH_ANOTHER_LOOK = 10.0
 """Standard deviations from a fit without it up to which a row is asked once more whether it belongs."""
+SUBSETS = 300  # random planes through three tips tried for the least median of squares
+JUDGES = 5_000  # tips, drawn at random, whose median judges them
+GROSS = 8.0  # times the robust scatter beyond which a nominal tip is not on its plane at all
+ONES_OWN = 2  # rows whose joints may be another row's, pasted or shifted by one, rather than their labels wrong
+MOST_STRAYS = 0.3  # beyond this fraction of the rows, it is not single rows that are wrong
 
 
 def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[NDArray[np.bool_], tuple[Finding, ...]]:
@@ -53,12 +64,16 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
         bad = _taken_back(bound, bad, stray)
     rest = _without(bound, bad)
     if rest is not None and any(bound.beside):  # where much is known beside the geometry, others may expect a row so
-        bad &= stray | ~_expected(*_judged(rest, bound))
+        judged, result = _judged(rest, bound)
+        bad &= stray | (_sizes(judged, result) > _most(judged))
         rest = _without(bound, bad)
     if rest is None:
         return none, ()
     if (bad & ~stray).any():
-        findings += _told(*_judged(rest, bound), np.flatnonzero(bad & ~stray))
+        judged, result = _judged(rest, bound)
+        rows = np.flatnonzero(bad & ~stray)
+        worst = float(_sizes(judged, result)[rows].max())
+        findings += single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
     return bad, tuple(findings)
 
 
@@ -104,11 +119,6 @@ def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.b
     return held
 
 
-def _expected(judged: BoundProblem, result: Result) -> NDArray[np.bool_]:
-    """Rows (N,) that stand where chance may put them for a fit, whether it has seen them or not."""
-    return np.asarray(_sizes(judged, result) <= _most(judged))
-
-
 def _sizes(judged: BoundProblem, result: Result) -> Array:
     """How far rows (N,) are off, in standard deviations of their noise."""
     return judged.largest(np.abs(judged.residual(result.x)))
@@ -117,12 +127,6 @@ def _sizes(judged: BoundProblem, result: Result) -> Array:
 def _most(judged: BoundProblem) -> float:
     """How far chance may put the farthest of them."""
     return most_by_chance(judged.rows, judged.rows - _geometry(judged))
-
-
-def _told(judged: BoundProblem, result: Result, rows: NDArray[np.intp]) -> list[Finding]:
-    """What is wrong with rows that a fit has not seen."""
-    worst = float(_sizes(judged, result)[rows].max())
-    return single_rows(judged, result, Outliers(tuple(rows.tolist()), worst, _most(judged), 1.0))
 
 
 def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result]:
@@ -144,3 +148,64 @@ def _off_their_face(bound: BoundProblem) -> tuple[NDArray[np.bool_], list[Findin
         bad.append(mine)
         findings += [replace(each, instrument=alone.name) for each in told]
     return np.concatenate(bad), findings
+
+
+def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
+
+    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.
+
+    Args:
+        problem: with one instrument.
+        samples: its rows.
+        scatter: distance (mm) that prior errors of the arm explain.
+
+    """
+    bad, planes = np.zeros(len(samples), dtype=bool), dict[str, Array]()
+    if problem.instrument.probe is None:
+        return bad, []
+    tips, faces = nominal_tips(problem, 0, samples), samples.faces(problem.instrument.groups)
+    for label, rows in faces.rows().items():
+        if len(rows) >= 8:
+            planes[label], size = _median_plane(tips[rows])
+            bad[rows] = np.abs(tips[rows] @ planes[label][:3] - planes[label][3]) > GROSS * max(size, scatter)
+    if not bad.any() or bad.mean() > MOST_STRAYS:
+        return np.zeros(len(samples), dtype=bool), []
+    home, lost = defaultdict[tuple[str, str], list[int]](list), list[int]()
+    for i in np.flatnonzero(bad).tolist():
+        fits = [name for name, plane in planes.items() if abs(tips[i] @ plane[:3] - plane[3]) < GROSS * scatter]
+        if fits and faces[i] not in fits:
+            home[faces[i], fits[0]].append(samples.lines[i])
+        else:
+            lost.append(samples.lines[i])
+    findings = []
+    for (label, its), lines in home.items():
+        cause = f"{counted(len(lines))} labelled '{label}' fit{'s' if len(lines) == 1 else ''} '{its}'"
+        fix = "Correct the labels" + (", or the joints, if they are another row's" if len(lines) <= ONES_OWN else "")
+        findings.append(Finding("error", "labels exchanged", cause, fix, tuple(lines)))
+    if lost:
+        cause = "the tips are far from every plane, even with the arm as drawn"
+        fix = "Check joints and readings of these rows, or remove them"
+        findings.append(Finding("error", "outliers", cause, fix, tuple(lost)))
+    return bad, findings
+
+
+def _median_plane(tips: Array) -> tuple[Array, float]:
+    """Plane (n, c) with the smallest median distance of the tips, and their robust scatter."""
+    rng = np.random.default_rng(0)
+    best, plane = math.inf, np.array([0.0, 0.0, 1.0, 0.0])
+    judges = tips if len(tips) <= JUDGES else tips[rng.choice(len(tips), JUDGES, replace=False)]
+    for _ in range(SUBSETS):
+        a, b, c = judges[rng.choice(len(judges), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            continue
+        normal = normal / length
+        middle = float(np.median(np.abs((judges - a) @ normal)))
+        if middle < best:
+            best, plane = middle, np.array([*normal, normal @ a])
+    near = np.abs(tips @ plane[:3] - plane[3]) <= 2.5 * 1.4826 * best + 1e-9
+    fitted = fitted_plane(tips[near])
+    refined = np.array([*fitted.normal, fitted.normal @ fitted.centre])
+    return refined, 1.4826 * float(np.median(np.abs(tips @ fitted.normal - refined[3])))

@@ -1,4 +1,4 @@
-"""What the set-up can show at all: tilts, faces, directions, lengths, number of rows."""
+"""What the set-up can show at all: tilts, faces, directions, lengths, number of rows; and the sign of the dial."""
 
 from __future__ import annotations
 
@@ -86,3 +86,53 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
             )
         )
     return findings
+
+
+WRONG_SIGN = "wrong dial sign"
+
+
+def sign_before_fit(bound: BoundProblem) -> list[Finding]:
+    """Regression of the nominal residuals on the reading: a slope of 2 means a wrong sign, no spread tells nothing."""
+    probe, samples = bound.problem.instrument.probe, bound.block.samples
+    if probe is None or probe.column is None:
+        return []
+    reading = samples.columns[probe.column]
+    if float(reading.std()) < 5 * probe.noise_std:
+        cause = "the readings are nearly constant, so these samples cannot show whether the dial's sign is wrong"
+        fix = "Let the reading vary over the dial's travel in a few touches"
+        return [Finding("remark", "dial sign not tested", cause, fix)]
+    sight, faces = nominal_sight(bound.problem, 0, samples), samples.faces(probe.label)
+    residual = bound.plain_residual(bound.x0)
+    assert sight.plungers is not None
+    axis = sight.plungers
+    slopes, errors = [], []
+    for k in range(len(faces.names)):
+        rows = faces.codes == k
+        plane = fitted_plane(sight.tips[rows])
+        normal = plane.normal if float((axis[rows] @ plane.normal).mean()) < 0 else -plane.normal
+        # the plane absorbs what is linear over the face; take that out of both sides
+        design = np.column_stack([np.ones(int(rows.sum())), (sight.tips[rows] - plane.centre) @ plane.across.T])
+        lever = probe.sign * reading[rows] * (axis[rows] @ normal)
+        lever = lever - design @ np.linalg.lstsq(design, lever, rcond=None)[0]
+        left = residual[rows] - design @ np.linalg.lstsq(design, residual[rows], rcond=None)[0]
+        size = float(lever @ lever)
+        if size > 0 and rows.sum() > 6:
+            slopes.append(float(lever @ left) / size)
+            errors.append(float(left.std()) / math.sqrt(size))
+    if not slopes:
+        return []
+    weights = 1 / np.maximum(np.array(errors), 1e-9) ** 2
+    slope, std = float(np.average(slopes, weights=weights)), float(1 / np.sqrt(weights.sum()))
+    if not tells_a_wrong_sign(slope, std):
+        return []
+    cause = (
+        f"with the arm as drawn the residuals already follow the reading, with a slope of {slope:.2f} +- {std:.2f} "
+        "(0 is expected, 2 if the sign is wrong)"
+    )
+    fix = f"Reverse the sign of the dial in the problem (--set sign={-probe.sign} tries it)"
+    return [Finding("error", WRONG_SIGN, cause, fix)]
+
+
+def tells_a_wrong_sign(slope: float, std: float) -> bool:
+    """Whether residuals follow the reading with slope 2, not 0; an arm far from its drawing lies between."""
+    return slope >= 5 * std and slope + 3 * std >= 2.0
