@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import casadi as ca
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, denial
+from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.errors import CasacalError, came
 from casacal.problem.problem import Problem
@@ -184,7 +184,7 @@ class SavedCalibration(Value, AsArm):
     @property
     def success(self) -> bool:
         """Whether the method did all it promises, as the result says, and its verdict is not "do not use"."""
-        return denial(self.found) is None and bool(self.found.document.get("converged", False))
+        return self.found.denial is None and bool(self.found.document.get("converged", False))
 
     @property
     def message(self) -> str:

@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
     from casacal.compensation.compensate import compensate
     from casacal.compensation.programs import notes, rounding_of, text_of
-    from casacal.compensation.result_file import read_result, verdict_part
+    from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
     from casacal.compensation.targets import Outcome, read_targets
     from casacal.errors import CasacalError
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     lost = [_lost(compensation, i) for i in missed]
     said = [f"{note[0].upper()}{note[1:]}" for note in notes(compensation, result)]
     if options.json:
-        verdict = verdict_part(result)
+        verdict = result.verdict
         say_json({"targets": len(targets), "missed": lost, "verdict": verdict, "notes": said, "written": [options.out]})
         return FAILED if missed else DONE
     said += [

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.compensation.result_file import read_result, verdict_part
+    from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
     if options.json:
-        said = {"form": options.to, "verdict": verdict_part(result), "remarks": remark(result, form=options.to)}
+        said = {"form": options.to, "verdict": result.verdict, "remarks": remark(result, form=options.to)}
         say_json({**said, "written": [options.out]})
         return DONE
     say_paragraph(f"Written: {options.out}")

@@ -35,9 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
-    from casacal.compensation.arm import denial
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.result_file import caution, read_result, verdict_part
+    from casacal.compensation.result_file import read_result
     from casacal.compensation.seen_by import seen_by
 
     spare([options.out], options.result, options.joints)
@@ -48,10 +47,10 @@ def run(options: argparse.Namespace) -> int:
     write_prediction(options.out, prediction)
     count = len(prediction.positions)
     if options.json:
-        said = {"poses": count, "frame": options.frame, "nominal": options.nominal, "verdict": verdict_part(result)}
+        said = {"poses": count, "frame": options.frame, "nominal": options.nominal, "verdict": result.verdict}
         say_json({**said, "written": [options.out]})
     else:
         say_paragraph(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
-        if (words := denial(result) or caution(result)) is not None and not options.nominal:
+        if (words := result.denial or result.caution) is not None and not options.nominal:
             say_paragraph(words)
     return DONE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -35,8 +35,11 @@ class CalibratedArm(Value):
 
     @cached_property
     def used(self) -> Problem:
-        """The problem with the effects that are corrected, and no others; see `as_used`."""
-        problem, keys = self.source.problem, corrections(self)
+        """The problem with the effects that are corrected, and no others, in its pose.
+
+        Raises CasacalError where the problem does not have one of them.
+        """
+        problem, keys = self.source.problem, self.corrected
         if not keys:
             return problem.without_effects
         known = {effect.key: effect for effect in problem.with_kit.effects}
@@ -47,21 +50,41 @@ class CalibratedArm(Value):
             )
         return problem.with_effects(*(known[key] for key in keys))
 
+    @property
+    def discrepancy(self) -> Mapping[str, Any]:
+        """What the document says of effects beside the geometry; nothing where geometry was all there is."""
+        return self.document.get("discrepancy") or {}
+
+    @property
+    def corrected(self) -> tuple[str, ...]:
+        """Keys of the effects beside the geometry that are corrected; none of a truth."""
+        return tuple(self.discrepancy.get("corrected", ()))
+
+    @property
+    def verdict(self) -> dict[str, str] | None:
+        """The verdict as {level, words}; None for a truth, and for a result from before there were verdicts."""
+        said = self.document.get("verdict")
+        return None if not said else {"level": str(said["level"]), "words": str(said["words"])}
+
+    @property
+    def denial(self) -> str | None:
+        """The words of a verdict not to use this result; None for any other."""
+        return self.verdict["words"] if self.verdict and self.verdict["level"] == "do not use" else None
+
+    @property
+    def caution(self) -> str | None:
+        """The words of a verdict to use this result with care; None for any other."""
+        return self.verdict["words"] if self.verdict and self.verdict["level"] == "use with care" else None
+
+    def check_usable(self, *, force: bool) -> None:
+        """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
+        if self.denial is not None and not force:
+            fix = "Mend what the verdict names and calibrate again; "
+            fix += "--force (force=True) uses it all the same, and says so"
+            raise CasacalError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
+
     def __repr__(self) -> str:
         return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
-
-
-def corrections(result: CalibratedArm) -> tuple[str, ...]:
-    """Keys of the effects beside the geometry that a result corrects; none of a truth."""
-    return tuple((result.document.get("discrepancy") or {}).get("corrected", ()))
-
-
-def as_used(result: CalibratedArm) -> Problem:
-    """The problem of a result with the effects that it corrects, and no others, in its pose.
-
-    Raises CasacalError where the problem does not have one of them.
-    """
-    return result.used
 
 
 def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
@@ -83,7 +106,7 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
     Args:
         result: a calibration or a truth.
         nominal: all zero.
-        of: the problem with effects that are corrected, as of `as_used`, or with more; by default without any, and then
+        of: the problem with effects that are corrected, as of `used`, or with more; by default without any, and then
             the values are those for an arm that nobody corrects beyond its geometry.
 
     Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
@@ -91,10 +114,11 @@ def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Probl
     """
     geometry = result.source.problem.without_effects
     model, known = (of or geometry).model, geometry.model.unknowns
+    found = {} if nominal else corrected_values(result)
     values = [
         _local(key, unknown, result, nominal, alone=not model.effects)
         if key in known
-        else _of_effect(key, unknown, result, nominal)
+        else np.array([found.get(name, 0.0) for name in unknown.names(key)])  # of an effect, where it is corrected
         for key, unknown in model.unknowns.items()
     ]
     return np.concatenate([np.zeros(0), *values])
@@ -115,20 +139,6 @@ def row_constants(result: CalibratedArm, of: Problem) -> Array:
     return np.concatenate(found)
 
 
-def denial(result: CalibratedArm) -> str | None:
-    """What the verdict on a result says where it is not to be used; None for any other, and for a truth."""
-    verdict = result.document.get("verdict") or {}
-    return str(verdict["words"]) if verdict.get("level") == "do not use" else None
-
-
-def check_usable(result: CalibratedArm, *, force: bool) -> None:
-    """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
-    words = denial(result)
-    if words is not None and not force:
-        fix = "Mend what the verdict names and calibrate again; --force (force=True) uses it all the same, and says so"
-        raise CasacalError(f"{result.file}: {words.removesuffix('.')}", fix)
-
-
 def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
     """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
     covariance, names = named_covariance(result)
@@ -140,14 +150,19 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
 def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
     try:
-        rows = [[math.inf if value is None else float(value) for value in row] for row in result.document["covariance"]]
+        covariance = numbers(result.document["covariance"])
         names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
     except (KeyError, TypeError):
-        if denial(result) is not None:
+        if result.denial is not None:
             said = f"{result.file}: a result that is not to be used has no standard deviations"
             raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
-    return np.array(rows, dtype=np.float64).reshape(len(names), len(names)), list(names)
+    return covariance.reshape(len(names), len(names)), list(names)
+
+
+def numbers(rows: Sequence[Sequence[float | None]]) -> Array:
+    """A table of numbers as JSON holds it, null where one is infinite."""
+    return np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
 
 
 def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:
@@ -173,18 +188,14 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
         if not known.keys() & set(unknown.names(key)):  # held by the calibration
             return np.zeros(unknown.size)
     if alone:
-        said = result.document.get("discrepancy") or {}
-        known |= {row["name"]: float(row["value"]) for row in said.get("without_corrections", ())}
+        known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
     missing = [name for name in unknown.names(key) if name not in known]
     if missing:
         raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
     return np.array([known[name] for name in unknown.names(key)])
 
 
-def _of_effect(key: str, unknown: Any, result: CalibratedArm, nominal: bool) -> Array:
-    """Unknowns of an effect beside the geometry: as found where it is corrected, else zero."""
-    if nominal or unknown.per is not None:
-        return np.zeros(unknown.size)
-    said, keys = result.document.get("discrepancy") or {}, corrections(result)
-    found = {row["name"]: float(row["value"]) for row in said.get("unknowns", ()) if row.get("effect") in keys}
-    return np.array([found.get(name, 0.0) for name in unknown.names(key)])
+def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
+    """Unknowns of the effects that are corrected, by name, as they were found."""
+    rows = result.discrepancy.get("unknowns", ())
+    return {row["name"]: float(row["value"]) for row in rows if row["effect"] in result.corrected}

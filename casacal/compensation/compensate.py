@@ -18,23 +18,17 @@ from casacal.array_types import Array, Rows
 from casacal.compensation.arm import (
     FRAMES,
     CalibratedArm,
-    as_used,
-    check_usable,
-    denial,
     infinite_variances,
     local_coordinates,
     row_constants,
 )
-from casacal.compensation.inverse_kinematics import PosedArm, turning
-from casacal.compensation.postures import postures
+from casacal.compensation.inverse_kinematics import PosedArm, joint_units, lengths, postures, turning
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, targets_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.samples import Samples
 
-TOLERANCE = 5e-3, 5e-6
-"""Position (mm) and orientation (rad) within which the written joints must bring the calibrated robot to a pose."""
 LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
 ROUNDED = 1e-6  # how far (rad, mm) the rounding of a file may put joint values beyond a limit
 STEPS = 150  # at most, for rows that creep along a singularity
@@ -80,13 +74,13 @@ def compensate(
         raise UnknownNameError("frame", str(frame), FRAMES)
     if not isinstance(largest, (int, float)) or not largest > 0:
         raise CasacalError(f"The largest motion of a joint is {largest!r}", "Give a positive number of rad")
-    check_usable(result, force=force)
-    if denial(result) is None:
+    result.check_usable(force=force)
+    if result.denial is None:
         _trusted(result, frame)
     rounding = rounding or Rounding()
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
-    used = as_used(result)
+    used = result.used
     arm = replace(nominal, local=local_coordinates(result, of=used))
     if used.effects:
         arm = PosedArm.of(used, arm.local, frame, row_constants(result, used))
@@ -95,21 +89,22 @@ def compensate(
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
     joints[found], elsewhere[found] = _solved(arm, positions[found], rotations[found], start[found], largest)
-    moved = np.abs((joints - began) / arm.joint_units).max(axis=1)
+    moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
     place, turn, expected = _proof(result, arm, joints, positions, rotations)
-    outcomes = _judged(
+    cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),
         (_outside(arm, targets), Outcome.OUTSIDE),
-        (_within(arm, place, turn) & ~jumps, Outcome.REACHED),
+        (arm.within(place, turn) & ~jumps, Outcome.REACHED),
         (limited, Outcome.LIMIT),
         (jumps | elsewhere, Outcome.SINGULAR),
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
-    before, moved = _length(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
+    outcomes = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
+    before, moved = lengths(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
     return Compensation(targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected)
 
 
@@ -137,7 +132,7 @@ def _meant(nominal: PosedArm, targets: Targets) -> tuple[Array, Array, Array]:
         return targets.joints, place, turn
     positions, rotations = targets.poses
     if targets.joints is None:
-        return postures(nominal, positions, rotations, TOLERANCE), positions, rotations
+        return postures(nominal, positions, rotations), positions, rotations
     start = nominal.reach(positions, rotations, targets.joints)
     return np.where(_outside(nominal, targets)[:, None], targets.joints, start), positions, rotations
 
@@ -151,16 +146,14 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
     elsewhere = np.zeros(len(joints), dtype=bool)
     rng = np.random.default_rng(0)
     for _ in range(RETRIES):
-        place, turn, _ = arm.miss(joints, positions, rotations)
-        jumped = np.abs((joints - start) / arm.joint_units).max(axis=1) > largest
-        stuck = np.flatnonzero(~_within(arm, _length(place), _length(turn)) & ~jumped)
+        jumped = np.abs((joints - start) / joint_units(arm.robot)).max(axis=1) > largest
+        stuck = np.flatnonzero(~arm.takes(joints, positions, rotations) & ~jumped)
         if not stuck.size:
             break
-        beside = start[stuck] + SCATTER * arm.joint_units * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
+        beside = start[stuck] + SCATTER * joint_units(arm.robot) * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
         again = arm.reach(positions[stuck], rotations[stuck], beside, steps=STEPS)
-        place, turn, _ = arm.miss(again, positions[stuck], rotations[stuck])
-        arrived = _within(arm, _length(place), _length(turn))
-        near = np.abs((again - start[stuck]) / arm.joint_units).max(axis=1) <= largest
+        arrived = arm.takes(again, positions[stuck], rotations[stuck])
+        near = np.abs((again - start[stuck]) / joint_units(arm.robot)).max(axis=1) <= largest
         joints[stuck[arrived & near]] = again[arrived & near]
         elsewhere[stuck[arrived & ~near]] = True
     return joints, elsewhere
@@ -173,26 +166,17 @@ def _proof(
     from scipy.spatial.transform import Rotation
 
     place, turn, spread = (np.full(len(joints), np.nan) for _ in range(3))
-    sound = np.flatnonzero(_finite(arm, joints, positions, rotations))
+    missed = arm.miss(joints, positions, rotations)[:2]
+    sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))
     if sound.size:
         samples = Samples.of_joints(joints[sound])
-        known = denial(result) is None  # nothing is expected of a result that is not to be used
+        known = result.denial is None  # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=known)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
-        place[sound] = _length(prediction.positions - positions[sound])
-        turn[sound] = _length(turning(turns @ rotations[sound].transpose(0, 2, 1)))
+        place[sound] = lengths(prediction.positions - positions[sound])
+        turn[sound] = lengths(turning(turns @ rotations[sound].transpose(0, 2, 1)))
         spread[sound] = prediction.std if known else np.nan
     return place, turn, spread
-
-
-def _finite(arm: PosedArm, joints: Array, positions: Array, rotations: Array) -> Rows:
-    place, turn, _ = arm.miss(joints, positions, rotations)
-    return np.asarray(np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1))
-
-
-def _within(arm: PosedArm, place: Array, turn: Array) -> Rows:
-    """Rows whose miss (mm; rad) counts as none; an arm with few joints owes the position alone."""
-    return np.asarray((place <= TOLERANCE[0]) & ((turn <= TOLERANCE[1]) | (len(arm.robot.axes) < 6)))
 
 
 def _outside(arm: PosedArm, targets: Targets) -> Rows:
@@ -201,13 +185,3 @@ def _outside(arm: PosedArm, targets: Targets) -> Rows:
         return np.zeros(len(targets), dtype=bool)
     lower, upper = arm.robot.limits
     return np.asarray(((targets.joints < lower - ROUNDED) | (targets.joints > upper + ROUNDED)).any(axis=1))
-
-
-def _judged(*cases: tuple[Rows, Outcome]) -> tuple[Outcome, ...]:
-    """For each row the outcome of the first case that holds."""
-    first = np.argmax([rows for rows, _ in cases], axis=0)
-    return tuple(cases[i][1] for i in first)
-
-
-def _length(vectors: Array) -> Array:
-    return np.asarray(np.linalg.norm(vectors, axis=1))

@@ -1,4 +1,4 @@
-"""Joint values that bring a robot to whole poses, inside its joint limits, for many poses at once.
+"""Joint values that bring a robot to whole poses, inside its joint limits: from near, or from many starts.
 
 `casacal.simulation.reach` brings a plunger to a face and leaves the turn about it free; here position and orientation
 both count.
@@ -7,21 +7,23 @@ both count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array, Rows
 from casacal.kernels.batch import BLOCK, Batch
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import AXIS_WEIGHT
+from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
 
 FEW_JOINTS_WEIGHT = 1.0
 """Millimetres that weigh as much as one radian where an arm has fewer than six joints: position first, and the
 orientation as near as the position allows (what it costs the position is below a tenth of a micrometre)."""
 
+TOLERANCE = 5e-3, 5e-6  # position (mm) and orientation (rad) within which joint values take a pose
 ARRIVED = 1e-18  # squared miss (mm^2) below which a row is done
 STILL = 1e-11  # step (rad, or mm over `AXIS_WEIGHT`) below which a row is done
 GIVEN_UP = 1e9  # damping at which no step helps any more
@@ -54,7 +56,8 @@ class PosedArm:
         rates = [ca.mtimes(ca.reshape(by_joint[:, j], 3, 3), turn.T) for j in range(n)]  # dR/dq R' = [omega]x
         omega = ca.horzcat(*(ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]) for rate in rates))
         outputs = [place, ca.vec(turn.T), ca.vec(ca.vertcat(ca.jacobian(place, q), omega).T)]
-        return PosedArm(problem.robot, Batch(ca.Function("pose", [z, q], _dense(outputs))), local, frame)
+        dense = [ca.densify(output) for output in ca.cse(outputs)]
+        return PosedArm(problem.robot, Batch(ca.Function("pose", [z, q], dense)), local, frame)
 
     def __call__(self, joints: Array) -> tuple[Array, Array, Array]:
         """Positions (N, 3; mm), rotations (N, 3, 3), slopes (N, 6, n): velocity, then angular velocity, by joint."""
@@ -65,22 +68,21 @@ class PosedArm:
         place, turn, slope = (output[:count] for output in self.evaluate(self.local, padded))
         return place, turn.reshape(-1, 3, 3), slope.reshape(-1, 6, n)
 
-    @property
-    def joint_units(self) -> Array:
-        """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
-        return joint_units(self.robot)
-
-    @property
-    def orientation_weight(self) -> float:
-        """Millimetres that weigh as much as one radian."""
-        return AXIS_WEIGHT if len(self.robot.axes) >= 6 else FEW_JOINTS_WEIGHT
-
     def miss(self, joints: Array, positions: Array, rotations: Array) -> tuple[Array, Array, Array]:
         """Position errors (N, 3; mm), rotation errors (N, 3; rad, base frame), and their slopes (N, 6, n) by joint."""
         place, turn, slope = self(joints)
         error = turning(turn @ rotations.transpose(0, 2, 1))
         slope = np.concatenate([slope[:, :3], _inverse_left_jacobian(error) @ slope[:, 3:]], axis=1)
         return place - positions, error, slope
+
+    def within(self, place: Array, turn: Array) -> Rows:
+        """Rows whose miss (N,; mm and rad) counts as none; an arm with few joints owes the position alone."""
+        return np.asarray((place <= TOLERANCE[0]) & ((turn <= TOLERANCE[1]) | (len(self.robot.axes) < 6)))
+
+    def takes(self, joints: Array, positions: Array, rotations: Array) -> Rows:
+        """Rows (N,) in which joint values bring it to a pose."""
+        place, turn, _ = self.miss(joints, positions, rotations)
+        return self.within(lengths(place), lengths(turn))
 
     def reach(self, positions: Array, rotations: Array, start: Array, *, steps: int = 60) -> Array:
         """Joint values (N, n), inside the limits, that bring each row as near to its pose as damped steps lead.
@@ -89,11 +91,8 @@ class PosedArm:
         pulled beyond it rest. Where joints are to spare, each step is the smallest joint motion that does it. Rows
         whose model gives values that are not finite stay where they are.
 
-        Args:
-            positions, rotations: the poses (N, 3; mm) and (N, 3, 3).
-            start: joint values (N, n; rad, mm), brought inside the limits first.
-            steps: at most.
-
+        positions, rotations: the poses (N, 3; mm) and (N, 3, 3). start: joint values (N, n; rad, mm), brought inside
+        the limits first. steps: at most.
         """
         lower, upper = self.robot.limits
         joints = np.clip(start, lower, upper)
@@ -112,7 +111,7 @@ class PosedArm:
             joints[won], error[won], slope[won] = trial[better], trial_error[better], trial_slope[better]
             size[won] = trial_size[better]
             damping[rows] = np.where(better, np.maximum(damping[rows] * 0.1, 1e-12), damping[rows] * 10)
-            moving = np.abs(step / self.joint_units).max(axis=1) > STILL
+            moving = np.abs(step / joint_units(self.robot)).max(axis=1) > STILL
             rows = rows[(size[rows] > ARRIVED) & moving & (damping[rows] < GIVEN_UP)]
         return joints
 
@@ -123,14 +122,15 @@ class PosedArm:
 
     def _step(self, joints: Array, error: Array, slope: Array, damping: Array) -> Array:
         """Levenberg's step (N, n) in joints that are free to move."""
+        units = joint_units(self.robot)
         gradient = np.einsum("kai,ka->ki", slope, error)
         free = ~self._resting(joints, gradient)
-        slope = slope * (free * self.joint_units)[:, None, :]
+        slope = slope * (free * units)[:, None, :]
         information = slope.transpose(0, 2, 1) @ slope
         lift = damping * np.maximum(np.einsum("kii->ki", information).max(axis=1), 1e-300)
         lifted = information + lift[:, None, None] * np.eye(joints.shape[1])
-        scaled = np.linalg.solve(lifted, (gradient * free * self.joint_units)[..., None])[..., 0]
-        return np.asarray(-scaled * self.joint_units)
+        scaled = np.linalg.solve(lifted, (gradient * free * units)[..., None])[..., 0]
+        return np.asarray(-scaled * units)
 
     def _resting(self, joints: Array, gradient: Array) -> Rows:
         lower, upper = self.robot.limits
@@ -138,13 +138,18 @@ class PosedArm:
 
     def _weighted(self, joints: Array, positions: Array, rotations: Array) -> tuple[Array, Array]:
         place, turn, slope = self.miss(joints, positions, rotations)
-        weight = np.array([1.0] * 3 + [self.orientation_weight] * 3)
+        weight = np.array([1.0] * 3 + [AXIS_WEIGHT if len(self.robot.axes) >= 6 else FEW_JOINTS_WEIGHT] * 3)
         return np.concatenate([place, turn], axis=1) * weight, slope * weight[:, None]
 
 
 def joint_units(robot: Robot) -> Array:
     """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
     return np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+
+
+def lengths(vectors: Array) -> Array:
+    """Lengths (N,) of vectors (N, 3)."""
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def turning(rotations: Array) -> Array:
@@ -172,5 +177,76 @@ def _inverse_left_jacobian(vectors: Array) -> Array:
     return np.asarray(np.eye(3) - cross / 2 + bend[:, None, None] * (cross @ cross))
 
 
-def _dense(outputs: list[Any]) -> list[Any]:
-    return [ca.densify(output) for output in ca.cse(outputs)]
+BANK = 4096  # random postures among which starts are looked for
+ROUNDS = (6, 24)  # starts per pose in the first round, and in the second for poses that none of them reached
+PATIENCE = 16  # steps of a start: those that are not there by then creep along a singularity, and others are faster
+SWEEPS, TORN, ON_A_PATH = 8, 0.5, 0.5
+"""Times that torn paths are repaired; joint motion (rad) between rows at which one is torn; and how near two poses must
+be (in units of a radian or `AXIS_WEIGHT` mm) to count as one path."""
+BEYOND = 1.05  # fraction of the farthest random posture's distance from the base beyond which no pose is looked for
+
+
+def postures(arm: PosedArm, positions: Array, rotations: Array) -> Array:
+    """Joint values (N, n) at which an arm takes poses, found from many starts; NaN where none was found.
+
+    Of the postures that were found for a pose the one nearest to that of the row before is taken, for the first row
+    the one nearest to mid-range. Where neighbours on a path would still differ, the row before is a start too.
+
+    arm: usually the nominal one. positions, rotations: the poses (N, 3; mm) and (N, 3, 3).
+    """
+    from scipy.spatial import KDTree
+
+    bank = random_joints(arm.robot, BANK, np.random.default_rng(0))
+    tree, asked = KDTree(_where(*arm(bank)[:2])), _where(positions, rotations)
+    reach = BEYOND * np.linalg.norm(tree.data[:, :3], axis=1).max()
+    found: list[Array] = [np.zeros((0, bank.shape[1]))] * len(positions)
+
+    def try_from(rows: NDArray[np.intp], starts: Array) -> None:
+        """Add the postures that some rows (m,) reach from their starts (m, k, n)."""
+        index = np.repeat(rows, starts.shape[1])
+        joints = arm.reach(positions[index], rotations[index], starts.reshape(-1, starts.shape[2]), steps=PATIENCE)
+        taken = arm.takes(joints, positions[index], rotations[index]).reshape(starts.shape[:2])
+        for row, some, good in zip(rows, joints.reshape(starts.shape), taken, strict=True):
+            found[row] = np.concatenate([found[row], some[good]])
+
+    first, rows = 0, np.flatnonzero(np.linalg.norm(asked[:, :3], axis=1) <= reach)
+    for starts in ROUNDS:
+        if rows.size:
+            try_from(rows, bank[tree.query(asked[rows], k=first + starts)[1][:, first:]])
+        first, rows = first + starts, np.array([row for row in rows if not len(found[row])], dtype=np.intp)
+    chosen = _one_branch(arm, found)
+    for _ in range(SWEEPS):
+        rows = torn(arm.robot, chosen, positions, rotations)
+        if not rows.size:
+            break
+        try_from(rows, chosen[rows - 1][:, None])
+        chosen = _one_branch(arm, found)
+    return chosen
+
+
+def torn(robot: Robot, joints: Array, positions: Array, rotations: Array) -> NDArray[np.intp]:
+    """Rows whose joint values are far from those of the row before although their pose is near to that one's."""
+    near = np.linalg.norm(np.diff(_where(positions, rotations), axis=0), axis=1) < ON_A_PATH
+    far = np.abs(np.diff(joints / joint_units(robot), axis=0)).max(axis=1, initial=0.0) > TORN
+    return np.flatnonzero(near & far) + 1
+
+
+def _where(positions: Array, rotations: Array) -> Array:
+    """Poses as points (N, 12), in which a radian weighs about as much as `AXIS_WEIGHT` mm."""
+    return np.concatenate([positions / AXIS_WEIGHT, rotations.reshape(-1, 9)], axis=1)
+
+
+def _one_branch(arm: PosedArm, found: list[Array]) -> Array:
+    """Of each row's postures the one nearest to the row before; whole turns are taken where the limits allow."""
+    lower, upper = arm.robot.limits
+    last = (lower + upper) / 2
+    turns = np.where(arm.robot.revolute, 2 * np.pi, np.inf)
+    chosen = np.full((len(found), len(last)), np.nan)
+    for i, choices in enumerate(found):
+        if len(choices):
+            lowest, highest = np.ceil((lower - choices) / turns), np.floor((upper - choices) / turns)
+            whole = np.clip(np.round((last - choices) / turns), lowest, highest)
+            choices = choices + np.where(np.isfinite(turns), whole * np.where(np.isfinite(turns), turns, 0.0), 0.0)
+            last = choices[np.argmin((((choices - last) / joint_units(arm.robot)) ** 2).sum(axis=1))]
+            chosen[i] = last
+    return chosen

@@ -10,10 +10,10 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import (
     CalibratedArm,
-    corrections,
     covariance_of,
     local_coordinates,
     named_covariance,
+    numbers,
     row_constants,
 )
 from casacal.discrepancy.effect import Site
@@ -40,14 +40,8 @@ class Moved:
 
 def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
     """Times by which effects were found larger than expected, by key; None where geometry was all there is."""
-    said = result.document.get("discrepancy")
-    return None if not said else {each["key"]: float(each["times"]) for each in said["effects"]}
-
-
-def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
-    """Unknowns of the effects that are corrected, by name, as they were found."""
-    said, keys = result.document.get("discrepancy") or {}, corrections(result)
-    return {row["name"]: float(row["value"]) for row in said.get("unknowns", ()) if row["effect"] in keys}
+    said = result.discrepancy
+    return {each["key"]: float(each["times"]) for each in said["effects"]} if said else None
 
 
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
@@ -55,11 +49,10 @@ def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None
 
     By name, in the order of the covariance; None where a result says nothing of effects.
     """
-    said = result.document.get("discrepancy") or {}
+    said = result.discrepancy
     if "covariance" not in said:
         return None
-    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
-    return np.array(rows), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
 
 
 def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
@@ -73,7 +66,7 @@ def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
 
     Raises CasacalError where it holds none.
     """
-    return all_motion(result) if corrections(result) else named_covariance(result)
+    return all_motion(result) if result.corrected else named_covariance(result)
 
 
 def moved_arm(result: CalibratedArm) -> Moved:
@@ -87,7 +80,7 @@ def moved_arm(result: CalibratedArm) -> Moved:
         return Moved(model, z, [i for i, _ in columns], covariance[np.ix_(index, index)], None, elsewhere, constants)
     model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    lost = sorted({each["name"] for each in result.document["discrepancy"]["unknowns"]} - set(names))
+    lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
     if lost:
         what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
         raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")

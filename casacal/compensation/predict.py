@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, as_used, local_coordinates, row_constants
+from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates, row_constants
 from casacal.compensation.motion import moved_arm
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
@@ -119,7 +119,7 @@ def predict(
     joints = joints_from(joints, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
-    problem = result.source.problem.without_effects if nominal else as_used(result)
+    problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
     data = np.zeros((len(joints), model.pose.numel_in(2)))

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, denial
-from casacal.compensation.postures import torn
-from casacal.compensation.result_file import caution
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.inverse_kinematics import torn
 from casacal.compensation.targets import Compensation, Outcome, Rounding
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
@@ -136,11 +135,11 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
         "joint values are those that the problem's robot.pose takes",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
-    words = denial(result)
+    words = result.denial
     verb = "removes" if words is None else "changes"
     if words is not None:
         lines.append(f"WARNING, forced against the verdict: {words}")
-    if (care := caution(result)) is not None:
+    if (care := result.caution) is not None:
         lines.append(f"the result's verdict: {care}")
     if reached.any():
         lines += [
@@ -178,7 +177,7 @@ def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:
     yield ",".join(
         ["line", *names, "status", "residual_mm", "residual_mrad", "correction_mm", "correction_deg", "expected_mm"]
     )
-    denied = denial(result) is not None
+    denied = result.denial is not None
     written = compensation.joints * np.where(turns, 180 / math.pi, 1.0)
     figures = np.column_stack(
         [

@@ -191,18 +191,6 @@ def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) 
                 raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
 
 
-def verdict_part(result: CalibratedArm) -> dict[str, str] | None:
-    """The verdict on a result as {level, words}; None for a truth, and for a result from before there were verdicts."""
-    verdict = result.document.get("verdict")
-    return None if not verdict else {"level": str(verdict["level"]), "words": str(verdict["words"])}
-
-
-def caution(result: CalibratedArm) -> str | None:
-    """The words of a verdict to use a result with care; None for any other."""
-    verdict = verdict_part(result)
-    return verdict["words"] if verdict is not None and verdict["level"] == "use with care" else None
-
-
 def arm_from(given: Any) -> CalibratedArm:
     """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
     arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm, check_usable, corrections, denial
-from casacal.compensation.result_file import arm_from, caution
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.controllers import ur_kinematics_text, zeros_text
 from casacal.export.dh import dh_text
@@ -52,7 +52,7 @@ def export(
         raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
-    check_usable(arm, force=force)
+    arm.check_usable(force=force)
     text = _text(arm, form, path, source, prefix)
     if form == "urdf":
         text = _remarked(text, arm)
@@ -67,7 +67,7 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     A comment holds no two hyphens.
     """
     text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
-    if denial(arm) is None and caution(arm) is None and not corrections(arm):
+    if arm.denial is None and arm.caution is None and not arm.corrected:
         return text
     words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")
     place = re.search(r"<(?=[A-Za-z_])", text)

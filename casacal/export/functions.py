@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, arm_values, as_used, local_coordinates, row_constants
+from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
 from casacal.export.remark import remark
@@ -39,7 +39,7 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
 
 def pose_at(arm: CalibratedArm, q: ca.SX) -> ca.SX:
     """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included."""
-    problem = as_used(arm)
+    problem = arm.used
     if not problem.effects:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
     symbols = problem.symbols
@@ -58,7 +58,7 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     arm = arm_from(arm)
     if free:
         return arm.source.problem.without_effects.symbols.value_functions["tip"]
-    problem = arm.source.problem.without_effects if nominal else as_used(arm)
+    problem = arm.source.problem.without_effects if nominal else arm.used
     symbols = problem.symbols
     q, z = ca.SX.sym("q", symbols.q.numel()), local_coordinates(arm, nominal=nominal, of=problem)
     d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casacal.compensation.arm import CalibratedArm, corrections, denial
-from casacal.compensation.result_file import arm_from, caution
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import arm_from
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
@@ -28,9 +28,9 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
     if not document.get("converged", True):
         lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
-    if (words := denial(result)) is not None:
+    if (words := result.denial) is not None:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
-    said, keys = document.get("discrepancy") or {}, corrections(result)
+    said, keys = document.get("discrepancy") or {}, result.corrected
     error = (document.get("tip") or {}).get("expected_rms_mm")
     named = " and ".join(effect["words"] for effect in said.get("effects", ()) if effect["key"] in keys)
     if keys and form != "c":
@@ -38,7 +38,7 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the form c correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
-    if (care := caution(result)) is not None:
+    if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
         lines.append(f"{MARK}the result's verdict: {level if keys and form != 'c' else care}")
     shown = (

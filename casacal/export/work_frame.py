@@ -12,9 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import (
     CalibratedArm,
-    check_usable,
     covariance_of,
-    denial,
     local_coordinates,
     named_covariance,
     row_constants,
@@ -71,7 +69,7 @@ def work_frame(
         raise CasacalError("A work object's frame comes from three faces or from three points", "Name three of either")
     places, names = _faces(result, labels) if faces is not None else _points(result, labels)
     matrix = build(places(np.zeros(len(names))))
-    if denial(result) is not None or "covariance" not in result.document:
+    if result.denial is not None or "covariance" not in result.document:
         return WorkFrame(matrix, math.nan, math.nan)
     covariance, known = named_covariance(result)
     slopes = _base(result, matrix[:3, 3], len(known))
@@ -100,7 +98,7 @@ def frame_text(
     from scipy.spatial.transform import Rotation
 
     result = arm_from(result)
-    check_usable(result, force=force)
+    result.check_usable(force=force)
     frame = work_frame(result, faces=faces, points=points)
     turn, (x, y, z) = Rotation.from_matrix(frame.matrix[:3, :3]), frame.matrix[:3, 3]
     w1, w2, w3, w0 = turn.as_quat(canonical=True)
