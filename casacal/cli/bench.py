@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, add
-from casacal.cli.terminal import say_paragraph
+from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     made = runs.run(study, out, quick=options.quick, workers=options.workers, resume=options.resume)
     path = out / "report.md"
     write_text(path, "\n".join(bench_lines(made, sets)) + "\n")
-    say_paragraph(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")
+    say_paragraphs(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")
     return DONE
 
 

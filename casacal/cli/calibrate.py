@@ -14,11 +14,12 @@ from casacal.cli.adjust import add_adjustments, adjusted
 from casacal.cli.common import (
     DONE,
     FAILED,
+    JSON,
+    PROBLEM,
     add,
-    add_json,
-    add_problem,
     add_samples,
     box_of,
+    check_folder,
     read_samples,
     sample_files,
     spare,
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Fit the arm's parameters to samples, cross-check the minimum with IPOPT, and say how far the result can be "
         "trusted. Exit 1 if it must not be used."
     )
-    add_problem(parser)
+    add(parser, *PROBLEM)
     add_samples(parser)
     add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
     add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
@@ -75,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
     add(parser, "--verbose", "print parameters, weak directions and the reference as well")
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -85,8 +86,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.least_squares.losses import huber, tukey
     from casacal.problem.problem_file import load_problem
 
-    if options.out is not None and Path(options.out).exists() and not Path(options.out).is_dir():
-        raise CasacalError(f"--out '{options.out}' is no folder", "Name a folder, or one that does not exist yet")
+    if options.out is not None:
+        check_folder("--out", options.out)
     if options.holdout_by is not None and not options.holdout_by.strip():
         raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
     if options.holdout_by is not None and not options.holdout:

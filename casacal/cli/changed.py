@@ -6,8 +6,19 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of, numbers_of
-from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare, whole_number
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    JSON,
+    add,
+    add_fresh_rows,
+    check_folder,
+    fresh_rows,
+    made_from,
+    spare,
+    whole_number,
+)
+from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 HELP = "tell whether the robot has changed since, what, and by how much"
@@ -28,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--update DIR", "write an updated result from the old one and these rows")
     add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
     add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,14 +71,10 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         say_json({**found.to_dict(), "written": written, "refused": refused})
     else:
-        for line in found.summary().split("\n"):
-            say_paragraph(line)
-        if refused:
-            say_paragraph(refused)
-        for place in written:
-            say_paragraph(f"Written: {place}")
+        say_paragraphs(*found.summary().split("\n"))
+        say_paragraphs(*filter(None, [refused]), *(f"Written: {place}" for place in written))
         if options.touches is not None and found.touches is None:
-            say_paragraph(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
+            say_paragraphs(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
     return DONE if found.changed is False else FAILED
 
 
@@ -75,9 +82,7 @@ def _spare(options: argparse.Namespace, inputs: list[Path]) -> None:
     """Raise CasacalError where an answer would be written over what is read, or into what is no folder."""
     outs = [] if options.touches is None else [options.touches]
     if options.update is not None:
-        if not options.update.strip() or (Path(options.update).exists() and not Path(options.update).is_dir()):
-            fix = "Name a folder, or one that does not exist yet"
-            raise CasacalError(f"--update '{options.update}' is no folder", fix)
+        check_folder("--update", options.update)
         outs.append(Path(options.update) / "result.json")
     result = Path(options.result)
     place = result / "result.json" if result.is_dir() else result

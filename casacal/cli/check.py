@@ -6,8 +6,8 @@ import argparse
 from dataclasses import asdict
 
 from casacal.cli.adjust import add_adjustments, adjusted
-from casacal.cli.common import DONE, FAILED, add_json, add_problem, add_samples, read_samples
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_samples, read_samples
+from casacal.cli.terminal import say_json, say_paragraphs
 
 HELP = "find mistakes in samples before fitting"
 
@@ -15,10 +15,10 @@ HELP = "find mistakes in samples before fitting"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal check` takes."""
     parser.description = "Find mistakes and weaknesses in samples. Exit 1 if a result from them would be wrong."
-    add_problem(parser)
+    add(parser, *PROBLEM)
     add_samples(parser)
     add_adjustments(parser)
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,8 +34,7 @@ def run(options: argparse.Namespace) -> int:
         data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
         say_json({"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]})
     else:
-        for finding in findings:
-            say_paragraph(str(finding))
+        say_paragraphs(*map(str, findings))
         said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
-        say_paragraph(f"{len(samples)} samples of {samples.file}: {said}")
+        say_paragraphs(f"{len(samples)} samples of {samples.file}: {said}")
     return FAILED if counts["error"] else DONE

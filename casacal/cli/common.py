@@ -58,19 +58,20 @@ def add(
         )
 
 
-def add_problem(parser: argparse.ArgumentParser) -> None:
-    """The problem a command is about."""
-    add(parser, "PROBLEM", "a folder with a problem.py, or such a file")
+PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
+RESULT = "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate"
+INSTRUMENT = (
+    "--instrument NAME",
+    "instrument whose tip is meant; default: the first, where a problem has several instruments",
+)
+FORCE = "--force", "accept a result that must not be used; the file says so"
+JSON = "--json", "print the answer as JSON, and nothing else"
+"""Arguments of several commands, as `add` takes them."""
 
 
-def add_result(parser: argparse.ArgumentParser) -> None:
-    """The result a command is about."""
-    add(parser, "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate")
-
-
-def add_instrument(parser: argparse.ArgumentParser, what: str) -> None:
-    """Which of several instruments is meant."""
-    add(parser, "--instrument NAME", f"{what}, where a problem has several instruments")
+def add_frame(parser: argparse.ArgumentParser, words: str) -> None:
+    """What poses are of."""
+    add(parser, "--frame", f"{words}; default: flange", default="flange", choices=("flange", "tip"))
 
 
 def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
@@ -82,13 +83,21 @@ def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
     return source if name is None else replace(source, problem=problem.measured_by(name))
 
 
-def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
-    """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
-    add_result(parser)
-    add_instrument(parser, "instrument that took these rows; default: the one with these columns")
-    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
+def _add_readings(parser: argparse.ArgumentParser) -> None:
+    """Readings that come apart from their joint values."""
     add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
     add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
+
+
+def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
+    """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
+    add(parser, *RESULT)
+    words = (
+        "instrument that took these rows; default: the one with these columns, where a problem has several instruments"
+    )
+    add(parser, "--instrument NAME", words)
+    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
+    _add_readings(parser)
     add(
         parser,
         "--problem PROBLEM",
@@ -113,11 +122,6 @@ def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile 
     return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
-    """Whether a result counts whose verdict is not to use it."""
-    add(parser, "--force", "accept a result that must not be used; the file says so")
-
-
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out") -> None:
     """Raise CasacalError where a command would write over what it reads."""
     for out in outs:
@@ -125,6 +129,23 @@ def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = 
             if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
                 fix = f"Name another {option}"
                 raise CasacalError(f"'{out}' is to be written, and it is what the command reads", fix)
+
+
+def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
+    """RESULT as --instrument sees it; CasacalError where --out would overwrite it, these, or what it is made from."""
+    from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
+
+    spare([options.out], options.result, *inputs)
+    result = seen_by(read_result(options.result), options.instrument)
+    spare([options.out], *made_from(result))
+    return result
+
+
+def check_folder(option: str, place: str) -> None:
+    """Raise CasacalError for what cannot be a folder that is written to."""
+    if not place.strip() or (Path(place).exists() and not Path(place).is_dir()):
+        raise CasacalError(f"{option} '{place}' is no folder", "Name a folder, or one that does not exist yet")
 
 
 def made_from(result: CalibratedArm) -> list[Path]:
@@ -153,11 +174,6 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
     return (x0, x1), (y0, y1), (z0, z1)
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Whether the answer is for another program."""
-    add(parser, "--json", "print the answer as JSON, and nothing else")
-
-
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
     add(parser, "[SAMPLES]", "CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem")
@@ -168,8 +184,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
         "samples-dial.csv and so on beside the problem",
         dest="sets",
     )
-    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
-    add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
+    _add_readings(parser)
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:

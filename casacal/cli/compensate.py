@@ -6,8 +6,8 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add, add_force, add_instrument, add_json, add_result, made_from, spare
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, FAILED, FORCE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.terminal import say_json, say_paragraphs
 
 if TYPE_CHECKING:
     from casacal.compensation.targets import Compensation
@@ -24,18 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "such columns each takes the posture nearest to that of the row before, and the first the one nearest to the "
         "middle of the joints' ranges. Exit 1 if a target is not reached; every row is written."
     )
-    add_result(parser)
-    add_instrument(parser, "instrument whose tip is meant; default: the first")
+    add(parser, *RESULT)
+    add(parser, *INSTRUMENT)
     add(parser, "TARGETS", "CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz")
     add(parser, "--out FILE", "file for the corrected targets", required=True)
     add(parser, "--format", "default: csv", default="csv", choices=("csv", "rapid", "krl", "urscript"))
-    add(
-        parser,
-        "--frame",
-        "pose targets are of the flange, or of the tip that touches; default: flange",
-        default="flange",
-        choices=("flange", "tip"),
-    )
+    add_frame(parser, "pose targets are of the flange, or of the tip that touches")
     add(
         parser,
         "--largest DEG",
@@ -43,16 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind=float,
         default=10.0,
     )
-    add_force(parser)
-    add_json(parser)
+    add(parser, *FORCE)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
     """Compensate as the options say; returns 0, or 1 when a target is not reached."""
     from casacal.compensation.compensate import compensate
     from casacal.compensation.programs import notes, rounding_of, text_of
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
     from casacal.compensation.targets import Outcome, read_targets
     from casacal.errors import CasacalError
     from casacal.files import write_text
@@ -60,9 +52,7 @@ def run(options: argparse.Namespace) -> int:
     if not 0 < options.largest < math.inf:
         fix = "Give degrees above zero, such as 10"
         raise CasacalError(f"--largest {options.largest:g} is not a joint motion", fix)
-    spare([options.out], options.result, options.targets)
-    result = seen_by(read_result(options.result), options.instrument)
-    spare([options.out], *made_from(result))
+    result = read_arm(options, options.targets)
     rounding = rounding_of(options.format, result.source.problem.robot)
     targets = read_targets(options.targets, result.source)
     compensation = compensate(
@@ -88,8 +78,7 @@ def run(options: argparse.Namespace) -> int:
     ]
     if len(missed) > SHOWN:
         said.append(f"... and {len(missed) - SHOWN} more; the file's column status names them all")
-    for sentence in (*said, f"Written: {options.out}"):
-        say_paragraph(sentence)
+    say_paragraphs(*(*said, f"Written: {options.out}"))
     return FAILED if missed else DONE
 
 

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add, add_json, add_problem
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add
 from casacal.cli.terminal import say, say_json
 from casacal.errors import CasacalError
 
@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that the pendant shows, and print them as a [conventions] block. If one number was copied wrongly, name it. "
         "Exit 1 if the answer is not certain or nothing fits."
     )
-    add_problem(parser)
+    add(parser, *PROBLEM)
     add(parser, "POSES", "CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c")
     add(parser, "--tool POSE", "tool frame of the pendant, relative to the flange; default: the flange")
     add(parser, "--base POSE", "pose of the robot's base in the pendant's user frame; default: the same frame")
     add(parser, "--tolerance MM", "largest allowed error of a row, in mm and mrad; default: 3", kind=float, default=3.0)
-    add_json(parser)
+    add(parser, *JSON)
     parser.epilog = (
         "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. The doctor looks at poses; casacal check looks at samples."
     )

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add, add_force, add_instrument, add_json, add_result, made_from, spare
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, FORCE, INSTRUMENT, JSON, RESULT, add, read_arm
+from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
-
-if TYPE_CHECKING:
-    pass
-
 
 HELP = "write a calibrated arm as DH table, URDF, zero offsets or C"
 
@@ -19,8 +14,8 @@ HELP = "write a calibrated arm as DH table, URDF, zero offsets or C"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal export` takes."""
     parser.description = "Write a calibrated arm in a form that other programs read."
-    add_result(parser)
-    add_instrument(parser, "instrument whose tip is meant; default: the first")
+    add(parser, *RESULT)
+    add(parser, *INSTRUMENT)
     add(
         parser,
         "--to",
@@ -34,14 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--prefix WORD", "for c: prefix of function names; default: the problem's name")
     add(parser, "--faces A,B,C", "for frame: z of the first face, x of the second, all three")
     add(parser, "--points A,B,C", "for frame: origin, a point along x, a point beside it")
-    add_force(parser)
-    add_json(parser)
+    add(parser, *FORCE)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
     from casacal.export import remark
     from casacal.export.forms import export
     from casacal.export.work_frame import frame_text
@@ -51,9 +44,7 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--to {options.to} has no work object", "Leave out --faces and --points")
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
-    spare([options.out], options.result, options.source)
-    result = seen_by(read_result(options.result), options.instrument)
-    spare([options.out], *made_from(result))
+    result = read_arm(options, options.source)
     prefix = options.prefix if options.to == "c" else None
     if options.to == "frame":
         faces, points = (
@@ -66,7 +57,6 @@ def run(options: argparse.Namespace) -> int:
         said = {"form": options.to, "verdict": result.verdict, "remarks": remark(result, form=options.to)}
         say_json({**said, "written": [options.out]})
         return DONE
-    say_paragraph(f"Written: {options.out}")
-    for line in remark(result, form=options.to):
-        say_paragraph(line)
+    say_paragraphs(f"Written: {options.out}")
+    say_paragraphs(*remark(result, form=options.to))
     return DONE

@@ -33,23 +33,8 @@ from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
 from casacal.version import __version__
 
-COMMANDS = {
-    "plan": plan,
-    "measure": measure,
-    "calibrate": calibrate,
-    "simulate": simulate,
-    "check": check,
-    "doctor": doctor,
-    "predict": predict,
-    "verify": verify,
-    "changed": changed,
-    "compensate": compensate,
-    "study": study,
-    "bench": bench,
-    "new": new,
-    "export": export,
-    "completion": completion,
-}
+LISTED = (plan, measure, calibrate, simulate, check, doctor, predict, verify, changed, compensate, study, bench, new)
+COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, completion)}
 """Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
 
 EPILOG = (

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
-from casacal.cli.common import DONE, FAILED, add, add_instrument, add_problem, of_instrument, spare, whole_number
-from casacal.cli.terminal import prompt, say_paragraph
+from casacal.cli.common import DONE, FAILED, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.terminal import prompt, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "touch that does not agree with the others is named, with the likely causes. An interrupted session continues "
         "where it stopped. Exit 1 if a tolerance was asked for and is not met, or if a touch is left in doubt."
     )
-    add_problem(parser)
-    add_instrument(parser, "which one takes the readings")
+    add(parser, *PROBLEM)
+    add(parser, "--instrument NAME", "which one takes the readings, where a problem has several instruments")
     add(parser, "--plan FILE", "what casacal plan wrote", required=True)
     add(parser, "--out FILE", "samples to write; those to check with go to FILE_check", required=True)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
@@ -97,10 +97,10 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     if file.begun():
         touches, cut = file.read()
         if cut:
-            say_paragraph("The last line of the file was cut off; make that touch again")
+            say_paragraphs("The last line of the file was cut off; make that touch again")
         if touches:
             session = session.resumed(touches)
-            say_paragraph(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
+            say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
     return session, file
 
 
@@ -116,8 +116,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
     """The session after its operator ended it, or it was at its end."""
     from casacal.measuring.conversation import answered, doubt, ended, posture
 
-    for sentence in doubt(session):
-        say_paragraph(sentence)
+    say_paragraphs(*doubt(session))
     typed, sizes = _lines(line), file.sizes()
     while True:
         proposed = session.next()
@@ -126,7 +125,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
                 break
             if proposed.number is None and not _further(session):
                 break
-            say_paragraph(posture(proposed, file.layout))
+            say_paragraphs(posture(proposed, file.layout))
         prompt("> ")
         entered = next(typed, None)
         if entered is None:
@@ -145,12 +144,10 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
         elif answer.change == "changed":
             file.rewrite(answer.session.touches)
         session, sizes = answer.session, file.sizes()
-        for sentence in answer.said:
-            say_paragraph(sentence)
+        say_paragraphs(*answer.said)
         if answer.ended:
             break
-    for sentence in ended(session):
-        say_paragraph(sentence)
+    say_paragraphs(*ended(session))
     return session
 
 
@@ -163,12 +160,12 @@ def _further(session: Session) -> bool:
         return True
     needed = session.needed()
     if needed is None:
-        say_paragraph(
+        say_paragraphs(
             f"The plan is finished, and {MOST} more touches would not bring the tip error below "
             f"{session.tolerance:g} mm. It takes another face, a step of known height or a better instrument"
         )
         return False
-    say_paragraph(f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm")
+    say_paragraphs(f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm")
     return True
 
 
@@ -189,7 +186,7 @@ def _lines(line: SerialLine | None) -> Iterator[str]:
 
     def of_gauge() -> None:
         for sent in line.lines():
-            say_paragraph(sent)
+            say_paragraphs(sent)
             come.put(sent)
 
     for source in (of_keyboard, of_gauge):

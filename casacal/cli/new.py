@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from casacal.cli.common import DONE, add
-from casacal.cli.terminal import say_paragraph
+from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
 HELP = "make a problem folder from a DH table or a URDF"
@@ -42,21 +42,21 @@ def run(options: argparse.Namespace) -> int:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
         folder, table = new_from_dh(options.name, options.dh, options.out, given=given)
-        say_paragraph(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
+        say_paragraphs(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
         if table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
-            say_paragraph(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
+            say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")
     else:
         folder, arm = new_from_urdf(
             options.name, options.urdf, options.out, tip=options.tip, base=options.base, given=given
         )
-        say_paragraph(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
+        say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
-    say_paragraph(f"Written: {place}")
+    say_paragraphs(f"Written: {place}")
     following = f"casacal simulate {place} --out out/{options.name}.csv"
     for words in given.missing:
-        say_paragraph(f"To fill in: {words}")
-    say_paragraph(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
+        say_paragraphs(f"To fill in: {words}")
+    say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
     return DONE
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
-from casacal.cli.common import DONE, add, add_instrument, add_json, add_problem, of_instrument, spare, whole_number
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Choose the touches that leave the smallest tip error, among many that the drawn arm can make in the "
         "problem's cell, and write them in the order of a short path. Some repeat others, some are kept to verify."
     )
-    add_problem(parser)
-    add_instrument(parser, "for which one")
+    add(parser, *PROBLEM)
+    add(parser, "--instrument NAME", "for which one, where a problem has several instruments")
     add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
     add(parser, "--touches N", f"number of touches in all; default: {TOUCHES}", kind=whole_number)
     add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
     add(parser, "--retreat MM", "standoff of programs from the face; default: 20", kind=float, default=20.0)
     add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -84,18 +84,16 @@ def run(options: argparse.Namespace) -> int:
         say_json(document(found, compared, written, clearance))
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    for sentence in told(found, compared, where=there, pool=options.pool, after=options.after is not None):
-        say_paragraph(sentence)
+    say_paragraphs(*told(found, compared, where=there, pool=options.pool, after=options.after is not None))
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
-        say_paragraph(clearance.shapes.words)
+        say_paragraphs(clearance.shapes.words)
     fitted, least = rows_needed(source.problem, found)
     if fitted < least and options.after is None:
-        say_paragraph(
+        say_paragraphs(
             f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
             f"Ask for more, keep fewer to verify, or hold parameters"
         )
-    for place in written:
-        say_paragraph(f"Written: {place}")
+    say_paragraphs(*(f"Written: {place}" for place in written))
     return DONE
 
 
@@ -148,7 +146,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
             texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
         blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
         if blocked and not options.json:
-            say_paragraph(
+            say_paragraphs(
                 f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
                 f"{', '.join(blocked)}; the program stops before it"
             )

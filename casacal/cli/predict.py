@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add, add_instrument, add_json, add_result, made_from, spare
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.terminal import say_json, say_paragraphs
 
 HELP = "predict poses of the calibrated arm"
 
@@ -17,31 +17,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
         "and, where JOINTS has that column, the reading."
     )
-    add_result(parser)
-    add_instrument(parser, "instrument whose tip is meant; default: the first")
+    add(parser, *RESULT)
+    add(parser, *INSTRUMENT)
     add(parser, "JOINTS", "CSV with the joint columns of a samples file")
     add(parser, "--out FILE", "CSV of poses", required=True)
-    add(
-        parser,
-        "--frame",
-        "poses of the flange or of the tip; default: flange",
-        default="flange",
-        choices=("flange", "tip"),
-    )
+    add_frame(parser, "poses of the flange or of the tip")
     add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
     add(parser, "--nominal", "use the arm as drawn, not as calibrated")
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
 
-    spare([options.out], options.result, options.joints)
-    result = seen_by(read_result(options.result), options.instrument)
-    spare([options.out], *made_from(result))
+    result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
     write_prediction(options.out, prediction)
@@ -50,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         said = {"poses": count, "frame": options.frame, "nominal": options.nominal, "verdict": result.verdict}
         say_json({**said, "written": [options.out]})
     else:
-        say_paragraph(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
         if (words := result.denial or result.caution) is not None and not options.nominal:
-            say_paragraph(words)
+            say_paragraphs(words)
     return DONE

@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add, add_json, add_problem, spare, whole_number
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ NUMBERS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal simulate` takes."""
     parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
-    add_problem(parser)
+    add(parser, *PROBLEM)
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "side from which joints and plunger approach; same: from the row before, with the plunger pushed in",
         choices=("same", "alternating", "random"),
     )
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -99,18 +99,18 @@ def run(options: argparse.Namespace) -> int:
     if isinstance(cell, Cell):
         where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
     each = [f"{count} samples" + (f" of the {name}" if len(counts) > 1 else "") for name, count in counts.items()]
-    say_paragraph(f"Simulated, not measured: {', '.join(each)} {where}")
-    say_paragraph(
+    say_paragraphs(f"Simulated, not measured: {', '.join(each)} {where}")
+    say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
     )
     if simulation.moves_beyond_geometry:
-        say_paragraph(
+        say_paragraphs(
             "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
             "error, is in "
             "Simulation.true_tips (Python)"
         )
-    say_paragraph(f"Written: {', '.join(written)}")
+    say_paragraphs(f"Written: {', '.join(written)}")
     return DONE
 
 

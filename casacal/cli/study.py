@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, INTERRUPTED, add
-from casacal.cli.terminal import complain, say_paragraph, write_progress
+from casacal.cli.terminal import complain, say_paragraphs, write_progress
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _study(options: argparse.Namespace) -> int:
 
     source = load_study(options.study)
     if source.skipped and not options.report:
-        say_paragraph(f"Skipped: {source.skipped}")
+        say_paragraphs(f"Skipped: {source.skipped}")
         return DONE
     study = source.form(quick=options.quick, trials=options.trials)
     out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
@@ -71,13 +71,13 @@ def _study(options: argparse.Namespace) -> int:
         note_machines(out, [machine()])
     else:
         run = _made(source, study, out, options)
-        say_paragraph(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+        say_paragraphs(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
         if options.shard is not None:
-            say_paragraph(
+            say_paragraphs(
                 f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
             )
             return DONE
-    say_paragraph(f"Written: {write_report(source, run, _options(options)).as_posix()}")
+    say_paragraphs(f"Written: {write_report(source, run, _options(options)).as_posix()}")
     return DONE
 
 

@@ -73,11 +73,10 @@ def wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, width(), subsequent_indent="  ", break_on_hyphens=False, break_long_words=False)
 
 
-def say_paragraph(text: str) -> None:
-    """Print one sentence or more: broken into lines on a terminal, in one piece for another program."""
-    if sys.stdout.isatty():
-        text = "\n".join(wrapped(text))
-    say(painted(text, sys.stdout))
+def say_paragraphs(*texts: str) -> None:
+    """Print paragraphs: broken into lines on a terminal, each in one piece for another program."""
+    for text in texts:
+        say(painted("\n".join(wrapped(text)) if sys.stdout.isatty() else text, sys.stdout))
 
 
 def say_json(document: Mapping[str, Any]) -> None:

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare
-from casacal.cli.terminal import say_json, say_paragraph
+from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare
+from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 HEAD = 20_000  # characters of a page in which its title stands
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
     add(parser, "--report FILE", "write a self-contained HTML page")
     add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")
-    add_json(parser)
+    add(parser, *JSON)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -67,8 +67,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         say_json(found.to_dict())
     else:
-        for line in found.summary().split("\n"):
-            say_paragraph(line)
+        say_paragraphs(*found.summary().split("\n"))
     return DONE if found.passed else FAILED
 
 

@@ -1,7 +1,6 @@
 """Joint values that bring a robot to whole poses, inside its joint limits: from near, or from many starts.
 
-`casacal.simulation.reach` brings a plunger to a face and leaves the turn about it free; here position and orientation
-both count.
+`casacal.simulation.reach` leaves the turn about a plunger free; here position and orientation both count.
 """
 
 from __future__ import annotations
@@ -164,10 +163,8 @@ def turning(rotations: Array) -> Array:
 
 
 def _inverse_left_jacobian(vectors: Array) -> Array:
-    """Derivative (N, 3, 3) of a rotation vector by a turn in the base frame: inverse of SO(3)'s left Jacobian.
-
-    Barfoot, State Estimation for Robotics, section 7.1.
-    """
+    """Derivative (N, 3, 3) of a rotation vector by a turn in the base frame: inverse of SO(3)'s left Jacobian."""
+    # Barfoot, State Estimation for Robotics, section 7.1
     angle = np.linalg.norm(vectors, axis=1)
     half = np.maximum(angle / 2, 1e-4)
     bend = np.where(angle < 1e-3, 1 / 12, (1 - half / np.tan(half)) / np.maximum(angle, 1e-4) ** 2)
