@@ -18,8 +18,8 @@ from casacal.bench.methods import WAYS, Judged, geometry_and_process
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.write import write_samples
+from casacal.study.description import Run
 from casacal.study.records import read_records
-from casacal.study.runs import Run
 
 PROBLEM = """
 from instruments_on_ur5 import PROBLEMS

@@ -21,8 +21,7 @@ from casacal.cli.main import main
 from casacal.errors import StudyError
 from casacal.study.records import appending, merged, read_records, records_digest, to_line
 from casacal.study.runs import RECORDS, merge, open_run, run
-from casacal.study.study_file import perform
-from casacal.study.trial import Task
+from casacal.study.trial import Task, perform
 
 TINY = ROOT / "tests" / "tiny_study.py"
 

@@ -23,8 +23,8 @@ from casacal.cli.main import main
 from casacal.errors import StudyError
 from casacal.study.records import LIMIT, merged, read_records, to_line
 from casacal.study.runs import RECORDS, open_run, run
-from casacal.study.study_file import load_study, perform
-from casacal.study.trial import Task
+from casacal.study.study_file import load_study
+from casacal.study.trial import Task, perform
 
 HOSTILE = ROOT / "tests" / "hostile_study.py"
 ENDED = "Ended: the process of the trial "

@@ -18,8 +18,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.study.description import Method, Study
-from casacal.study.runs import Run
+from casacal.study.description import Method, Run, Study
 
 KINDS = (STATED, RANDOM, BLOCKED)
 QUICK_FOLDS = 1

@@ -57,8 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> int:
     from casacal.study import Run
-    from casacal.study.report import machine, note_machines, write_report
-    from casacal.study.study_file import load_study
+    from casacal.study.study_file import load_study, machine, note_machines, write_report
 
     source = load_study(options.study)
     if source.skipped and not options.report:
@@ -84,7 +83,7 @@ def _study(options: argparse.Namespace) -> int:
 def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
     """Records that exist, that others made, or that are made now."""
     from casacal.study import runs
-    from casacal.study.report import machine, note_machines, read_machines
+    from casacal.study.study_file import machine, note_machines, read_machines
 
     if options.report:
         return runs.open_run(study, out, quick=options.quick)

@@ -1,10 +1,12 @@
-"""What a study is: settings, methods, trials and a seed; a frozen value that runs nothing."""
+"""What a study is, settings, methods, trials and a seed, and what it is once it has run; values that run nothing."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -14,6 +16,7 @@ from casacal.errors import StudyError
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 from casacal.study.fingerprint import code_fingerprint, fingerprint
+from casacal.study.records import Record, records_digest
 
 Estimator: TypeAlias = Callable[..., Result | Array]
 """A function of a `LeastSquares` that returns a `Result`, or the estimate x (n,) alone."""
@@ -118,6 +121,44 @@ class Study:
         how = self.method(method)
         what = [setting, self.settings[setting], method, how.estimate, how.options, how.seeded]
         return fingerprint([self.name, what, self.seed, self.details, code_fingerprint()])
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a report is made from: the study, its records in order, and the folder for its pictures."""
+
+    study: Study | None
+    records: tuple[Record, ...]
+    out: Path
+    quick: bool = False
+
+    def of(self, setting: str, method: str) -> list[Record]:
+        """Records of a method in a setting, by trial."""
+        return list(self._sorted.get((setting, method), []))
+
+    @cached_property
+    def _sorted(self) -> dict[tuple[str, str], list[Record]]:
+        found: dict[tuple[str, str], list[Record]] = {}
+        for record in self.records:
+            found.setdefault((record["setting"], record["method"]), []).append(record)
+        return found
+
+    def values(self, setting: str, method: str, name: str, *, group: str = "figures") -> Array:
+        """One figure (trials,) by trial; not a number where the method failed or has no such figure.
+
+        group: "figures", "counts" or "seconds".
+        """
+        found = (record[group].get(name) for record in self.of(setting, method))
+        return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
+
+    def failures(self, setting: str, method: str) -> list[str]:
+        """What the failures of a method in a setting said."""
+        return [record["error"] for record in self.of(setting, method) if record["error"] is not None]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the records, timings aside: the same wherever and in whatever order they were made."""
+        return records_digest(self.records)
 
 
 def _spawned(seed: int, *key: int) -> int:

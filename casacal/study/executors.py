@@ -1,33 +1,106 @@
-"""Where tasks run: here, in local processes, or on an existing Dask cluster; results come as they finish."""
+"""Where tasks run beside here, in local processes or on a Dask cluster, and what they take along."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import cache, lru_cache, partial
+from pathlib import Path
 from typing import TypeVar
 
 from casacal.errors import StudyError
+from casacal.study.description import Study
+from casacal.study.records import Record
+from casacal.study.study_file import load_study
+from casacal.study.trial import Task, perform
 from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
-Task = TypeVar("Task")
+Asked = TypeVar("Asked")
 Outcome = TypeVar("Outcome")
 
 AHEAD = 4  # tasks a process has waiting; more would only delay the end of an interrupted run
 CONNECT_SECONDS = 10
 
 
-def here(function: Callable[[Task], Outcome], tasks: Sequence[Task]) -> Iterator[Outcome]:
-    """One task after the other, in this process."""
-    return map(function, tasks)
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
 
 
-def in_processes(function: Callable[[Task], Outcome], tasks: Sequence[Task], workers: int) -> Iterator[Outcome]:
+@dataclass(frozen=True)
+class Errand:
+    """A task for a worker, and how the worker comes by its study."""
+
+    task: Task
+    study_of: Callable[[Task], Study]
+
+
+def errands(study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool) -> list[Errand]:
+    """Tasks for workers that read the study's file themselves, or get a study of values pickled where there is none.
+
+    Raises StudyError for one that only this process understands.
+    """
+    if file is not None:
+        return [Errand(task, partial(_read, str(Path(file).resolve()), quick, study.trials)) for task in tasks]
+    try:
+        luggage = pickle.dumps(study)
+    except Exception as error:  # closures and whatever else a user's methods hold
+        raise StudyError(
+            f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}",
+            "Write it to a file, or run it here",
+        ) from error
+    return [Errand(task, partial(_unpacked, luggage)) for task in tasks]
+
+
+def perform_errand(errand: Errand) -> list[Record]:
+    """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
+    with _ONE_AT_A_TIME:
+        return perform(errand.study_of(errand.task), errand.task)
+
+
+def _unpacked(luggage: bytes, task: Task) -> Study:
+    del task
+    return _loaded(luggage)
+
+
+@lru_cache(maxsize=4)
+def _loaded(luggage: bytes) -> Study:
+    found = pickle.loads(luggage)
+    assert isinstance(found, Study)
+    return found
+
+
+def _read(path: str, quick: bool, trials: int, task: Task) -> Study:
+    """The study of a file; raises StudyError when it, or what is beneath it, is not that of the task."""
+    if tuple(_key(path, quick, trials, task.setting, method) for method in task.methods) != task.fingerprints:
+        raise StudyError(
+            "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
+            "Give all of them the same",
+        )
+    return _study(path, quick, trials)
+
+
+@cache
+def _study(path: str, quick: bool, trials: int) -> Study:
+    study = load_study(path).form(quick=quick, trials=trials)
+    if study is None:
+        raise StudyError(f"'{path}' defines no study", "Give the file that the run was started with")
+    return study
+
+
+@cache
+def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
+    return _study(path, quick, trials).fingerprint(setting, method)
+
+
+def in_processes(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], workers: int) -> Iterator[Outcome]:
     """In `workers` fresh processes of this machine; the function and its tasks must be importable and picklable.
 
     Raises StudyError when a process dies.
@@ -67,7 +140,7 @@ def end_with_parent() -> None:
         os._exit(1)  # a worker whose parent is gone waits for tasks for ever
 
 
-def on_cluster(function: Callable[[Task], Outcome], tasks: Sequence[Task], address: str) -> Iterator[Outcome]:
+def on_cluster(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], address: str) -> Iterator[Outcome]:
     """On the Dask cluster whose scheduler listens at `address`, such as tcp://host:8786.
 
     Its workers need casacal and the study's file at the same path. Raises StudyError without the extra `cluster`,

@@ -4,62 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
-from casacal.array_types import Array
 from casacal.errors import StudyError
 from casacal.study import executors, records
-from casacal.study.description import Study
+from casacal.study.description import Run, Study
 from casacal.study.records import Key, Record
-from casacal.study.study_file import Carried, Errand, carried, perform, perform_errand, tasks_of
 from casacal.study.supervised import supervised
-from casacal.study.trial import Task
+from casacal.study.trial import Task, perform
 
 Progress = Callable[[int, int], None]
 
 RECORDS = "records.jsonl"
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a report is made from: the study, its records in order, and the folder for its pictures."""
-
-    study: Study | None
-    records: tuple[Record, ...]
-    out: Path
-    quick: bool = False
-
-    def of(self, setting: str, method: str) -> list[Record]:
-        """Records of a method in a setting, by trial."""
-        return list(self._sorted.get((setting, method), []))
-
-    @cached_property
-    def _sorted(self) -> dict[tuple[str, str], list[Record]]:
-        found: dict[tuple[str, str], list[Record]] = {}
-        for record in self.records:
-            found.setdefault((record["setting"], record["method"]), []).append(record)
-        return found
-
-    def values(self, setting: str, method: str, name: str, *, group: str = "figures") -> Array:
-        """One figure (trials,) by trial; not a number where the method failed or has no such figure.
-
-        group: "figures", "counts" or "seconds".
-        """
-        found = (record[group].get(name) for record in self.of(setting, method))
-        return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
-
-    def failures(self, setting: str, method: str) -> list[str]:
-        """What the failures of a method in a setting said."""
-        return [record["error"] for record in self.of(setting, method) if record["error"] is not None]
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the records, timings aside: the same wherever and in whatever order they were made."""
-        return records.records_digest(self.records)
 
 
 def run(
@@ -171,18 +127,25 @@ def _performed(
     timeout: float | None,
 ) -> Iterator[list[Record]]:
     if workers == 1 and scheduler is None and timeout is None:
-        return executors.here(lambda task: perform(study, task), tasks)
-    errands: list[Errand | Carried]
-    if file is not None:
-        errands = [Errand(str(Path(file).resolve()), quick, study.trials, task) for task in tasks]
-    else:
-        luggage = carried(study)
-        errands = [Carried(luggage, task) for task in tasks]
+        return (perform(study, task) for task in tasks)
+    asked = executors.errands(study, tasks, file, quick)
     if timeout is not None:
-        return supervised(study.name, errands, timeout, workers)
+        return supervised(study.name, asked, timeout, workers)
     if scheduler is not None:
-        return executors.on_cluster(perform_errand, errands, scheduler)
-    return executors.in_processes(perform_errand, errands, workers)
+        return executors.on_cluster(executors.perform_errand, asked, scheduler)
+    return executors.in_processes(executors.perform_errand, asked, workers)
+
+
+def tasks_of(study: Study) -> list[Task]:
+    """All tasks of a study, trial by trial, so that what is recorded early covers every setting."""
+    keys = {(setting, name): study.fingerprint(setting, name) for setting in study.settings for name in study.methods}
+    found = []
+    for trial in range(study.trials):
+        methods = tuple(name for name in study.methods if trial < study.trials_of(name))
+        for setting in study.settings:
+            if methods:
+                found.append(Task(setting, trial, methods, tuple(keys[setting, name] for name in methods)))
+    return found
 
 
 def _kept(study: Study, out: Path, tasks: Iterable[Task], found: Sequence[Record], resume: bool) -> set[Key]:

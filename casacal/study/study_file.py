@@ -1,24 +1,24 @@
-"""A study file, and the trials that it asks for one by one."""
+"""A study file, and its report.md: what its own function says, and under it how, where and with what it was made."""
 
 from __future__ import annotations
 
-import functools
 import importlib
 import importlib.util
-import pickle
+import json
+import os
+import platform
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from casacal.errors import CasacalError, StudyError, came
-from casacal.study.description import Study
-from casacal.study.records import Record
-from casacal.study.trial import Task, trial_records
+from casacal.files import write_json, write_text
+from casacal.study.description import Run, Study
 
 
 @dataclass(frozen=True)
@@ -109,89 +109,83 @@ def _imported(file: Path) -> ModuleType:
     return module
 
 
-_ONE_AT_A_TIME = threading.Lock()
-"""Compiled functions keep buffers, so threads of one process take turns; clocks then measure one method alone."""
+MACHINES = "machines.json"
+REPORT = "report.md"
+PACKAGES = ("casacal", "casadi", "numpy", "scipy")
 
 
-@dataclass(frozen=True)
-class Errand:
-    """A task for a worker that reads the study's file itself."""
-
-    path: str
-    quick: bool
-    trials: int
-    task: Task
-
-
-@dataclass(frozen=True)
-class Carried:
-    """A task for a worker, with the study itself, pickled: a study of values needs no file."""
-
-    study: bytes
-    task: Task
+def machine(workers: int = 1, *, cluster: bool = False) -> dict[str, Any]:
+    """What a run was made on: processors, system, Python, packages, processes at once, or that a cluster was asked."""
+    return {
+        "processor": _processor(),
+        "cpus": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "packages": {name: metadata.version(name) for name in PACKAGES},
+        "processes": workers,
+        "cluster": cluster,
+    }
 
 
-def tasks_of(study: Study) -> list[Task]:
-    """All tasks of a study, trial by trial, so that what is recorded early covers every setting."""
-    keys = {(setting, name): study.fingerprint(setting, name) for setting in study.settings for name in study.methods}
-    found = []
-    for trial in range(study.trials):
-        methods = tuple(name for name in study.methods if trial < study.trials_of(name))
-        for setting in study.settings:
-            if methods:
-                found.append(Task(setting, trial, methods, tuple(keys[setting, name] for name in methods)))
-    return found
+def note_machines(out: Path, machines: Sequence[dict[str, Any]]) -> None:
+    """Add machines to those that made the records of a folder, each once."""
+    known = read_machines(out)
+    known += [each for each in machines if each not in known]
+    write_json(out / MACHINES, {"machines": known})
 
 
-def perform(study: Study, task: Task) -> list[Record]:
-    """Records of a task."""
-    return [record for record in trial_records(study, task) if record is not None]
-
-
-def perform_errand(errand: Errand | Carried) -> list[Record]:
-    """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
-    with _ONE_AT_A_TIME:
-        return perform(opened(errand), errand.task)
-
-
-def opened(errand: Errand | Carried) -> Study:
-    """The study of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
-    if isinstance(errand, Carried):
-        return _unpacked(errand.study)
-    if [_fingerprint(errand, method) for method in errand.task.methods] != list(errand.task.fingerprints):
-        what = "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks"
-        raise StudyError(what, "Give all of them the same")
-    return _study(errand.path, errand.quick, errand.trials)
-
-
-def carried(study: Study) -> bytes:
-    """A study on its way to workers; raises StudyError for one that only this process understands."""
+def read_machines(out: Path) -> list[dict[str, Any]]:
+    """Machines that made the records of a folder; raises StudyError when the file is damaged."""
     try:
-        return pickle.dumps(study)
-    except Exception as error:  # closures and whatever else a user's methods hold
-        what = f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}"
-        raise StudyError(what, "Write it to a file, or run it here") from error
+        return list(json.loads((out / MACHINES).read_text(encoding="utf-8"))["machines"])
+    except FileNotFoundError:
+        return []
+    except (ValueError, KeyError, TypeError):
+        fix = "Remove it; the report will then not name a machine"
+        raise StudyError(f"'{out / MACHINES}' is damaged", fix) from None
 
 
-@functools.lru_cache(maxsize=4)
-def _unpacked(study: bytes) -> Study:
-    found = pickle.loads(study)
-    assert isinstance(found, Study)
-    return found
+def write_report(source: StudyFile, run: Run, options: str) -> Path:
+    """Write report.md, and what else the study draws, into the run's folder; returns its path.
+
+    Args:
+        source: whose `report` says what was found.
+        run: records and folder.
+        options: of the command, those that decide what is in the report.
+
+    """
+    run.out.mkdir(parents=True, exist_ok=True)
+    lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, options)]
+    path = run.out / REPORT
+    write_text(path, "\n".join(lines) + "\n")
+    return path
 
 
-@functools.cache
-def _study(path: str, quick: bool, trials: int) -> Study:
-    study = load_study(path).form(quick=quick, trials=trials)
-    if study is None:
-        raise StudyError(f"'{path}' defines no study", "Give the file that the run was started with")
-    return study
+def _made(source: StudyFile, run: Run, options: str) -> list[str]:
+    commands = source.commands(options)
+    lines = [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
+    if run.study is not None:
+        failed = sum(record["error"] is not None for record in run.records)
+        lines += [
+            f"{len(run.study.settings)} settings, {len(run.study.methods)} methods, {run.study.trials} trials, seed "
+            f"{run.study.seed}: {len(run.records)} records, {failed} of them failures; SHA-256 without timings "
+            f"`{run.digest[:16]}`. `{commands[0]} --report --out DIR`, DIR the folder of `records.jsonl`, writes "
+            "this page again from the records alone.",
+            "",
+        ]
+    for made in read_machines(run.out):
+        packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
+        place = f"{made['processor']}, {made['cpus']} CPUs, {made['system']}"
+        at_once = f", {made['processes']} processes" if made["processes"] > 1 else ""
+        at_once = ", which asked a Dask cluster" if made.get("cluster") else at_once
+        lines.append(f"- {place}{at_once}; Python {made['python']}, {packages}")
+    return lines
 
 
-@functools.cache
-def _key(path: str, quick: bool, trials: int, setting: str, method: str) -> str:
-    return _study(path, quick, trials).fingerprint(setting, method)
-
-
-def _fingerprint(errand: Errand, method: str) -> str:
-    return _key(errand.path, errand.quick, errand.trials, errand.task.setting, method)
+def _processor() -> str:
+    """Name of the processor's model where the system tells, else of its kind."""
+    if sys.platform == "linux":
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return " ".join(line.partition(":")[2].split())
+    return platform.processor() or platform.machine()

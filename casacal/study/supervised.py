@@ -15,9 +15,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
 from casacal.errors import CasacalError, StudyError
-from casacal.study.executors import end_with_parent
+from casacal.study.executors import Errand, end_with_parent
 from casacal.study.records import LIMIT, Record, key_of
-from casacal.study.study_file import Carried, Errand, opened
 from casacal.study.trial import failed, heads, trial_records
 from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
@@ -37,7 +36,7 @@ class _Heard:
     records: list[Record] = field(default_factory=list)
 
 
-def supervised(name: str, errands: Sequence[Errand | Carried], seconds: float, workers: int) -> Iterator[list[Record]]:
+def supervised(name: str, errands: Sequence[Errand], seconds: float, workers: int) -> Iterator[list[Record]]:
     """Records of tasks, each made in a process of its own, `workers` at a time.
 
     A method, or the making of its trial, that takes longer than `seconds` or ends its process is a failure with that
@@ -58,7 +57,7 @@ def supervised(name: str, errands: Sequence[Errand | Carried], seconds: float, w
             stopped.close()
 
 
-def _records(name: str, errand: Errand | Carried, seconds: float, workers: int, stopped: Connection) -> list[Record]:
+def _records(name: str, errand: Errand, seconds: float, workers: int, stopped: Connection) -> list[Record]:
     """Records of one task, from as many processes as its methods bring to an end."""
     found: list[Record] = []
     left = heads(name, errand.task)
@@ -78,7 +77,7 @@ def _records(name: str, errand: Errand | Carried, seconds: float, workers: int, 
     return found
 
 
-def _heard(errand: Errand | Carried, seconds: float, workers: int, stopped: Connection) -> tuple[_Heard, Record | None]:
+def _heard(errand: Errand, seconds: float, workers: int, stopped: Connection) -> tuple[_Heard, Record | None]:
     """What a process says of a task, and how it ended where it did not say all; no end when the run is stopped."""
     context, heard = multiprocessing.get_context("spawn"), _Heard()
     receive, send = context.Pipe(duplex=False)
@@ -136,7 +135,7 @@ def _end(process: BaseProcess) -> None:
         process.close()
 
 
-def _serve(send: Connection, errand: Errand | Carried, seconds: float, shared: bool) -> None:
+def _serve(send: Connection, errand: Errand, seconds: float, shared: bool) -> None:
     """Make the records of a task in this process, and say so step by step.
 
     shared: whether other trials run beside it, so that one thread must do.
@@ -149,7 +148,7 @@ def _serve(send: Connection, errand: Errand | Carried, seconds: float, shared: b
         os.environ.setdefault(THREADS, "1")
     _at_most(BEGIN_SECONDS)
     try:
-        study = opened(errand)
+        study = errand.study_of(errand.task)
     except CasacalError as error:
         send.send(error)
         return

@@ -113,6 +113,11 @@ def trial_records(study: Study, task: Task) -> Iterator[Record | None]:
             yield {**head, **(record if intact else failed("Changed: the method changed the problem that all share"))}
 
 
+def perform(study: Study, task: Task) -> list[Record]:
+    """Records of a task."""
+    return [record for record in trial_records(study, task) if record is not None]
+
+
 def _caught() -> tuple[type[BaseException], ...]:
     """What a method may raise that is a failure of its own: in a process that no keyboard reaches, everything."""
     if multiprocessing.parent_process() is not None:
