@@ -139,7 +139,7 @@ def test_fixing_and_priors(run, tmp_path):
 
 
 def test_a_method_that_does_not_converge_exits_with_one(run, tmp_path, monkeypatch):
-    import casacal.calibration.methods as calibrating
+    import casacal.calibration.given as calibrating
     from casacal import lm
 
     monkeypatch.setitem(calibrating.METHODS, "lm", lambda fit, progress=None: lm(fit, max_steps=1))
@@ -365,13 +365,13 @@ def test_help_imports_nothing_heavy():
 
 
 def test_the_parser_knows_the_methods_of_the_library():
-    from casacal.calibration.methods import METHODS
+    from casacal.calibration.given import METHODS
 
     assert sorted(METHOD_NAMES) == sorted(METHODS)
 
 
 def test_an_interruption_is_one_line(run, monkeypatch):
-    import casacal.calibration.methods as calibrating
+    import casacal.calibration.given as calibrating
 
     def stop(*_, **__):
         raise KeyboardInterrupt

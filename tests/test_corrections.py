@@ -26,8 +26,7 @@ from casacal import (
     verify,
 )
 from casacal.bench.methods import left
-from casacal.calibration import corrections
-from casacal.calibration.doubts import became
+from casacal.calibration import motion
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
@@ -142,8 +141,8 @@ def test_a_sag_that_transfers_is_corrected_and_the_tip_follows(sagging):
 def test_every_split_must_speak_for_a_correction(sagging, monkeypatch, faces, regions, wins):
     found = sagging[1]
     told = {key: {FACES: faces, REGIONS: regions} for key in ("give", "wave1", "wave2")}
-    monkeypatch.setattr(corrections, "gains", lambda fit, x, keys: {key: told[key] for key in keys})
-    tried = {each.key: each for each in corrections.tried_corrections(found.fit, found.result)}
+    monkeypatch.setattr(motion, "gains", lambda fit, x, keys: {key: told[key] for key in keys})
+    tried = {each.key: each for each in motion.tried_corrections(found.fit, found.result)}
     assert tried["give"].corrected is wins
     assert not tried["wave1"].unseen  # the rows as a whole do not speak for it, so nobody asks
     assert not tried["wave1"].corrected
@@ -158,12 +157,12 @@ def test_more_touches_of_a_corrected_arm_do_not_make_it_worse(sagging):
 
 def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatch):
     found = sagging[1]
-    monkeypatch.setattr(corrections, "_tip", lambda fit, result, keys: 0.1 + len(keys))
-    told = next(each for each in corrections.tried_corrections(found.fit, found.result) if each.key == "give")
+    monkeypatch.setattr(motion, "tip_error", lambda fit, result, keys: 0.1 + len(keys))
+    told = next(each for each in motion.tried_corrections(found.fit, found.result) if each.key == "give")
     assert not told.corrected
     assert told.helps is False
-    assert "not corrected" in became(told)
-    assert "no gain at the tip" in became(told)
+    assert "not corrected" in told.became
+    assert "no gain at the tip" in told.became
 
 
 def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnPlane, Parameter, Problem, ProblemError, Robot, calibrate, simulate
-from casacal.calibration.methods import METHODS
+from casacal.calibration.given import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 

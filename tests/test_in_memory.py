@@ -27,7 +27,7 @@ from casacal import (
     simulate,
     tukey,
 )
-from casacal.calibration.methods import METHODS
+from casacal.calibration.given import METHODS
 from casacal.cli.main import main
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import read_result

@@ -25,7 +25,7 @@ from casacal import (
     load_problem,
     simulate,
 )
-from casacal.calibration.methods import METHODS
+from casacal.calibration.given import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 

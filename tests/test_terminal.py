@@ -232,7 +232,7 @@ def test_width_stays_within_reason(monkeypatch):
 
 
 def test_an_interruption_says_what_it_left_behind(capsys, monkeypatch):
-    import casacal.calibration.methods as calibrating
+    import casacal.calibration.given as calibrating
 
     def stop(*_, **__):
         raise KeyboardInterrupt

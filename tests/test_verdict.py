@@ -15,9 +15,9 @@ from test_doctor import PLANTED
 import casacal
 from casacal import DialOnPlane, Problem, bind, calibrate, check, ipopt, lm, simulate
 from casacal.calibration.brief import MOST_LINES, best_cure, brief, next_step
-from casacal.calibration.methods import Reference
+from casacal.calibration.given import Reference
 from casacal.calibration.verdict import verdict_of
-from casacal.calibration.warnings import moves, warnings
+from casacal.calibration.warnings import warnings
 from casacal.checks import Finding, set_aside
 from casacal.checks.set_aside import gross
 from casacal.cli.main import main
@@ -292,7 +292,7 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
     bare = verdict_of(calibrate(hsr.problem, samples, method="sckf", reference=False))
     assert bare.level == "use with care"
     assert "no second solver" in bare.words
-    import casacal.calibration.methods as module
+    import casacal.calibration.given as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
     stopped = calibrate(hsr.problem, samples, method="lm")
@@ -524,7 +524,7 @@ def test_a_result_that_is_denied_is_used_only_by_force(hsr, corner_simulation, t
 
 def test_a_parameter_absurdly_far_beyond_its_prior_is_refused_by_name(hsr):
     found = calibrate(hsr.problem, in_cell(hsr, 2, error_scale=8.0), reference=False)
-    far = moves(found)
+    far = found.moves
     assert far.max() > 10
     assert found.noise.low < 2  # the residuals alone would not refuse it
     vars(found)["data_errors"] = ()

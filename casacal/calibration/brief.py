@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.verdict import Verdict, wrong_with_samples
-from casacal.calibration.warnings import VERIFY, doubts, suspicious
+from casacal.calibration.warnings import VERIFY, doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
 
@@ -35,7 +35,7 @@ def next_step(
     if verdict.level == "use with care":
         kept = "" if out is not None else "; --out DIR keeps the result and its report"
         step = next((doubt.step for doubt in doubts(calibration)[:1]), "")
-        asked = suspicious(calibration)  # the data check, which named nothing, or the result would be denied
+        asked = calibration.suspicious  # the data check, which named nothing, or the result would be denied
         return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."

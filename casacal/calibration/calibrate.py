@@ -13,9 +13,8 @@ import numpy as np
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import bind_further
 from casacal.calibration.calibrated import Calibrated
-from casacal.calibration.corrections import tried_corrections
-from casacal.calibration.given import problem_from, samples_from
-from casacal.calibration.methods import RANDOM, Method, Progress, Reference, chosen, estimate
+from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
+from casacal.calibration.motion import tried_corrections
 from casacal.checks import Finding
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, ProblemError, SamplesError, came

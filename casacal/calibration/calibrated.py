@@ -14,11 +14,10 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import without_motion, without_predictions, without_tips
 from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.result_parts import parameter_rows, without_motion, without_predictions, without_tips
 from casacal.calibration.saved import AsArm
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of

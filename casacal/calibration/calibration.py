@@ -6,20 +6,27 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from casacal.array_types import Array
 from casacal.binding.marginal import Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.calibration.motion import HiddenTool, Motion, among, hidden_tool, used_arm
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
+from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.identifiability import Identifiability, NullDirection, WeakDirection, identifiability
+from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
+
+FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
+LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
 
 NOT_NEEDED = "none needed"
 
@@ -154,3 +161,28 @@ class Calibration(Fitted):
     def prior_moves(self) -> PriorMoves:
         """How far arm and tool moved beyond what their priors allow, all together."""
         return prior_moves(self.seen, self.seen_x, self.covariance)
+
+    @property
+    def moves(self) -> Array:
+        """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior.
+
+        As far as it moves under geometry alone, if that is farther: effects beside it may explain a fault away, but
+        they have sizes and no nominal, and do not count themselves.
+        """
+        moved, effects = _moves(self.result), np.array(self.fit.beside, dtype=bool)
+        moved[effects] = 0.0
+        if effects.any() and self.plain.converged:
+            moved[~effects] = np.fmax(moved[~effects], _moves(self.plain))
+        return moved
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
+        # a robust fit has already set aside the rows that pull parameters far
+        far = self.result.loss is None and bool((_moves(self.plain) > FAR).any())
+        low = max(self.noise.low, noise_over_stated(self.plain).low)
+        return far or not self.passed or low > LACK_OF_FIT
+
+
+def _moves(result: Result) -> Array:
+    return np.asarray(np.abs(result.x - result.problem.x0) / result.problem.prior_std)

@@ -13,10 +13,9 @@ from casacal.array_types import Array
 from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import extended
-from casacal.calibration.corrections import Tried
-from casacal.calibration.methods import Reference
-from casacal.calibration.metrics import Metrics, metrics_by_part, residual_metrics
-from casacal.calibration.motion import used_arm
+from casacal.calibration.given import Reference
+from casacal.calibration.metrics import Metrics, metrics_of, parts_of
+from casacal.calibration.motion import Tried, used_arm
 from casacal.checks import Finding, check
 from casacal.checks.fitted_faults import tool_elsewhere_at
 from casacal.checks.numbers import wrong_number
@@ -169,12 +168,13 @@ class Fitted(Value):
     @cached_property
     def metrics(self) -> Metrics:
         """Plane residuals in mm, before and after, on fitted and held-out rows; not accuracy."""
-        return residual_metrics(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
+        return metrics_of(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
 
     @cached_property
     def metrics_by_instrument(self) -> dict[str, Metrics]:
         """The same of each of several instruments, and of each block of a residual, in its unit; else nothing."""
-        return metrics_by_part(self.fit, self.heldout, (self.before.x, self.used_x), self.heldout_x)
+        pairs = (self.before.x, self.used_x), self.heldout_x
+        return {part: metrics_of(self.fit, self.heldout, *pairs, part=part) for part in parts_of(self.fit)}
 
     @cached_property
     def down_weighted(self) -> tuple[int | str, ...]:

@@ -12,32 +12,23 @@ Figures: TypeAlias = dict[str, float]
 Metrics: TypeAlias = dict[str, dict[str, Figures | None]]
 """By "before" and "after", then by "fit" and "heldout"; None where no row is held out."""
 
-WHEN = ("before", "after")
-
 Pair: TypeAlias = tuple[Array, Array]  # unknowns (n,) before and after
 
 
-def residual_metrics(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair) -> Metrics:
-    """Of all residuals that are in the unit in which their instrument speaks."""
+def metrics_of(
+    fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair, *, part: str | None = None
+) -> Metrics:
+    """Of all residuals in the unit in which their instrument speaks, or of one of `parts_of` in its own."""
+
+    def figures(bound: BoundProblem, x: Array) -> Figures | None:
+        if part is None:
+            return residual_figures(bound.plain_residual(x)[bound.leading])
+        rows = bound.noise_labels.rows().get(part)
+        return None if rows is None or not rows.size else residual_figures(bound.plain_residual(x)[rows])
+
     return {
-        when: {"fit": _leading(fit, x), "heldout": None if heldout is None else _leading(heldout, there)}
-        for when, x, there in zip(WHEN, xs, held, strict=True)
-    }
-
-
-def metrics_by_part(fit: BoundProblem, heldout: BoundProblem | None, xs: Pair, held: Pair) -> dict[str, Metrics]:
-    """The same of each of several instruments and of each block of a residual, in its own unit, by name.
-
-    Nothing for an only instrument whose residual has no blocks.
-    """
-    if not parts_of(fit):
-        return {}
-    return {
-        name: {
-            when: {"fit": _part(name, fit, x), "heldout": None if heldout is None else _part(name, heldout, there)}
-            for when, x, there in zip(WHEN, xs, held, strict=True)
-        }
-        for name in parts_of(fit)
+        when: {"fit": figures(fit, x), "heldout": None if heldout is None else figures(heldout, there)}
+        for when, x, there in zip(("before", "after"), xs, held, strict=True)
     }
 
 
@@ -61,12 +52,3 @@ def more_than_stated(fit: BoundProblem, most: float) -> str:
     right = [name for name, factor in factors.items() if factor <= most]
     others = f", {' and '.join(right)} as stated" if right else ""
     return f"Times the stated noise: {', '.join(more)}{others}. " if more else ""
-
-
-def _leading(bound: BoundProblem, x: Array) -> Figures:
-    return residual_figures(bound.plain_residual(x)[bound.leading])
-
-
-def _part(name: str, bound: BoundProblem, x: Array) -> Figures | None:
-    rows = bound.noise_labels.rows().get(name)
-    return None if rows is None or not rows.size else residual_figures(bound.plain_residual(x)[rows])

@@ -1,9 +1,9 @@
-"""All that moves the tip: the geometry, and effects beside it, whether they are corrected or only counted as errors."""
+"""All that moves the tip: the geometry, and effects beside it, corrected where that helps or only counted as errors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +11,16 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Marginal, Seen, moving
+from casacal.discrepancy.effect import Site
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
+from casacal.uncertainty.discrepancy import at_most
+from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.identifiability import verdict
-from casacal.uncertainty.transfer import MOST_ROWS
+from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
 from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.values import FrozenMapping, Value
 
 SMALLEST = 1e-3
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
@@ -144,3 +148,84 @@ def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple
     moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)
     stds = tip_stds(motion.covariance, without_rigid(slopes, tips), motion.off)
     return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
+
+
+VERY_STRONG = 5.0
+"""Logarithm of a ratio of densities from which evidence is called very strong (Kass and Raftery, Journal of the
+American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried(Value):
+    """An effect that could be corrected, and what became of it.
+
+    evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
+    left out, by what was left out together; empty where the first was too little to ask. helps: whether the tip error
+    to expect is smaller with it; None where that was not asked.
+    """
+
+    key: str
+    words: str
+    evidence: float
+    unseen: Mapping[str, float]
+    helps: bool | None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unseen", FrozenMapping(self.unseen))
+
+    @property
+    def corrected(self) -> bool:
+        """Whether `predict` and all that follows it make up for it."""
+        return bool(self.helps)
+
+    @property
+    def became(self) -> str:
+        """What became of an effect that the rows speak for, and why, as a clause."""
+        splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.unseen.items())
+        became = "corrected" if self.corrected else "not corrected"
+        least = f"at least {VERY_STRONG:+g} each required"
+        told = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
+        return told if self.corrected or self.helps is None else f"{told}, but no gain at the tip"
+
+
+def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
+    """Every effect of a fit that moves the tip alike whenever it comes to a posture, the most telling first.
+
+    One is corrected where all splits of the rows, by faces, regions of postures and further columns, say with very
+    strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
+    that stand already count. A gear that would have to be broken to be so bad is none: something else errs. Where rows
+    see the tip itself, what tells of unseen ones corrects it, whatever it is.
+
+    Args:
+        fit: with the effects in it.
+        result: its fit.
+
+    """
+    sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
+    known = {
+        effect.key: effect.words
+        for effect in fit.problem.effects
+        if effect.moves and effect.key in fit.beside and not any(effect.columns(site) for site in sites)
+    }
+    if not known or not result.converged:
+        return ()
+    told = in_sample_gains(fit, result.x, known)
+    likely = [key for key in known if told[key] > VERY_STRONG]
+    unseen = gains(fit, result.x, likely) if likely else {}
+    doubted = () if not likely or sees_the_tip(fit) else at_most(fit)
+    doubtful = {effect.key for effect in doubted if not effect.elastic}
+    stands: list[str] = []
+    found = []
+    for key in sorted(known, key=lambda key: -told[key]):
+        elsewhere = unseen.get(key, {})
+        wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
+        helps = tip_error(fit, result, [*stands, key]) < tip_error(fit, result, stands) if wins else None
+        stands += [key] if helps else []
+        found.append(Tried(key, known[key], told[key], elsewhere, helps))
+    return tuple(found)
+
+
+def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+    """Tip error (mm RMS) to expect over the workspace where these effects are corrected."""
+    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
+    return expected_accuracy(motion.arm, motion.x, motion.off)[1]

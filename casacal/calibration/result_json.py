@@ -15,20 +15,20 @@ import numpy as np
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import seen
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import without_predictions
-from casacal.calibration.given import head_of, seen_from
 from casacal.calibration.result_parts import (
     closing,
     cures_part,
     discrepancy_part,
     geometry,
+    head_of,
     noise_part,
     parameter_rows,
     reference_part,
-    score_tests_part,
+    seen_from,
     spreads,
-    tip_part,
     what_is_seen,
+    without_motion,
+    without_predictions,
 )
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
@@ -61,6 +61,7 @@ def calibration_document(
     denied = verdict.level == "do not use"
     pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
     left_out = without_predictions(calibration.left_out) if denied else calibration.left_out
+    tests = without_motion(calibration.score_tests) if denied else calibration.score_tests
     document = {
         **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
@@ -79,14 +80,14 @@ def calibration_document(
         "parameters": parameter_rows(fit, calibration.used_x, result.std, denied=denied),
         **geometry(fit, calibration.used_x),
         "metrics": calibration.metrics,
-        **_by_instrument(calibration),
+        **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
         "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
-        "tip": None if denied else tip_part(calibration),
+        "tip": None if denied else _tip(calibration),
         "noise": noise_part(calibration),
         "discrepancy": discrepancy_part(calibration, denied=denied),
         "identifiability": what_is_seen(calibration, denied=denied),
         "cures": [] if denied else cures_part(calibration),
-        "score_tests": score_tests_part(calibration, denied=denied),
+        "score_tests": [asdict(test) | {"shown": test.shown} for test in tests],
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
         **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),
@@ -97,6 +98,14 @@ def calibration_document(
         **closing(result, calibration.seconds),
     }
     return sealed(document)
+
+
+def _tip(calibration: Calibration) -> dict[str, Any]:
+    """The tip error to expect: after, before, and from the samples alone; and that of the flange's origin."""
+    (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
+    drawn, flange = calibration.flange_std
+    tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
+    return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
 
 
 def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) -> dict[str, Any]:
@@ -114,38 +123,6 @@ def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) ->
         for i, (name, some) in enumerate(zip(given.names, given.sets, strict=True))
     }
     return {"instruments": sets}
-
-
-def _by_instrument(calibration: Calibration) -> dict[str, Any]:
-    found = calibration.metrics_by_instrument
-    return {"metrics_by_instrument": found} if found else {}
-
-
-def truth_document(
-    bound: BoundProblem, truth: Result, source: ProblemFile, seed: int, *, folder: Path | None = None
-) -> dict[str, Any]:
-    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
-    samples = bound.measured
-    known = parameter_rows(bound, truth.x, np.zeros(bound.unknowns))
-    rows = [{**row, "note": "true value of the simulated arm"} for row in known]
-    names = seen(bound, truth.x)[0].names
-    return {
-        **head_of(source, truth, seed, bound.backend, folder),
-        "data": {
-            "file": seen_from(folder, samples.file),
-            "sha256": samples.sha256,
-            "samples": len(samples),
-            "heldout": 0,
-        },
-        "cost": truth.cost,
-        "parameters": rows,
-        **geometry(bound, truth.x),
-        "metrics": None,
-        "identifiability": None,
-        **spreads(np.zeros((len(names), len(names))), names, bound),
-        "reference": None,
-        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
-    }
 
 
 def write_calibration(
@@ -205,7 +182,7 @@ def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) ->
         for i, (place, some) in enumerate(zip(places, measured.sets, strict=True)):
             write_samples(place, source.problem.layout(i), some, comments)
             written.append(replace(source.problem.read(place, i), file=str(targets[i])))
-        document = _truth_of(simulation, source, bind(source.problem, *written), path.parent)
+        document = truth_document(simulation, source, bind(source.problem, *written), path.parent)
         document["data"]["file"] = " and ".join(target.name for target in targets)
         write_json(answer, sealed(document))
     return [*targets, truth_path]
@@ -216,15 +193,22 @@ def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
     return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
 
 
-def _truth_of(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
-    truth = Result(
-        method="truth",
-        problem=bound,
-        x=simulation.truth(bound),
-        status=Status.TRUTH,
-        trace={},
-        steps=0,
-        residual_rows=0,
-        jacobian_rows=0,
-    )
-    return truth_document(bound, truth, source, simulation.seed, folder=folder)
+def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
+    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
+    x, samples = simulation.truth(bound), bound.measured
+    truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
+    rows = parameter_rows(bound, x, np.zeros(bound.unknowns))
+    names = seen(bound, x)[0].names
+    data = {"file": seen_from(folder, samples.file), "sha256": samples.sha256, "samples": len(samples), "heldout": 0}
+    return {
+        **head_of(source, truth, simulation.seed, bound.backend, folder),
+        "data": data,
+        "cost": truth.cost,
+        "parameters": [{**row, "note": "true value of the simulated arm"} for row in rows],
+        **geometry(bound, x),
+        "metrics": None,
+        "identifiability": None,
+        **spreads(np.zeros((len(names), len(names))), names, bound),
+        "reference": None,
+        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
+    }

@@ -1,12 +1,15 @@
-"""The parts of result.json: parameters, what the samples see, the reference, geometry, spreads, versions."""
+"""The parts of result.json: where all came from, parameters, what the samples see, geometry, spreads, versions."""
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +19,21 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import REPEATABILITY, without_joints
 from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import tip_without_corrections, without_motion, without_tips
-from casacal.calibration.methods import Reference
+from casacal.calibration.given import Reference
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.motion import besides
+from casacal.calibration.motion import besides, tip_error
+from casacal.compensation.result_file import SCHEMA
+from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
+from casacal.problem.as_data import problem_data
+from casacal.problem.problem_file import ProblemFile
 from casacal.uncertainty.discrepancy import times_found
-from casacal.uncertainty.identifiability import verdict
+from casacal.uncertainty.identifiability import Identifiability, verdict
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.transfer import LeftOut
 from casacal.version import __version__
+
+_LOG = logging.getLogger("casacal")
 
 NOTES = {
     "data": "determined by the samples",
@@ -31,6 +41,58 @@ NOTES = {
     "no": "not determined: the prior's value and spread stand",
     "held": "held at nominal",
 }
+
+
+def without_tips(found: Identifiability) -> Identifiability:
+    """The same directions, without what they do to the tip: NaN."""
+    null = tuple(replace(each, tip_mm=math.nan) for each in found.null)
+    weak = tuple(replace(each, tip_mm=math.nan) for each in found.weak)
+    return replace(found, null=null, weak=weak)
+
+
+def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
+    """The same faces, without what the others predict of them: NaN, and so their ratio."""
+    return tuple(replace(each, predicted_mm=math.nan) for each in faces)
+
+
+def without_motion(tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """The same tests, without what the effects do to the tip: NaN."""
+    return tuple(replace(each, tip_mm=math.nan) for each in tests)
+
+
+def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
+    """The head of result.json in a folder; of a document that stays in memory where there is none."""
+    files = [{**asdict(file), "path": seen_from(folder, file.path)} for file in source.files]
+    try:
+        arm = problem_data(source.problem)
+    except CasacalError as error:
+        arm = None
+        _LOG.warning("casacal: the result needs its problem file, for it cannot hold the arm: %s", error)
+    return {
+        "schema": SCHEMA,
+        "problem": {
+            "name": source.name,
+            "path": seen_from(folder, source.path),
+            "sha256": source.sha256,
+            "files": files,
+        },
+        "arm": arm,
+        "method": result.method,
+        "status": result.message,
+        "converged": result.converged,
+        "seed": seed,
+        "backend": backend,
+    }
+
+
+def seen_from(folder: Path | None, file: str) -> str:
+    """A path as a file in a folder names it; as it is where there is no folder, no such file, or no way between."""
+    if folder is None or not file or not Path(file).exists():
+        return file
+    try:
+        return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return Path(file).resolve().as_posix()
 
 
 def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool = False) -> list[dict[str, Any]]:
@@ -55,17 +117,6 @@ def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool =
     return rows
 
 
-def tip_part(calibration: Calibration) -> dict[str, Any]:
-    """The tip error to expect: after, before, and from the samples alone, with the directions that they miss.
-
-    Beside it that of the flange's origin, which any tool of the arm has.
-    """
-    (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
-    drawn, flange = calibration.flange_std
-    tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
-    return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
-
-
 def noise_part(calibration: Calibration) -> dict[str, Any]:
     """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face.
 
@@ -86,15 +137,10 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
         "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
         "by_face": {
             name: {key: float(np.median(each[rows])) for key, each in noise.items()}
-            | _other_unit(units.get(name, "mm"))
+            | ({} if units.get(name, "mm") == "mm" else {"unit": units[name]})  # of what is no length
             for name, rows in faces.items()
         },
     }
-
-
-def _other_unit(unit: str) -> dict[str, str]:
-    """The unit of what is no length, whatever the names of its figures say."""
-    return {} if unit == "mm" else {"unit": unit}
 
 
 def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:
@@ -120,18 +166,18 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
     known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
-    parts = {"effects": effects, "tried": tried, "corrected": list(calibration.corrected), "unknowns": unknowns}
-    return {**parts, **_without_corrections(calibration, denied), **known}
-
-
-def _without_corrections(calibration: Calibration, denied: bool) -> dict[str, Any]:
-    """The arm for those who cannot correct an effect, and the tip error to expect of it; nothing where none is."""
-    if not calibration.corrected:
-        return {}
-    rows = zip(calibration.fit.names, calibration.uncorrected_x, calibration.fit.beside, strict=True)
-    values = [{"name": name, "value": float(value)} for name, value, beside in rows if not beside]
-    error = math.nan if denied else tip_without_corrections(calibration)
-    return {"without_corrections": values, "expected_rms_mm_without_corrections": error}
+    parts: dict[str, Any] = {
+        "effects": effects,
+        "tried": tried,
+        "corrected": list(calibration.corrected),
+        "unknowns": unknowns,
+    }
+    if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
+        alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
+        parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
+        error = math.nan if denied else tip_error(fit, calibration.result, ())
+        parts["expected_rms_mm_without_corrections"] = error
+    return {**parts, **known}
 
 
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:
@@ -139,51 +185,27 @@ def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str,
     found, cures = calibration.identifiability, iter(calibration.advice)
     found = without_tips(found) if denied else found
     return {
-        "unknowns": found.unknowns,
-        "rank": found.rank,
-        "condition": found.condition,
-        "singular_values": found.singular_values,
-        "null": [
-            {"kind": d.kind, "words": d.words, "tip_mm": d.tip_mm, "structural": d.structural, "cure": next(cures)}
-            for d in found.null
-        ],
-        "weak": [
-            {"words": d.words, "singular_value": d.singular_value, "tip_mm": d.tip_mm, "cure": next(cures)}
-            for d in found.weak
-        ],
+        **_parts(found, "unknowns", "rank", "condition", "singular_values"),
+        "null": [{**_parts(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
+        "weak": [{**_parts(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
     }
 
 
 def cures_part(calibration: Calibration) -> list[dict[str, Any]]:
     """What to do next, best first, with the tip error to expect after it."""
-    return [
-        {
-            "words": cure.words,
-            "touches": cure.touches,
-            "expected_rms_mm": cure.expected_rms_mm,
-            "recommended": cure.recommended,
-        }
-        for cure in calibration.cures
-    ]
+    return [_parts(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures]
 
 
-def score_tests_part(calibration: Calibration, *, denied: bool = False) -> list[dict[str, Any]]:
-    """What arm and cell may do beside their geometry; without tip errors where the verdict denies them."""
-    tests = without_motion(calibration.score_tests) if denied else calibration.score_tests
-    return [asdict(test) | {"shown": test.shown} for test in tests]
+def _parts(of: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names}
 
 
 def reference_part(reference: Reference | None) -> dict[str, Any] | None:
     """What the independent solver found; None where none was asked."""
     if reference is None:
         return None
-    return {
-        "solver": reference.solver,
-        "cost": reference.cost,
-        "relative_gap": reference.relative_gap,
-        "kkt": reference.result.kkt,
-        "iterations": reference.result.steps,
-    }
+    found = _parts(reference, "solver", "cost", "relative_gap")
+    return {**found, "kkt": reference.result.kkt, "iterations": reference.result.steps}
 
 
 def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:

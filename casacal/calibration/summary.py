@@ -8,7 +8,6 @@ from dataclasses import replace
 from casacal.calibration import tables
 from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import corrected_words, tried_words
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.measurements import Measurements
 from casacal.version import __version__
@@ -78,7 +77,7 @@ def _accuracy(calibration: Calibration) -> str:
             f"{mm(before, 3)}).",
             *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
             f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",
-            *corrected_words(calibration),
+            *tables.corrected_words(calibration),
             f"From the samples alone, without priors, {samples_alone}.",
         ]
     )
@@ -141,7 +140,7 @@ def _beside(calibration: Calibration, denied: bool) -> str:
     lines += [replace(table, rows=shown).text()] if shown else []
     left = len(table.rows) - len(shown)
     lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
-    return "\n".join([*lines, *tried_words(calibration)])
+    return "\n".join([*lines, *tables.tried_words(calibration)])
 
 
 def _reference(calibration: Calibration) -> str:

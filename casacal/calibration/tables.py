@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.doubts import size_words, without_predictions
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.motion import tip_error
+from casacal.calibration.result_parts import parameter_rows, without_predictions
 from casacal.pages.render import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
-from casacal.wording import capital
+from casacal.uncertainty.scores import ScoreTest
+from casacal.wording import capital, listed, sized
 
 LONGEST = 60  # characters of a face's name
 
@@ -134,3 +135,38 @@ def effects(calibration: Calibration, *, denied: bool) -> Table:
         rows.append([capital(test.words), test.shown, f"{test.p_holm:.2g}", size, test.shown_expected, tip])
     titles = ("Effect", "Shown by the samples", "#p", "#Most likely size", "#Usual size", "#At the tip, RMS")
     return Table(titles, rows)
+
+
+def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
+    """Size of an effect and its tip error as people read them; no number where it is larger than can be believed.
+
+    Each is worked out as if the effect were the only one. Where the geometry takes up most of it, that says nothing:
+    what moves the arm is then shown as beyond the most that is accepted, what does not as beyond the residuals.
+    """
+    drawn = calibration.metrics["before"]["fit"]
+    assert drawn is not None
+    effect = next((each for each in calibration.fit.problem.effects if each.key == test.key and each.moves), None)
+    most = effect.most * effect.size if effect is not None else drawn["rmse_mm"] if test.unit == "mm" else math.inf
+    if test.size > most:
+        return f"over {sized(most, test.unit)}", "-"
+    return test.shown_size, mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
+
+
+def tried_words(calibration: Calibration) -> list[str]:
+    """One line for each effect that could be corrected and that the rows speak for."""
+    asked = [each for each in calibration.tried if each.unseen]
+    if not asked:
+        return ["None of them is corrected."] if calibration.tried else []
+    return [each.became for each in asked]
+
+
+def corrected_words(calibration: Calibration) -> list[str]:
+    """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
+    named = listed([each.words for each in calibration.tried if each.corrected])
+    if not named:
+        return []
+    alone = tip_error(calibration.fit, calibration.result, ())
+    return [
+        f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
+        f"and angles cannot: with those alone expect a tip error of {mm(alone)} RMS.",
+    ]

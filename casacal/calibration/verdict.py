@@ -8,10 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import Doubt, larger_than_any
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.warnings import FAR, LACK_OF_FIT, NOISE_BAND, doubts, moves, suspicious
+from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import listed, mm, sentence, times
@@ -113,7 +112,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
-    found = calibration.data_errors if suspicious(calibration) else calibration.plain_errors
+    found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
     return tuple(error for error in found if error.about != "misfit")
 
 
@@ -147,7 +146,7 @@ def _unexplained(calibration: Calibration) -> list[str]:
         return [f"the calibrated arm fits its own rows worse than the arm as drawn{_what_else(calibration)}"]
     if low <= LACK_OF_FIT:
         return []
-    moved = float(moves(calibration).max(initial=0.0))
+    moved = float(calibration.moves.max(initial=0.0))
     said = f"the residuals are {times(ratio)} times what the stated noise explains"
     if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
         return [f"{said}, and calibrating hardly lowered them"]
@@ -166,9 +165,9 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     """Priors that the samples contradict, and that yet decide most of where the tip is."""
     if not calibration.fit.unknowns:
         return []
-    (before, now), far = calibration.tip_std, float(moves(calibration).max(initial=0.0))
+    (before, now), far = calibration.tip_std, float(calibration.moves.max(initial=0.0))
     if far > BENT:
-        worst = calibration.fit.names[int(np.argmax(moves(calibration)))]
+        worst = calibration.fit.names[int(np.argmax(calibration.moves))]
         return [
             f"{worst} moved by {times(far)} prior standard deviations. If the arm really is so far from its drawing, "
             "state wider priors (--accuracy, --prior)"

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import Doubt, dial_is_off, larger_than_any
+from casacal.calibration.calibration import FAR, Calibration
 from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
-from casacal.least_squares.result import Result
-from casacal.uncertainty.discrepancy import errors_are_shared
+from casacal.uncertainty.discrepancy import at_most, errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
-from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import chance, lower, mm, sized, times
+from casacal.uncertainty.scores import CLEAR
+from casacal.wording import capital, chance, listed, lower, mm, sized, times
 
-FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
-LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
 IMPROBABLE = 0.01  # chance below which a drawn arm that misses the planes by so little contradicts its priors
 TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which the priors are too tight for this arm
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 
 SHOWN = 6
+OF_THE_DIAL = ("gain", "cycle")  # keys of the tests of a dial's own errors; they are made where these are no unknowns
+
+DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
 
 VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
 WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
@@ -34,6 +33,18 @@ REPEAT = (
     "the noise, if it is known to be larger (--set noise_std=MM)"
 )
 """What settles a doubt whose cause nobody knows."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A clause to put after "but", and a sentence.
+
+    step: what settles it; empty where the data check, which was not run, may find the cause.
+    """
+
+    clause: str
+    sentence: str
+    step: str = ""
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -54,66 +65,40 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _noise,
         _loose_priors,
         _unknown_places,
-        dial_is_off,
+        _dial_is_off,
         larger_than_any,
         _ignored_rows,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 
 
-def suspicious(calibration: Calibration) -> bool:
-    """Whether something about the fit calls for a look at the samples themselves: then the data check is asked."""
-    # a robust fit has already set aside the rows that pull parameters far
-    far = calibration.result.loss is None and bool((_moves(calibration.plain) > FAR).any())
-    low = max(calibration.noise.low, noise_over_stated(calibration.plain).low)
-    return far or not calibration.passed or low > LACK_OF_FIT
-
-
-def _what_check_says(calibration: Calibration) -> str:
-    """What the data check says of the cause, or that nobody asked it."""
-    if not suspicious(calibration):
-        return "casacal check looks for the cause"
-    named = [error.about for error in calibration.data_errors if error.about != "misfit"]
-    return f"the data check found {', '.join(named)}" if named else "the data check found no cause"
-
-
-def moves(calibration: Calibration) -> Array:
-    """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior.
-
-    As far as it moves under geometry alone, if that is farther: effects beside it may explain a fault away, but they
-    have sizes and no nominal, and do not count themselves.
-    """
-    moved, effects = _moves(calibration.result), np.array(calibration.fit.beside, dtype=bool)
-    moved[effects] = 0.0
-    if effects.any() and calibration.plain.converged:
-        moved[~effects] = np.fmax(moved[~effects], _moves(calibration.plain))
-    return moved
-
-
-def _moves(result: Result) -> Array:
-    return np.asarray(np.abs(result.x - result.problem.x0) / result.problem.prior_std)
-
-
 def _far_parameters(calibration: Calibration) -> Doubt | None:
-    moved, names = moves(calibration), calibration.fit.names
+    moved, names = calibration.moves, calibration.fit.names
     far = [j for j in np.argsort(-moved) if moved[j] > FAR]
     together = calibration.prior_moves
     if not far and together.chance > TOO_TIGHT:
         return None
-    said = f"Together, the parameters moved {together.factor:.1f} times as far as their priors allow"
+    factor = f"{together.factor:.1f} times as far as their priors allow"
+    said = f"Together, the parameters moved {factor}"
     if far:
         named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
         more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
-        said = (
-            f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. Together they moved "
-            f"{together.factor:.1f} times as far as their priors allow"
-        )
+        said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. "
+        said += f"Together they moved {factor}"
     return Doubt(
         "parameters moved far beyond their priors",
         f"{said}. Either the priors are too tight for this arm by about that factor (--accuracy, --prior), or the "
         f"samples are wrong; {_what_check_says(calibration)}.",
-        WIDEN if suspicious(calibration) else "",
+        WIDEN if calibration.suspicious else "",
     )
+
+
+def _what_check_says(calibration: Calibration) -> str:
+    """What the data check says of the cause, or that nobody asked it."""
+    if not calibration.suspicious:
+        return "casacal check looks for the cause"
+    named = [error.about for error in calibration.data_errors if error.about != "misfit"]
+    return f"the data check found {', '.join(named)}" if named else "the data check found no cause"
 
 
 def _rows_set_aside(calibration: Calibration) -> Doubt | None:
@@ -184,7 +169,7 @@ def _noise(calibration: Calibration) -> Doubt | None:
     return Doubt(
         "the residuals exceed the stated noise",
         f"{said}. Either the noise is larger than stated, or the model leaves something out. {advice}",
-        REPEAT if suspicious(calibration) else "",
+        REPEAT if calibration.suspicious else "",
     )
 
 
@@ -229,4 +214,37 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
     return Doubt(
         f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
         f"The robust loss gave less than half of its weight to {rows} {named}{more}. Measure them again.",
+    )
+
+
+def _dial_is_off(calibration: Calibration) -> Doubt | None:
+    """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
+    now = calibration.tip_std[1]
+    shown = [
+        test
+        for test in calibration.score_tests
+        if test.key in OF_THE_DIAL and test.p_holm < CLEAR and test.tip_mm > now
+    ]
+    if not shown:
+        return None
+    worst = max(shown, key=lambda test: test.tip_mm)
+    return Doubt(
+        f"the rows show an undeclared {worst.words}",
+        f"The rows show a {worst.words} of about {worst.shown_size}. The problem does not declare it, and it changes "
+        f"the result by more than the expected tip error. {capital(DECLARE)}.",
+        DECLARE,
+    )
+
+
+def larger_than_any(calibration: Calibration) -> Doubt | None:
+    """An effect came out at the largest size that is accepted."""
+    found = at_most(calibration.fit) if any(calibration.fit.beside) else ()
+    if not found:
+        return None
+    named = listed([effect.words for effect in found])
+    return Doubt(
+        f"{named} reached the largest size that casacal accepts",
+        f"{capital(named)} reached {found[0].most:g} times the usual size, the largest that casacal accepts. Something "
+        "else probably errs as well, and the figures count only part of it. casacal check looks for the cause; touches "
+        "in other postures and on other faces separate the effects.",
     )

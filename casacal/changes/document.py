@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casacal.calibration.given import seen_from
-from casacal.calibration.result_parts import geometry, parameter_rows
+from casacal.calibration.result_parts import geometry, parameter_rows, seen_from
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
 from casacal.compensation.arm import CalibratedArm

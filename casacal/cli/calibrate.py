@@ -123,9 +123,9 @@ def run(options: argparse.Namespace) -> int:
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
     from casacal.calibration.brief import MOST_LINES, brief
-    from casacal.calibration.doubts import corrected_words
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import summary
+    from casacal.calibration.tables import corrected_words
     from casacal.calibration.verdict import verdict_of
     from casacal.uncertainty.expectation import accuracy_in_box
 

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from casacal.calibration import tables
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.corrections import VERY_STRONG
+from casacal.calibration.motion import VERY_STRONG
 from casacal.calibration.page.expected import expected_error
 from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
