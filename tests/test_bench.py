@@ -14,7 +14,7 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import Samples, load_problem, simulate
 from casacal.bench.benchmark import bench_lines, benchmark, mean_squares
 from casacal.bench.benchmark_set import folds, read_set, read_sets
-from casacal.bench.methods import WAYS, Judged, geometry_and_process
+from casacal.bench.methods import WAYS, geometry_and_process, squares_of
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.samples.write import write_samples
@@ -113,7 +113,7 @@ def test_methods_rank_as_they_must(place):
     fitted, unseen = folds(rows, "stated", bench.blocks, bench.stated)[0]
     parts = rows.take(fitted), rows.take(unseen)
     left = {
-        name: float(np.sqrt(Judged.of(np.asarray(WAYS[name](problem, *parts)), "distance").squares.mean()))
+        name: float(np.sqrt(squares_of(np.asarray(WAYS[name](problem, *parts)), "distance").mean()))
         for name in ("as drawn", "joint offsets", "geometry (SciPy)", "geometry + Gaussian process")
     }
     assert left["as drawn"] > left["joint offsets"] > 3 * left["geometry (SciPy)"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.bench.benchmark_set import BLOCKED, RANDOM, STATED, BenchmarkSet, folds
-from casacal.bench.methods import WAYS, Judged, Told, Way
+from casacal.bench.methods import WAYS, Told, Way, squares_of
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.least_squares.result import Result, Status
 from casacal.problem.problem import Problem
@@ -93,7 +93,7 @@ def estimate(metered: Any, way: Way) -> Result:
     told = way(fold.arm, fold.fitted, fold.unseen)
     residuals = np.asarray(told.residuals if isinstance(told, Told) else told, dtype=np.float64)
     refused = isinstance(told, Told) and told.verdict == "do not use"
-    trace = {"squares": Judged.of(residuals, fold.metric).squares, "refused": np.array([float(refused)])}
+    trace = {"squares": squares_of(residuals, fold.metric), "refused": np.array([float(refused)])}
     return Result("bench", problem, problem.x0.copy(), Status.UNSAID, trace, 0, 0, 0)
 
 

@@ -138,17 +138,10 @@ WAYS: Mapping[str, Way] = {
 """What `casacal bench` compares unless told otherwise."""
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Length (N,) of what is left of each unseen row, by the set's metric: its square is averaged over rows."""
-
-    squares: Array
-
-    @staticmethod
-    def of(residuals: Array, metric: str) -> Judged:
-        """Of residuals (N, m); raises CasacalError where they are none."""
-        if residuals.ndim != 2 or not np.isfinite(residuals).all():
-            raise CasacalError(f"Residuals came in the shape {residuals.shape}, or not finite", "Return (N, m) of them")
-        if metric == "rms":
-            return Judged((residuals**2).mean(axis=1))
-        return Judged((residuals[:, : 3 if metric == "position" else None] ** 2).sum(axis=1))
+def squares_of(residuals: Array, metric: str) -> Array:
+    """Square (N,) of what is left of each unseen row (N, m), by the set's metric; CasacalError where they are none."""
+    if residuals.ndim != 2 or not np.isfinite(residuals).all():
+        raise CasacalError(f"Residuals came in the shape {residuals.shape}, or not finite", "Return (N, m) of them")
+    if metric == "rms":
+        return np.asarray((residuals**2).mean(axis=1))
+    return np.asarray((residuals[:, : 3 if metric == "position" else None] ** 2).sum(axis=1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,24 +88,22 @@ def calibrate(
     source = problem_from(problem)
     rows = samples_from(samples, source)
     run, name = chosen(method, loss)
-    if noise not in ("found", "stated"):
-        raise CasacalError(f"Got {came(noise)} as the noise", "Give 'found' or 'stated'")
-    if outliers not in ("set aside", "keep"):
-        raise CasacalError(f"Got {came(outliers)} for the outliers", "Give 'set aside' or 'keep'")
-    if discrepancy not in ("kit", "none"):
-        raise CasacalError(f"Got {came(discrepancy)} for the discrepancy", "Give 'kit' or 'none'")
+    _check_word(noise, "as the noise", "found", "stated")
+    _check_word(outliers, "for the outliers", "set aside", "keep")
+    _check_word(discrepancy, "for the discrepancy", "kit", "none")
     began = time.perf_counter()
     single = Measurements.of(rows).map(without_copies)
     groups = [instrument.groups for instrument in source.problem.instruments]
     fitted, held = split_each(single, holdout, seed, holdout_by, groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         chosen_rows = single.take(fitted) if held.size else single
-        bare, aside = _geometry(source.problem, chosen_rows, noise, outliers, loss, backend, threads)
+        how = _Bound(source.problem, noise == "found", outliers == "set aside", loss, backend, threads)
+        bare, aside = how.geometry(chosen_rows)
         fit = bare
         if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
-            fit = with_effects(bare, source.problem, find_noise=noise == "found")
-            if outliers == "set aside" and fit is not bare:
-                fit, bare, aside = _second_look(fit, bare, aside, chosen_rows, source.problem, noise, threads)
+            fit = with_effects(bare, source.problem, find_noise=how.found)
+            if how.aside and fit is not bare:
+                fit, bare, aside = how.second_look(fit, bare, aside, chosen_rows)
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
@@ -119,56 +118,55 @@ def calibrate(
     )
 
 
-def _geometry(
-    problem: Problem,
-    rows: Measurements,
-    noise: str,
-    outliers: str,
-    loss: Loss | None,
-    backend: str | None,
-    threads: int | None,
-) -> tuple[BoundProblem, tuple[Finding, ...]]:
-    """The rows under the geometry alone, gross ones set aside and noise as found, and what is wrong with those."""
-    bare = bind(problem.without_effects, *rows.sets, backend=backend, threads=threads)
-    aside: tuple[Finding, ...] = ()
-    _refuse_too_few(bare)
-    if outliers == "set aside" and loss is None:
-        bad, aside = gross(bare)
-        if bad.any():
-            kept = rows.take(np.flatnonzero(~bad))
-            bare = bind(bare.problem, *kept.sets, backend=backend, threads=threads)
-    return _noise_settled(bare, noise, loss), aside
+def _check_word(given: str, what: str, one: str, other: str) -> None:
+    if given not in (one, other):
+        raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
 
 
-def _noise_settled(bare: BoundProblem, noise: str, loss: Loss | None = None) -> BoundProblem:
-    """The rows with the noise as it is to be used: as found, or as stated."""
-    scale = found_noise(bare, loss).scale if noise == "found" else {}
-    return bare.with_noise(scale) if scale else bare
+@dataclass(frozen=True)
+class _Bound:
+    """How rows are bound: with noise as found or as stated, without the rows that are gross or with all."""
 
+    problem: Problem
+    found: bool
+    aside: bool
+    loss: Loss | None
+    backend: str | None
+    threads: int | None
 
-def _second_look(
-    fit: BoundProblem,
-    bare: BoundProblem,
-    aside: tuple[Finding, ...],
-    rows: Measurements,
-    problem: Problem,
-    noise: str,
-    threads: int | None,
-) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-    """The same with other rows set aside, where those look gross once effects and noise are known.
+    def geometry(self, rows: Measurements) -> tuple[BoundProblem, tuple[Finding, ...]]:
+        """The rows under the geometry alone, and what is wrong with those that were set aside."""
+        bare = bind(self.problem.without_effects, *rows.sets, backend=self.backend, threads=self.threads)
+        aside: tuple[Finding, ...] = ()
+        _refuse_too_few(bare)
+        if self.aside and self.loss is None:
+            bad, aside = gross(bare)
+            if bad.any():
+                kept = rows.take(np.flatnonzero(~bad))
+                bare = bind(bare.problem, *kept.sets, backend=self.backend, threads=self.threads)
+        return self._settled(bare), aside
 
-    Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
-    """
-    try:
-        whole = _same(rows, fit.measured)
-        bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
-    except ProblemError:  # a face all of whose rows were set aside
-        return fit, bare, aside
-    kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
-    if _same(kept, bare.measured):
-        return fit, bare, aside
-    bare = _noise_settled(bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads), noise)
-    return with_effects(bare, problem, find_noise=noise == "found"), bare, found
+    def second_look(
+        self, fit: BoundProblem, bare: BoundProblem, aside: tuple[Finding, ...], rows: Measurements
+    ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+        """The same with other rows set aside, where those look gross once effects and noise are known.
+
+        Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
+        """
+        try:
+            whole = _same(rows, fit.measured)
+            bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
+        except ProblemError:  # a face all of whose rows were set aside
+            return fit, bare, aside
+        kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
+        if _same(kept, bare.measured):
+            return fit, bare, aside
+        bare = self._settled(bind(bare.problem, *kept.sets, backend=bare.backend, threads=self.threads))
+        return with_effects(bare, self.problem, find_noise=self.found), bare, found
+
+    def _settled(self, bare: BoundProblem) -> BoundProblem:
+        scale = found_noise(bare, self.loss).scale if self.found else {}
+        return bare.with_noise(scale) if scale else bare
 
 
 def _same(one: Measurements, two: Measurements) -> bool:

@@ -18,7 +18,7 @@ from casacal.calibration.motion import Motion
 from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
 from casacal.calibration.result_json import calibration_document, write_calibration
 from casacal.calibration.result_parts import parameter_rows, without_motion, without_predictions, without_tips
-from casacal.calibration.saved import AsArm
+from casacal.calibration.saved import AsArm, parameter_table
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.arm import CalibratedArm
@@ -136,12 +136,7 @@ class Calibrated(Calibration, AsArm):
 
         Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
         """
-        import pandas as pd
-
-        rows = parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied)
-        table = pd.DataFrame(rows).set_index("name")
-        table.insert(3, "change", table["estimate"] - table["nominal"])
-        return table.rename(columns={"identifiable": "known_from"})
+        return parameter_table(parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied))
 
     @cached_property
     def arm(self) -> CalibratedArm:

@@ -14,22 +14,8 @@ import numpy as np
 
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import seen
+from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.result_parts import (
-    closing,
-    cures_part,
-    discrepancy_part,
-    geometry,
-    head_of,
-    noise_part,
-    parameter_rows,
-    reference_part,
-    seen_from,
-    spreads,
-    what_is_seen,
-    without_motion,
-    without_predictions,
-)
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result_file import sealed
@@ -60,13 +46,13 @@ def calibration_document(
     verdict = verdict_of(calibration)
     denied = verdict.level == "do not use"
     pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
-    left_out = without_predictions(calibration.left_out) if denied else calibration.left_out
-    tests = without_motion(calibration.score_tests) if denied else calibration.score_tests
+    left_out = parts.without_predictions(calibration.left_out) if denied else calibration.left_out
+    tests = parts.without_motion(calibration.score_tests) if denied else calibration.score_tests
     document = {
-        **head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
+        **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
         "verdict": asdict(verdict),
         "data": {
-            "file": seen_from(folder, calibration.samples.file),
+            "file": parts.seen_from(folder, calibration.samples.file),
             "sha256": calibration.samples.sha256,
             "samples": len(calibration.samples),
             "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
@@ -77,25 +63,25 @@ def calibration_document(
             "copies": calibration.copies,
         },
         "cost": result.cost,
-        "parameters": parameter_rows(fit, calibration.used_x, result.std, denied=denied),
-        **geometry(fit, calibration.used_x),
+        "parameters": parts.parameter_rows(fit, calibration.used_x, result.std, denied=denied),
+        **parts.geometry(fit, calibration.used_x),
         "metrics": calibration.metrics,
         **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
         "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
         "tip": None if denied else _tip(calibration),
-        "noise": noise_part(calibration),
-        "discrepancy": discrepancy_part(calibration, denied=denied),
-        "identifiability": what_is_seen(calibration, denied=denied),
-        "cures": [] if denied else cures_part(calibration),
+        "noise": parts.noise_part(calibration),
+        "discrepancy": parts.discrepancy_part(calibration, denied=denied),
+        "identifiability": parts.what_is_seen(calibration, denied=denied),
+        "cures": [] if denied else parts.cures_part(calibration),
         "score_tests": [asdict(test) | {"shown": test.shown} for test in tests],
         "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
-        **spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
+        **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
         "warnings": warnings(calibration),
         "prior_moves": asdict(calibration.prior_moves),
         "set_aside": [asdict(finding) for finding in calibration.aside],
         "down_weighted_lines": calibration.down_weighted,
-        "reference": reference_part(calibration.reference),
-        **closing(result, calibration.seconds),
+        "reference": parts.reference_part(calibration.reference),
+        **parts.closing(result, calibration.seconds),
     }
     return sealed(document)
 
@@ -114,7 +100,7 @@ def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) ->
         return {"fitted_rows": listing(fit.samples[0], fit.problem.layout())}
     sets = {
         name: {
-            "file": seen_from(folder, some.file),
+            "file": parts.seen_from(folder, some.file),
             "sha256": some.sha256,
             "samples": len(some),
             "fitted": len(fit.samples[i]),
@@ -197,18 +183,23 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
     """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
     x, samples = simulation.truth(bound), bound.measured
     truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
-    rows = parameter_rows(bound, x, np.zeros(bound.unknowns))
+    rows = parts.parameter_rows(bound, x, np.zeros(bound.unknowns))
     names = seen(bound, x)[0].names
-    data = {"file": seen_from(folder, samples.file), "sha256": samples.sha256, "samples": len(samples), "heldout": 0}
+    data = {
+        "file": parts.seen_from(folder, samples.file),
+        "sha256": samples.sha256,
+        "samples": len(samples),
+        "heldout": 0,
+    }
     return {
-        **head_of(source, truth, simulation.seed, bound.backend, folder),
+        **parts.head_of(source, truth, simulation.seed, bound.backend, folder),
         "data": data,
         "cost": truth.cost,
         "parameters": [{**row, "note": "true value of the simulated arm"} for row in rows],
-        **geometry(bound, x),
+        **parts.geometry(bound, x),
         "metrics": None,
         "identifiability": None,
-        **spreads(np.zeros((len(names), len(names))), names, bound),
+        **parts.spreads(np.zeros((len(names), len(names))), names, bound),
         "reference": None,
-        **closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
+        **parts.closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
     }

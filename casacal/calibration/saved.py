@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -82,11 +83,16 @@ class AsArm(ABC):
         Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
 
         """
-        from casacal.compensation.compensate import LARGEST, compensate
-        from casacal.compensation.targets import targets_from
+        return self._compensated(targets, frame, largest, force)
 
-        most = LARGEST if largest is None else largest
-        return compensate(self.arm, targets_from(targets, self.arm.source), frame=frame, largest=most, force=force)
+    def _compensated(
+        self, targets: Any, frame: Literal["flange", "tip"], largest: float | None, force: bool, form: str = "csv"
+    ) -> Compensation:
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.programs import rounding_of
+
+        most, rounding = LARGEST if largest is None else largest, rounding_of(form, self.arm.source.problem.robot)
+        return compensate(self.arm, targets, frame=frame, largest=most, rounding=rounding, force=force)
 
     def program(
         self,
@@ -102,16 +108,10 @@ class AsArm(ABC):
 
         targets, frame, largest, force, errors: as for `compensate`. The proof is about joint values as written.
         """
-        from casacal.compensation.compensate import LARGEST, compensate
-        from casacal.compensation.programs import rounding_of, text_of
-        from casacal.compensation.targets import targets_from
+        from casacal.compensation.programs import text_of
         from casacal.files import write_text
 
-        most = LARGEST if largest is None else largest
-        arm = self.arm
-        rounding = rounding_of(form, arm.source.problem.robot)
-        meant = targets_from(targets, arm.source)
-        text = text_of(compensate(arm, meant, frame=frame, largest=most, rounding=rounding, force=force), form, arm)
+        text = text_of(self._compensated(targets, frame, largest, force, form), form, self.arm)
         if path is not None:
             write_text(path, text)
         return text
@@ -167,6 +167,15 @@ class AsArm(ABC):
         return values_of(self.arm, frame=frame, nominal=nominal)
 
 
+def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Parameters of result.json as a frame, with the change of each."""
+    import pandas as pd
+
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS)).set_index("name")
+    table.insert(3, "change", table["estimate"] - table["nominal"])
+    return table.rename(columns={"identifiable": "known_from"})
+
+
 COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")  # of a parameter in result.json
 
 
@@ -205,11 +214,7 @@ class SavedCalibration(Value, AsArm):
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
-        import pandas as pd
-
-        table = pd.DataFrame(list(self.found.document["parameters"]), columns=list(COLUMNS)).set_index("name")
-        table.insert(3, "change", table["estimate"] - table["nominal"])
-        return table.rename(columns={"identifiable": "known_from"})
+        return parameter_table(self.found.document["parameters"])
 
     def __repr__(self) -> str:
         document = self.found.document

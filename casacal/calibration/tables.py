@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casacal import wording
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import tip_error
@@ -149,7 +150,7 @@ def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
     most = effect.most * effect.size if effect is not None else drawn["rmse_mm"] if test.unit == "mm" else math.inf
     if test.size > most:
         return f"over {sized(most, test.unit)}", "-"
-    return test.shown_size, mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
+    return test.shown_size, wording.mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
 
 
 def tried_words(calibration: Calibration) -> list[str]:
@@ -168,5 +169,5 @@ def corrected_words(calibration: Calibration) -> list[str]:
     alone = tip_error(calibration.fit, calibration.result, ())
     return [
         f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
-        f"and angles cannot: with those alone expect a tip error of {mm(alone)} RMS.",
+        f"and angles cannot: with those alone expect a tip error of {wording.mm(alone)} RMS.",
     ]

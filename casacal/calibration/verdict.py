@@ -53,10 +53,13 @@ def verdict_of(calibration: Calibration) -> Verdict:
         words = f"Use with care: {said}; the residuals are those of the arm as drawn."
         return Verdict("use with care", words, (sentence(said),))
     found, expected = [*doubts(calibration), *_further_doubts(calibration)], _expected(calibration)
+    unchecked = " No second solver checked that this is the minimum."
+    if calibration.reference is not None or calibration.method not in MINIMISERS:  # or a doubt of its own says it
+        unchecked = ""
     if found:
         words = f"Use with care: {expected} But {' and '.join(doubt.clause for doubt in found[:2])}."
-        return Verdict("use with care", f"{words}{_unchecked(calibration)}", tuple(doubt.sentence for doubt in found))
-    return Verdict("calibrated", f"Calibrated: {expected}{_unchecked(calibration)}")
+        return Verdict("use with care", f"{words}{unchecked}", tuple(doubt.sentence for doubt in found))
+    return Verdict("calibrated", f"Calibrated: {expected}{unchecked}")
 
 
 def _expected(calibration: Calibration) -> str:
@@ -71,24 +74,13 @@ def _expected(calibration: Calibration) -> str:
             f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "
             f"(standard deviation {mm(tool.std_mm)}). Measure it; once it is known, expect {mm(tool.tip_mm)}."
         )
+    names = calibration.fit.problem.names
+    whose = f" ({names[0]})" if len(names) > 1 else ""
     at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
     return (
-        f"expect a tip error{_whose(calibration)} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
+        f"expect a tip error{whose} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
         f"{at_flange}, {trusted}."
     )
-
-
-def _whose(calibration: Calibration) -> str:
-    """Whose tip it is, where several instruments have one."""
-    names = calibration.fit.problem.names
-    return f" ({names[0]})" if len(names) > 1 else ""
-
-
-def _unchecked(calibration: Calibration) -> str:
-    """That nobody looked whether it is the minimum, where it was not asked for."""
-    if calibration.reference is not None or calibration.method not in MINIMISERS:
-        return ""
-    return " No second solver checked that this is the minimum."
 
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
@@ -100,10 +92,8 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if not calibration.result.converged:
         found.append(("the method did not finish", calibration.result.message))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    if not found:
-        found += [(clause, sentence(clause)) for clause in _unexplained(calibration)]
-    if not found:
-        found += [(clause, sentence(clause)) for clause in _priors_contradicted(calibration)]
+    for look in (_unexplained, _priors_contradicted):
+        found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
@@ -143,7 +133,9 @@ def _unexplained(calibration: Calibration) -> list[str]:
     assert after is not None
     # where faces are held, what is not corrected may stand as a shift of the base, which no figure counts
     if calibration.fit.datum.any() and after["rmse_mm"] > WORSE * before["rmse_mm"]:
-        return [f"the calibrated arm fits its own rows worse than the arm as drawn{_what_else(calibration)}"]
+        else_found = larger_than_any(calibration)  # it cannot be corrected, and then decides more than the geometry
+        also = f", and {else_found.clause}" if else_found else ""
+        return [f"the calibrated arm fits its own rows worse than the arm as drawn{also}"]
     if low <= LACK_OF_FIT:
         return []
     moved = float(calibration.moves.max(initial=0.0))
@@ -153,12 +145,6 @@ def _unexplained(calibration: Calibration) -> list[str]:
     if moved > FAR:
         return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
     return []
-
-
-def _what_else(calibration: Calibration) -> str:
-    """What is found in the rows and cannot be corrected, which then decides more than the geometry."""
-    found = larger_than_any(calibration)
-    return f", and {found.clause}" if found else ""
 
 
 def _priors_contradicted(calibration: Calibration) -> list[str]:

@@ -22,11 +22,8 @@ def add_adjustments(parser: argparse.ArgumentParser) -> None:
     """The options that change a problem without an editor."""
     add(parser, "--fix NAMES ...", "parameters to hold at nominal: alpha,a3,...")
     add(parser, "--free NAMES ...", "parameters to estimate that are held: tool,...")
-    add(
-        parser,
-        "--set NAME=NUMBER ...",
-        "another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02",
-    )
+    words = "another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02"
+    add(parser, "--set NAME=NUMBER ...", words)
     add(parser, "--prior NAME=STD ...", "prior standard deviation in mm or rad, or inf")
     add(parser, "--accuracy MM", "scale the arm's priors to the accuracy that its maker states", kind=float)
 
@@ -102,11 +99,8 @@ def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None,
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
     """Boxes, the thickness of links, and shapes of a URDF."""
-    add(
-        parser,
-        "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...",
-        "a box, mm, base frame, that arm and tool must avoid; may be repeated",
-    )
+    words = "a box, mm, base frame, that arm and tool must avoid; may be repeated"
+    add(parser, "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...", words)
     add(parser, "--link-radius MM", "radius of the links, to keep clear of boxes, faces and each other", kind=float)
     add(parser, "--ignore-shapes", "ignore the collision shapes of a URDF")
 

@@ -27,11 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "SETS", "a folder of sets, such as studies/bench, or one set's own folder")
     add(parser, "--data DIR", f"where the measurements are; default: {WHERE}")
     add(parser, "--only NAME ...", "this set; may be repeated")
-    add(
-        parser,
-        "--methods FILE",
-        "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well",
-    )
+    words = "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well"
+    add(parser, "--methods FILE", words)
     add(parser, "--method NAME ...", "this method; may be repeated")
     add(parser, "--quick", "few rows, one block of each set: less than a minute")
     add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)

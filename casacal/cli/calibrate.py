@@ -48,32 +48,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_samples(parser)
     add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
     add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
-    add(
-        parser,
-        "--holdout-by WHAT",
-        "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session",
-    )
+    words = "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session"
+    add(parser, "--holdout-by WHAT", words)
     add(parser, "--seed K", "for held-out rows and random methods", kind=whole_number, default=0)
     add_adjustments(parser)
     add(parser, "--loss", "keep gross rows from pulling the fit; method lm", choices=("huber", "tukey"))
     add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
     add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
     add(parser, "--keep-outliers", "fit all rows, including outliers")
-    add(
-        parser,
-        "--discrepancy",
+    words = (
         "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
-        "those that improve held-out rows; none: geometry alone",
-        default="kit",
-        choices=("kit", "none"),
+        "those that improve held-out rows; none: geometry alone"
     )
+    add(parser, "--discrepancy", words, default="kit", choices=("kit", "none"))
     add(parser, "--no-reference", "skip the cross-check with IPOPT")
-    add(
-        parser,
-        "--backend",
-        "what evaluates the rows; default: CASACAL_BACKEND, or auto",
-        choices=("auto", "c", "blocks"),
-    )
+    words = "what evaluates the rows; default: CASACAL_BACKEND, or auto"
+    add(parser, "--backend", words, choices=("auto", "c", "blocks"))
     add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
     add(parser, "--verbose", "print parameters, weak directions and the reference as well")
     add(parser, *JSON)

@@ -98,11 +98,8 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     add(parser, "--instrument NAME", words)
     add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
     _add_readings(parser)
-    add(
-        parser,
-        "--problem PROBLEM",
-        "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
-    )
+    words = "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration"
+    add(parser, "--problem PROBLEM", words)
     add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
 
 
@@ -177,13 +174,11 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
     add(parser, "[SAMPLES]", "CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem")
-    add(
-        parser,
-        "--samples NAME=FILE ...",
+    words = (
         "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
-        "samples-dial.csv and so on beside the problem",
-        dest="sets",
+        "samples-dial.csv and so on beside the problem"
     )
+    add(parser, "--samples NAME=FILE ...", words, dest="sets")
     _add_readings(parser)
 
 

@@ -30,13 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--out FILE", "file for the corrected targets", required=True)
     add(parser, "--format", "default: csv", default="csv", choices=("csv", "rapid", "krl", "urscript"))
     add_frame(parser, "pose targets are of the flange, or of the tip that touches")
-    add(
-        parser,
-        "--largest DEG",
-        "joint correction above which a target counts as a jump, degrees; default: 10",
-        kind=float,
-        default=10.0,
-    )
+    words = "joint correction above which a target counts as a jump, degrees; default: 10"
+    add(parser, "--largest DEG", words, kind=float, default=10.0)
     add(parser, *FORCE)
     add(parser, *JSON)
 

@@ -21,12 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--tip LINK", "link that is the flange; default: the last link, when there is only one")
     add(parser, "--base LINK", "link that is the base frame; default: the root link")
     add(parser, "--tool X,Y,Z", "tip of the plunger at reading zero in the flange frame, mm, such as 0,0,120")
-    add(
-        parser,
-        "--sign",
-        "-1: a larger reading shortens the tool (pushed in); +1: lengthens it",
-        choices=("-1", "+1", "1"),
-    )
+    words = "-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
+    add(parser, "--sign", words, choices=("-1", "+1", "1"))
     add(parser, "--accuracy MM", "absolute accuracy of the arm as its maker states it", kind=float)
     add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 

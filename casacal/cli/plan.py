@@ -34,18 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--touches N", f"number of touches in all; default: {TOUCHES}", kind=whole_number)
     add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
     add_where(parser)
-    add(
-        parser,
-        "--criterion NAME",
-        "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
-        default="tip",
-    )
+    words = "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)"
+    add(parser, "--criterion NAME", words, default="tip")
     add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
-    add(
-        parser,
-        "--loose NAME=STD ...",
-        "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
-    )
+    words = "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor"
+    add(parser, "--loose NAME=STD ...", words)
     add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
     add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
     add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)

@@ -50,20 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
     for name, (unit, words) in NUMBERS.items():
         add(parser, f"--{name} {unit}", words, kind=float)
-    add(
-        parser,
-        "--gear-wave ORDER=RAD ...",
-        "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated",
-        kind=_wave,
-        dest="gear_waves",
-    )
+    words = "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated"
+    add(parser, "--gear-wave ORDER=RAD ...", words, kind=_wave, dest="gear_waves")
     add(parser, "--repeats N", "touches of each place in a row", kind=whole_number)
-    add(
-        parser,
-        "--approach",
-        "side from which joints and plunger approach; same: from the row before, with the plunger pushed in",
-        choices=("same", "alternating", "random"),
-    )
+    words = "side from which joints and plunger approach; same: from the row before, with the plunger pushed in"
+    add(parser, "--approach", words, choices=("same", "alternating", "random"))
     add(parser, *JSON)
 
 

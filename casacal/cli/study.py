@@ -34,13 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
     add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
     add(parser, "--merge DIR+", "run nothing; merge the records of shards")
-    add(
-        parser,
-        "--timeout SECONDS",
+    words = (
         "run each trial in its own process with this time limit; a method that takes longer or crashes is "
-        "recorded as a failure, and --resume with a longer time tries it again",
-        kind=float,
+        "recorded as a failure, and --resume with a longer time tries it again"
     )
+    add(parser, "--timeout SECONDS", words, kind=float)
     add(parser, "--resume", "keep the records in DIR and run only the missing trials")
     add(parser, "--report", "run nothing; write the report from the records in DIR")
     add(parser, "--out DIR", "folder for records and report; default: out/NAME")

@@ -23,12 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration promised, or if the arm is not accepted by the tolerance."
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration and are not fitted again")
-    add(
-        parser,
-        "--tolerance MM",
-        "largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
-        kind=float,
-    )
+    words = "largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)"
+    add(parser, "--tolerance MM", words, kind=float)
     add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
     add(parser, "--report FILE", "write a self-contained HTML page")
     add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")

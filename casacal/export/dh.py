@@ -17,6 +17,7 @@ from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import UNITS, plain
 from casacal.robots.files.dh_file import dh_file_text, is_toml, read_dh_file
 from casacal.robots.files.dh_text import decode
+from casacal.robots.joints import Conventions
 
 TOML_TOKEN = re.compile(
     r"""(?P<text>"(?:\\.|[^"\\\n])*"|'[^'\n]*')|(?P<comment>\#[^\r\n]*)|"""
@@ -204,12 +205,9 @@ def _check_source(source: str | Path, arm: DHTable) -> None:
 
 def _same_conventions(one: DHTable, two: DHTable) -> bool:
     """Whether two tables mean the same by a controller's joint values."""
-    rows = []
-    for table in (one, two):
-        count = len(table.joints)
-        made = table.conventions
-        rows.append((np.eye(count), np.zeros(count)) if made is None else (made.matrix, np.array(made.offsets)))
-    return all(np.allclose(a, b, atol=1e-8) for a, b in zip(*rows, strict=True))
+    mine, theirs = (table.conventions or Conventions.plain(len(table.joints)) for table in (one, two))
+    same = np.allclose(mine.matrix, theirs.matrix, atol=1e-8)
+    return bool(same and np.allclose(mine.offsets, theirs.offsets, atol=1e-8))
 
 
 def _check_written(text: str, source: str | Path, table: DHTable) -> None:
