@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -151,12 +152,13 @@ def bench_lines(run: Run, sets: Sequence[BenchmarkSet]) -> list[str]:
         "",
     ]
     for each in sets:
-        rows = [_row(run, each, method) for method in (run.study.methods if run.study is not None else ())]
+        rows = [_row(run, each, method) for method in _methods(run)]
         lines += [f"## {each.title}", "", f"`{each.name}`; {each.source}; licence: {each.licence}.", ""]
         header = ("method", STATED, RANDOM, BLOCKED, "leak", "published", "reproduced")
         lines += ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
         lines += ["| " + " | ".join(row) + " |" for row in rows]
-        said = sorted({f"`{name}`: {words}" for name, words in _failures(run, each)})
+        asked = product(_settings(run, each.name), _methods(run))
+        said = sorted({f"`{method}`: {words}" for one, method in asked for words in run.failures(one, method)})
         lines += ["", *(f"- {words}" for words in said)] if said else []
         lines += [""]
     return lines[:-1]
@@ -195,14 +197,8 @@ def _settings(run: Run, name: str) -> list[str]:
     return [setting for setting in settings if setting.split(" / ")[0] == name]
 
 
-def _failures(run: Run, each: BenchmarkSet) -> list[tuple[str, str]]:
-    methods = run.study.methods if run.study is not None else ()
-    return [
-        (method, words)
-        for setting in _settings(run, each.name)
-        for method in methods
-        for words in run.failures(setting, method)
-    ]
+def _methods(run: Run) -> list[str]:
+    return list(run.study.methods) if run.study is not None else []
 
 
 def _shown(value: float, low: float, high: float) -> str:

@@ -17,15 +17,7 @@ from casacal.wording import listed, lower
 def next_step(
     calibration: Calibration, verdict: Verdict, *, about: str = "PROBLEM SAMPLES", out: str | None = None
 ) -> str:
-    """One sentence.
-
-    Args:
-        calibration: what was found.
-        verdict: on it.
-        about: problem and samples, as a command line names them.
-        out: folder with the result's files; None when it was not kept.
-
-    """
+    """One sentence; about: problem and samples, as a command line names them; out: folder of the files, if any."""
     check = f"casacal check {about}"
     tool = calibration.hidden_tool if verdict.level != "do not use" else None
     if tool is not None:
@@ -102,15 +94,7 @@ def brief(
 ) -> str:
     """At most `room` lines of at most `width` characters, unless a single word is longer.
 
-    Args:
-        calibration: what was found.
-        verdict: on it.
-        about: problem and samples, as a command line names them.
-        out: folder where the files are; None when none are written.
-        expected: further sentences on accuracy, left out when the verdict denies it.
-        width: characters in a line.
-        room: lines there are.
-
+    about, out: as for `next_step`. expected: further sentences on accuracy, left out when the verdict denies it.
     """
     calibration = calibration.unjudged
     denied = verdict.level == "do not use"

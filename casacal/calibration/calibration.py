@@ -24,7 +24,6 @@ from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
-
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
 

@@ -195,11 +195,6 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
     that stand already count. A gear that would have to be broken to be so bad is none: something else errs. Where rows
     see the tip itself, what tells of unseen ones corrects it, whatever it is.
-
-    Args:
-        fit: with the effects in it.
-        result: its fit.
-
     """
     sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
     known = {

@@ -116,14 +116,8 @@ def write_calibration(
 ) -> list[Path]:
     """Write report.html, result.json, parameters.csv and pictures into a folder.
 
-    Args:
-        calibration: what was found.
-        folder: made where it does not exist.
-        command: the command line that reproduces it, for the report; None when there was none.
-        box: where the arm will work, mm in the base frame, for the report.
-
-    Returns their paths.
-
+    folder: made where it does not exist. command: the command line that reproduces it, for the report, if there was
+    one. box: where the arm will work, mm in the base frame, for the report. Returns their paths.
     """
     from casacal.calibration.page import report_page
     from casacal.calibration.pictures import save_plots

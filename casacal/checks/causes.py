@@ -149,12 +149,8 @@ class _Trial:
 def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = True) -> Cause | None:
     """The simplest that makes a misfit vanish: one suspected fault, else two together; None where none does.
 
-    Args:
-        problem: with one instrument.
-        samples: its rows, some hundred.
-        base: their misfit as they are.
-        gross: whether it is so large that two mistakes at once are looked for.
-
+    problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
+    so large that two mistakes at once are looked for.
     """
     tried = _looked_at_closely(list(_tried(problem, samples)))
     best = _simplest(tried)

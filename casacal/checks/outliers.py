@@ -89,11 +89,7 @@ def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
 def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Finding]:
     """Errors on rows that chance does not explain: lost turns of the pointer, and what is left.
 
-    Args:
-        bound: with all rows.
-        result: a fit that these rows hardly pull.
-        found: the rows.
-
+    bound: with all rows. result: a fit that these rows hardly pull.
     """
     findings = list[Finding]()
     for i, own in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
@@ -138,13 +134,8 @@ def lost_turns(
 ) -> dict[tuple[float, int], list[int]]:
     """Rows that fit with whole turns added to their reading, by what was added (mm) and how many turns that is.
 
-    Args:
-        bound: with a dial that has a reading; nothing is found for any other.
-        result: a robust fit that these rows hardly pull.
-        rows: places of outliers in the samples of one instrument.
-        scale: noise of the other rows over what is used.
-        i: which instrument.
-
+    bound: with a dial that has a reading; nothing is found for any other. result: a robust fit that these rows hardly
+    pull. rows: places of outliers in the samples of instrument i. scale: noise of the other rows over what is used.
     """
     probe, samples, own = bound.problem.instruments[i].probe, bound.samples[i], bound.sample_rows(i)
     if probe is None or probe.column is None or own.stop - own.start != len(samples):

@@ -43,11 +43,8 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
     First those far off their face with the arm as drawn, then those that a robust fit cannot explain. A plain fit says
     whether it is worth looking for these, so that clean samples cost one fit.
 
-    Args:
-        bound: a problem and the samples that are to be fitted; with effects beside the geometry, their sizes and the
-            noise as found.
-        drawn: the same rows under the geometry alone, which says what lies far off with the arm as drawn.
-
+    bound: the rows to be fitted; with effects beside the geometry, their sizes and the noise as found. drawn: the same
+    under the geometry alone, which says what lies far off with the arm as drawn.
     """
     none = np.zeros(len(bound.measured), dtype=bool)
     stray, findings = _off_their_face(drawn or bound)
@@ -153,13 +150,8 @@ def _off_their_face(bound: BoundProblem) -> tuple[NDArray[np.bool_], list[Findin
 def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
     """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
 
-    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.
-
-    Args:
-        problem: with one instrument.
-        samples: its rows.
-        scatter: distance (mm) that prior errors of the arm explain.
-
+    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong. problem: with
+    one instrument. scatter: distance (mm) that prior errors of the arm explain.
     """
     bad, planes = np.zeros(len(samples), dtype=bool), dict[str, Array]()
     if problem.instrument.probe is None:

@@ -103,14 +103,10 @@ def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespa
 def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Problem | None = None) -> Array:
     """Local coordinates (nz,) of the first instrument's row model at the result, or at the nominal values.
 
-    Args:
-        result: a calibration or a truth.
-        nominal: all zero.
-        of: the problem with effects that are corrected, as of `used`, or with more; by default without any, and then
-            the values are those for an arm that nobody corrects beyond its geometry.
+    of: the problem with effects that are corrected, as of `used`, or with more; by default without any, and then the
+    values are those for an arm that nobody corrects beyond its geometry. nominal: all zero.
 
     Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
-
     """
     geometry = result.source.problem.without_effects
     model, known = (of or geometry).model, geometry.model.unknowns

@@ -82,18 +82,12 @@ def check_document(file: str, document: Any) -> None:
     if not isinstance(document, dict) or not isinstance(document.get("problem"), dict):
         raise CasacalError(f"{file}: this is not a result of casacal", "Give a result.json or a truth.json")
     _check(file, "problem", document["problem"], {"name": is_text, "path": is_text, "sha256": is_text})
-    for row in _rows(file, "problem.files", document["problem"].get("files", [])):
-        _check(file, "problem.files", row, FILE)
-    parameters = _rows(file, "parameters", document.get("parameters"))
+    _rows(file, "problem.files", document["problem"].get("files", []), FILE)
+    parameters = _rows(file, "parameters", document.get("parameters"), PARAMETER, "estimate")
     for row in parameters:
-        _check(file, "parameters", row, PARAMETER)
-        _check_size(file, row["name"], row["estimate"])
         if not is_number_or_null(row.get("std")):
             raise CasacalError(f"{file}: the std of '{row['name']}' is {_short(row['std'])}", FIX)
-    unknowns = _rows(file, "unknowns", document.get("unknowns", []))
-    for row in unknowns:
-        _check(file, "unknowns", row, UNKNOWN)
-        _check_size(file, row["name"], row["value"])
+    unknowns = _rows(file, "unknowns", document.get("unknowns", []), UNKNOWN, "value")
     for what, rows in (("parameters", parameters), ("unknowns", unknowns)):
         twice = sorted(name for name, count in Counter(row["name"] for row in rows).items() if count > 1)
         if twice:
@@ -121,20 +115,14 @@ def _check_discrepancy(file: str, part: Any) -> None:
     whole = isinstance(part, dict) and all(isinstance(part.get(key), list) for key in ("effects", "unknowns"))
     if not whole:
         raise CasacalError(f"{file}: its 'discrepancy' is {_short(part)}", FIX)
-    for effect in _rows(file, "effects", part["effects"]):
-        _check(file, "effects", effect, {"key": is_text, "words": is_text, "times": _is_size})
-    unknowns = _rows(file, "effects", part["unknowns"])
-    for row in unknowns:
-        _check(file, "effects", row, {**UNKNOWN, "effect": is_text})
+    _rows(file, "effects", part["effects"], {"key": is_text, "words": is_text, "times": _is_size})
+    _rows(file, "effects", part["unknowns"], {"name": is_text, "value": is_number, "effect": is_text})
     corrected = part.get("corrected", [])
     if not isinstance(corrected, list) or not set(map(str, corrected)) <= {effect["key"] for effect in part["effects"]}:
         raise CasacalError(f"{file}: the 'corrected' of its discrepancy is {_short(corrected)}", FIX)
-    alone = _rows(file, "values without corrections", part.get("without_corrections", []))
+    alone = _rows(file, "values without corrections", part.get("without_corrections", []), UNKNOWN, "value")
     if corrected and not alone:
         raise CasacalError(f"{file}: its discrepancy does not give the arm without corrections", FIX)
-    for row in alone:
-        _check(file, "values without corrections", row, UNKNOWN)
-        _check_size(file, row["name"], row["value"])
     if "covariance" in part:
         names = part.get("covariance_of")
         if not isinstance(names, list) or not all(map(is_text, names)) or len(set(names)) < len(names):
@@ -144,9 +132,16 @@ def _check_discrepancy(file: str, part: Any) -> None:
         _check_covariance(file, part["covariance"], len(names))
 
 
-def _rows(file: str, what: str, rows: Any) -> list[dict[str, Any]]:
+def _rows(
+    file: str, what: str, rows: Any, shape: Mapping[str, Shape], estimate: str | None = None
+) -> list[dict[str, Any]]:
+    """Rows of a shape; estimates, where one of its keys holds them, must be of a size that an arm can have."""
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise CasacalError(f"{file}: its {what} are {_short(rows)}", FIX)
+    for row in rows:
+        _check(file, what, row, shape)
+        if estimate is not None and not abs(row[estimate]) < LARGEST["length"]:
+            raise CasacalError(f"{file}: the estimate of '{row['name']}' is {row[estimate]!r}", FIX)
     return rows
 
 
@@ -155,11 +150,6 @@ def _check(file: str, what: str, part: Mapping[str, Any], shape: Mapping[str, Sh
         if key not in part or not fits(part[key]):
             named = f" of '{part['name']}'" if key != "name" and is_text(part.get("name")) else f" in its {what}"
             raise CasacalError(f"{file}: the {key}{named} is {_short(part.get(key))}", FIX)
-
-
-def _check_size(file: str, name: str, value: float) -> None:
-    if not abs(value) < LARGEST["length"]:
-        raise CasacalError(f"{file}: the estimate of '{name}' is {value!r}", FIX)
 
 
 def _check_covariance(file: str, rows: Any, count: int) -> None:

@@ -10,7 +10,7 @@ from casacal.compensation.arm import CalibratedArm
 from casacal.problem.problem import Problem
 from casacal.values import FrozenMapping
 
-NAMED = ("parameters", "unknowns")  # parts of a result whose entries have the name of an unknown
+NAMED = ("parameters", "unknowns", "without_corrections")  # parts of a result whose entries have the name of an unknown
 OTHERS = "others."  # before the names of what other instruments share
 ALL_ROWS = "plane"  # what a face is called where there is one for all rows
 
@@ -54,18 +54,9 @@ def _document(document: Mapping[str, Any], name: str, first: str, of_others: Cal
     found = dict(document)
     if first != name and found.get("tip") is not None:  # it is of the first instrument's tip
         found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
-    for part in NAMED:
-        if part in found:
-            found[part] = _renamed(found[part], own)
-    if "covariance_of" in found:
-        found["covariance_of"] = [own(each) for each in found["covariance_of"]]
+    found |= _renamed(found, own)
     if isinstance(said := found.get("discrepancy"), Mapping):
-        more: dict[str, Any] = {"unknowns": _renamed(said["unknowns"], own)}
-        for part in ("covariance_of", "without_corrections"):
-            if part in said:
-                known = said[part]
-                more[part] = [own(each) for each in known] if part == "covariance_of" else _renamed(known, own)
-        found["discrepancy"] = {**said, **more}
+        found["discrepancy"] = {**said, **_renamed(said, own)}
     if isinstance(found.get("proposed"), Mapping):
         found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
     if isinstance(noise := found.get("noise"), Mapping):
@@ -76,8 +67,11 @@ def _document(document: Mapping[str, Any], name: str, first: str, of_others: Cal
     return found
 
 
-def _renamed(rows: Any, own: Callable[[str], str]) -> list[dict[str, Any]]:
-    return [{**row, "name": own(row["name"])} for row in rows]
+def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, Any]:
+    """What of a part has the names of unknowns, with other names."""
+    rows = {key: [{**row, "name": own(row["name"])} for row in part[key]] for key in NAMED if key in part}
+    names = part.get("covariance_of")
+    return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}
 
 
 def _faces(by_face: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -36,9 +36,7 @@ def carried(arm: Robot, *, by: Robot, name: str | None = None) -> Robot:
     arm, turntable(...))` is the arm as the table sees it. Raises ProblemError for what are no robots.
 
     """
-    for robot in (arm, by):
-        if not isinstance(robot, Robot):
-            raise ProblemError(f"Got {came(robot)} as an arm or what carries it", "Give two Robots")
+    _check_robots("an arm or what carries it", arm, by)
     before = CARRIER
     while any(before + key in arm.parameters for key in by.parameters):  # a carrier of a carrier
         before += CARRIER
@@ -114,6 +112,12 @@ def turntable(
     return Robot(name, (Joint("revolute", lower, upper),), _about, parameters)
 
 
+def _check_robots(what: str, *given: Any) -> None:
+    for robot in given:
+        if not isinstance(robot, Robot):
+            raise ProblemError(f"Got {came(robot)} as {what}", "Give two Robots")
+
+
 def _along(p: Any, q: Expression) -> Expression:
     return slide(p.direction, q[0] * (1 + p.scale / 1000))
 
@@ -157,9 +161,7 @@ def facing(one: Robot, other: Robot, *, shared: int = 0, name: str | None = None
     what are no robots, or share what they do not have.
 
     """
-    for robot in (one, other):
-        if not isinstance(robot, Robot):
-            raise ProblemError(f"Got {came(robot)} as an arm", "Give two Robots")
+    _check_robots("an arm", one, other)
     if not isinstance(shared, int) or not 0 <= shared <= min(len(one.axes), len(other.axes)):
         raise ProblemError(f"Two arms share {shared!r} joints", "Give how many of the first joints they have in common")
     pose = Facing(one.pose, other.pose, tuple(other.parameters), len(one.axes), shared)

@@ -129,19 +129,13 @@ def placed(xyz: Triple, rpy: Triple) -> Array:
 
 def hangs(found: UrdfFile, link: str, root: str, moving: list[str]) -> tuple[int, Array] | None:
     """The last moving joint of the chain above a link (-1 for none), and the link's pose at zero; None elsewhere."""
-    above = {joint.child: joint for joint in found.joints}
-    pose, last = np.eye(4), -1
-    for _ in range(len(found.joints) + 1):
-        if link == root:
-            return last, pose
-        if link not in above:
-            return None
-        joint = above[link]
+    way = found.between(root, link)
+    if way is None:
+        return None
+    pose = np.eye(4)
+    for joint in reversed(way):
         pose = origin_matrix(joint) @ pose
-        if last < 0 and joint.name in moving:
-            last = moving.index(joint.name)
-        link = joint.parent
-    return None
+    return max((moving.index(joint.name) for joint in way if joint.name in moving), default=-1), pose
 
 
 def _limits(joint: UrdfJoint) -> tuple[float, float]:
@@ -165,14 +159,7 @@ def _motion(joint: UrdfJoint, q: Expression) -> Expression:
 
 def beside_base(found: UrdfFile, link: str, base: str) -> Array | None:
     """Pose (4x4, mm) in the base link of one that does not hang on it; None where a joint moves between the two."""
-    above = {joint.child: joint for joint in found.joints}
-    ways = []
-    for end in (link, base):
-        way = list[UrdfJoint]()
-        while end in above and len(way) <= len(found.joints):
-            way.append(above[end])
-            end = above[end].parent
-        ways.append(way[::-1])
+    ways = [found.above(end)[::-1] for end in (link, base)]
     if {joint.name for joint in ways[0] if joint.kind != "fixed"} != {j.name for j in ways[1] if j.kind != "fixed"}:
         return None
     there, here = (reduce(np.matmul, map(origin_matrix, way), np.eye(4)) for way in ways)

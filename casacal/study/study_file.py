@@ -148,11 +148,7 @@ def read_machines(out: Path) -> list[dict[str, Any]]:
 def write_report(source: StudyFile, run: Run, options: str) -> Path:
     """Write report.md, and what else the study draws, into the run's folder; returns its path.
 
-    Args:
-        source: whose `report` says what was found.
-        run: records and folder.
-        options: of the command, those that decide what is in the report.
-
+    options: of the command, those that decide what is in the report.
     """
     run.out.mkdir(parents=True, exist_ok=True)
     lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, options)]

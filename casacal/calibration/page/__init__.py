@@ -1,9 +1,4 @@
-"""report.html: one page about a calibration, to open offline, print and file.
-
-`page` puts the sections in order and `sections` words them; `touches`, `workspace` and `squares` gather what pictures
-need, `drawing` and `colours` draw them; `markup` and `table` write HTML in which every text is escaped; `style` is the
-style sheet.
-"""
+"""report.html: one page about a calibration, to open offline, print and file; `page` puts its sections in order."""
 
 from __future__ import annotations
 

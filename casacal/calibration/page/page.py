@@ -32,13 +32,8 @@ def report_page(
 ) -> str:
     """HTML of the report: one page that needs no other file, no network and no script.
 
-    Args:
-        calibration: whose rows and workspace are drawn.
-        document: its result.json, whose numbers the page shows; see
-            `casacal.calibration.result_json.calibration_document`.
-        command: the command line that reproduces it, as typed; None when there was none.
-        box: where the arm will work, mm in the base frame, or None.
-
+    document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
+    reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
     each, problem, data = Touches.of_each(calibration), calibration.fit.problem, document["data"]
     denied = document["verdict"]["level"] == "do not use"

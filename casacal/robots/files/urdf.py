@@ -42,25 +42,33 @@ class UrdfFile:
 
         Raises ProblemError for links that do not exist, several roots or tips, and loops.
         """
-        above = {joint.child: joint for joint in self.joints}
         if tip is None:
             parents = {joint.parent for joint in self.joints}
             tip = self._only([link for link in self.links if link not in parents], "tip")
         if base is None:
-            base = self._only([link for link in self.links if link not in above], "base")
+            base = self._only([link for link in self.links if not self.above(link)], "base")
         for link in (base, tip):
             if link not in self.links:
                 fix = f"Name one of {', '.join(self.links)}"
                 raise ProblemError(f"{self.file}: there is no link named '{link}'", fix)
-        found: list[UrdfJoint] = []
-        link = tip
-        while link != base:
-            if link not in above or len(found) > len(self.joints):
-                fix = "Name a base above the tip"
-                raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", fix)
-            found.append(above[link])
-            link = above[link].parent
-        return tuple(reversed(found))
+        found = self.between(base, tip)
+        if found is None:
+            raise ProblemError(f"{self.file}: link '{tip}' does not hang on link '{base}'", "Name a base above the tip")
+        return found
+
+    def above(self, link: str) -> list[UrdfJoint]:
+        """The joints above a link, the nearest first; where they form a loop, no more than there are and one."""
+        parents, found = {joint.child: joint for joint in self.joints}, list[UrdfJoint]()
+        while link in parents and len(found) <= len(self.joints):
+            found.append(parents[link])
+            link = parents[link].parent
+        return found
+
+    def between(self, base: str, link: str) -> tuple[UrdfJoint, ...] | None:
+        """Joints from a base link to one that hangs on it; None for one that does not."""
+        way = self.above(link)
+        links = [link, *(joint.parent for joint in way)]
+        return tuple(reversed(way[: links.index(base)])) if base in links else None
 
     def _only(self, links: list[str], what: str) -> str:
         if len(links) != 1:
