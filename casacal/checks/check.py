@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from casacal.binding.alone import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.checks.beside import beside_geometry
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained, flips
 from casacal.checks.finding import Finding, misfit
-from casacal.checks.fitted_faults import tool_moved
+from casacal.checks.fitted_faults import beside_geometry, tool_moved
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import absent_labels, odd_labels, outside, repeated, rounded

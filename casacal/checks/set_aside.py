@@ -150,8 +150,8 @@ def _off_their_face(bound: BoundProblem) -> tuple[NDArray[np.bool_], list[Findin
 def strays(problem: Problem, samples: Samples, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
     """Rows (N,) far off their plane before any fit, with what that means; none where most rows are off.
 
-    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong. problem: with
-    one instrument. scatter: distance (mm) that prior errors of the arm explain.
+    Least median of squares per label (Rousseeuw 1984), which survives almost half of the rows being wrong.
+    problem: with one instrument. scatter: distance (mm) that prior errors of the arm explain.
     """
     bad, planes = np.zeros(len(samples), dtype=bool), dict[str, Array]()
     if problem.instrument.probe is None:

@@ -1,4 +1,4 @@
-"""Where a calibrated (or true, or nominal) robot is at given joint values."""
+"""Where a calibrated (or true, or nominal) robot is at given joint values, and how well that is known."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import FRAMES, CalibratedArm, local_coordinates, row_constants
-from casacal.compensation.motion import moved_arm
+from casacal.compensation.arm import (
+    FRAMES,
+    CalibratedArm,
+    covariance_of,
+    local_coordinates,
+    named_covariance,
+    numbers,
+    row_constants,
+)
 from casacal.compensation.result_file import arm_from
+from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
+from casacal.problem.compile import RowModel
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout
@@ -164,3 +173,78 @@ def write_prediction(path: str | Path, prediction: Prediction) -> None:
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
         lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))
     write_text(path, "\n".join(lines) + "\n")
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A model of the arm with all that moves it, z (nz,) at the result, and which of z (k,) are known how well (k, k).
+
+    off: by how much these (k,) are elsewhere than the arm is said to be. elsewhere: columns of a row at any posture.
+    constants: c (nc,) of the model.
+    """
+
+    model: RowModel
+    z: Array
+    columns: list[int]
+    covariance: Array
+    off: Array | None
+    elsewhere: Array
+    constants: Array
+
+
+def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
+    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
+
+    By name, in the order of the covariance; None where a result says nothing of effects.
+    """
+    said = result.discrepancy
+    if "covariance" not in said:
+        return None
+    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+
+
+def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) of all that a result says of arm, cell and effects that move the tip, and their names."""
+    found = with_effects(result)
+    return named_covariance(result) if found is None else (found[0], list(found[1]))
+
+
+def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """The same of all that a result corrects and of its other unknowns.
+
+    Raises CasacalError where it holds none.
+    """
+    return all_motion(result) if result.corrected else named_covariance(result)
+
+
+def moved_arm(result: CalibratedArm) -> Moved:
+    """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
+    problem, found = result.source.problem, with_effects(result)
+    covariance, columns = covariance_of(result)
+    if found is None:
+        index = [j for _, j in columns]
+        model, z = problem.model, local_coordinates(result, of=problem)
+        elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
+        return Moved(model, z, [i for i, _ in columns], covariance[np.ix_(index, index)], None, elsewhere, constants)
+    model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
+    names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
+    lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
+    if lost:
+        what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
+        raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
+    whole, off = found
+    places = {name: j for j, name in enumerate(off)}
+    at = [i for i, name in enumerate(names) if name in places]
+    index = [places[names[i]] for i in at]
+    known = dict.fromkeys(model.names, 0.0)
+    for effect in model.effects:
+        known |= effect.away(site)
+    return Moved(
+        model,
+        local_coordinates(result, of=problem.with_kit),
+        at,
+        whole[np.ix_(index, index)],
+        np.array([off[names[i]] for i in at]),
+        np.array(list(known.values())),
+        row_constants(result, problem.with_kit),
+    )

@@ -53,9 +53,14 @@ def export(
     if prefix is not None and form != "c":
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
     arm.check_usable(force=force)
-    text = _text(arm, form, path, source, prefix)
-    if form == "urdf":
-        text = _remarked(text, arm)
+    if form == "dh":
+        text = _dh(arm, path, source)
+    elif form == "urdf":
+        text = _remarked(urdf_text(arm, source), arm)
+    elif form == "c":
+        text = c_text(arm, prefix=prefix)
+    else:
+        text = zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
     if path is not None:
         write_text(path, text)
     return text
@@ -75,15 +80,9 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
 
 
-def _text(arm: CalibratedArm, form: str, path: str | Path | None, source: str | Path | None, prefix: str | None) -> str:
-    if form == "dh":
-        toml = is_toml(path) if path is not None else source is not None and is_toml(source)
-        if source is not None and is_toml(source) != toml:
-            fix = "Let both names end in .csv, or both in .toml"
-            raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
-        return dh_text(arm, source, toml=toml)
-    if form == "urdf":
-        return urdf_text(arm, source)
-    if form == "c":
-        return c_text(arm, prefix=prefix)
-    return zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
+def _dh(arm: CalibratedArm, path: str | Path | None, source: str | Path | None) -> str:
+    toml = is_toml(path) if path is not None else source is not None and is_toml(source)
+    if source is not None and is_toml(source) != toml:
+        fix = "Let both names end in .csv, or both in .toml"
+        raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
+    return dh_text(arm, source, toml=toml)
