@@ -16,8 +16,7 @@ from casacal import chain, dh
 from casacal.kernels import c_source
 from casacal.kernels.algebra import Builder
 from casacal.kernels.batch import Columnwise
-from casacal.kernels.block_rows import BlockKernels
-from casacal.kernels.curvature import CurvatureKernel
+from casacal.kernels.block_rows import BlockKernels, CurvatureKernel
 from casacal.kernels.operations import evaluate
 from casacal.kernels.reading import _Work, read_program
 from casacal.kinematics import transform_point

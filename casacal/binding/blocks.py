@@ -58,6 +58,11 @@ class Block:
         return outputs
 
     @cached_property
+    def by_pattern(self) -> list[NDArray[np.intp]]:
+        """The samples that have each pattern, in order."""
+        return rows_by_code(self.pattern, len(self.slots))
+
+    @cached_property
     def joint_noise(self) -> Array:
         """Standard deviation (N, m) of each residual at the nominal where every joint errs by one radian of its own."""
         return self.at_nominal(self.model.columns.joint_noise)
@@ -65,7 +70,7 @@ class Block:
     def at_nominal(self, function: Columnwise) -> Array:
         """Values (N, m) of a function of one row at the nominal."""
         found = np.empty((len(self.samples), self.model.components))
-        for constant, seen in zip(self.constants, rows_by_code(self.pattern, len(self.constants)), strict=True):
+        for constant, seen in zip(self.constants, self.by_pattern, strict=True):
             for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
                 found[rows] = function(np.zeros(self.columns.shape[1]), constant, self.rows(rows))
         return found

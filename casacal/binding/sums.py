@@ -1,4 +1,4 @@
-"""Normal equations over the rows of all instruments: in C, as one matrix, or as an arrow where labels are many."""
+"""Normal equations over all rows: in C, as one matrix, or as an arrow where labels are many."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.row_groups import FEW, Piece, RowGroups
+from casacal.binding.kernel_rows import FEW, KernelRows
 from casacal.binding.slots import Slot
-from casacal.kernels.backend import all_rows_in_c
-from casacal.kernels.native_rows import NativeNormal, PackedPieces
+from casacal.kernels.native_rows import NativeKernels, NativeNormal, PackedPieces
 from casacal.least_squares.arrow import Arrow, Groups, grouped
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.losses import Loss
@@ -21,27 +20,26 @@ from casacal.least_squares.objective import Normal
 MOST_SUMS = 4_000_000
 """Numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone."""
 
-COMPACT = 50_000
-"""Rows beyond which no whole Jacobian is held."""
-
 MANY = 300
 """Unknowns from which those of one label alone are taken out, one label after the other."""
 
 
 class Sums:
-    """Sums over rows at one x (n,); the whole Jacobian is never held."""
+    """Sums over rows at one x (n,), about x0, scale and the prior's information; no whole Jacobian is ever held."""
 
     def __init__(
-        self, rows: Sequence[RowGroups], slots: Sequence[Slot], about: tuple[Array, Array, Array], threads: int
+        self, rows: KernelRows, slots: Sequence[Slot], about: tuple[Array, Array, Array], threads: int
     ) -> None:
-        self._rows, self._about, self._threads = rows, about, threads
-        self.count = sum(each.block.noise.size for each in rows)
-        self.groups = _groups([columns for each in rows for columns in each.block.columns], slots)
+        self._rows, self._about = rows, about
+        self._threads = threads if rows.starts[-1] >= FEW else 1
+        self.groups = _groups([columns for block in rows.blocks for columns in block.columns], slots)
 
     @cached_property
     def packed(self) -> PackedPieces | None:
         """All rows for C; None where C does not evaluate all."""
-        return all_rows_in_c([each.native_pieces for each in self._rows])
+        pieces = self._rows.pieces
+        in_c = all(isinstance(piece.kernels, NativeKernels) for piece in pieces)
+        return PackedPieces(pieces) if pieces and in_c else None
 
     @cached_property
     def native(self) -> NativeNormal | None:
@@ -49,7 +47,7 @@ class Sums:
         n = self._about[0].size
         if self.groups is not None or self.packed is None or len(self.packed.pieces) * n**2 > MOST_SUMS:
             return None
-        return NativeNormal(self.packed, *self._about, self._threads if self.count >= FEW else 1)
+        return NativeNormal(self.packed, *self._about, self._threads)
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost, gradient (n,) and information (n, n) of the data; rows weighted by a loss."""
@@ -57,21 +55,14 @@ class Sums:
             return Normal(*self.native.sums(x))
         information = np.zeros((x.size, x.size)) if self.groups is None else Arrow.zero(self.groups)
         cost, gradient = 0.0, np.zeros(x.size)
-        for rows in self._rows:
-            for piece, some, s in rows.sums(x, loss):
-                cost += some
-                gradient[piece.columns] += s[:-1, -1]
-                if isinstance(information, Arrow):
-                    information.add(piece.columns, s[:-1, :-1])
-                else:
-                    information[piece.square] += s[:-1, :-1]
+        for piece, some, s in self._rows.sums(x, loss):
+            cost += some
+            gradient[piece.columns] += s[:-1, -1]
+            if isinstance(information, Arrow):
+                information.add(piece.columns, s[:-1, :-1])
+            else:
+                information[piece.columns[:, None], piece.columns] += s[:-1, :-1]
         return Normal(cost, gradient, information)
-
-    def triangles(self, x: Array) -> Array:
-        """R (k, n) with the J'J of the whitened Jacobian."""
-        return np.asarray(
-            np.linalg.qr(np.vstack([part for rows in self._rows for part in rows.triangles(x)]), mode="r")
-        )
 
     def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
         """Whitened Jacobian, rows that see shared unknowns alone first, then group by group; weighted by a loss."""
@@ -79,9 +70,12 @@ class Sums:
         assert groups is not None
         kind, group, _ = groups.place
         kept: dict[tuple[int, int], list[GroupRows]] = {}
-        for piece, numbers, slopes in self._whitened(x, loss):
+        for piece, e, slopes in self._rows.slopes(x):
+            noise = self._rows.noise[piece.numbers]
+            weight = 1.0 if loss is None else np.sqrt(loss.weight(e / noise))
+            whitened = (slopes * (weight / noise)[..., None]).reshape(-1, piece.columns.size)
             mine = np.flatnonzero(kind[piece.columns] >= 0)
-            part = _of_group(groups, piece.columns, mine, numbers, slopes)
+            part = _of_group(groups, piece.columns, mine, piece.numbers.ravel(), whitened)
             if mine.size:
                 first = piece.columns[mine[0]]
                 kept.setdefault((int(kind[first]), int(group[first])), []).append(part)
@@ -91,18 +85,6 @@ class Sums:
             rows = np.concatenate([part.rows for part in parts])
             own, shared = np.vstack([part.own for part in parts]), np.vstack([part.shared for part in parts])
             yield GroupRows(rows, parts[0].members, parts[0].among, own, shared)
-
-    def _whitened(self, x: Array, loss: Loss | None) -> Iterator[tuple[Piece, NDArray[np.intp], Array]]:
-        """Piece by piece, numbers of its residuals (m,) and their whitened slopes (m, z), weighted by a loss."""
-        before = 0
-        for rows in self._rows:
-            components = rows.block.noise.shape[1]
-            for piece, e, slopes in rows.slopes(x):
-                noise = rows.block.noise[piece.rows]
-                weight = 1.0 if loss is None else np.sqrt(loss.weight(e / noise))
-                numbers = before + components * piece.rows[:, None] + np.arange(components)
-                yield piece, numbers.ravel(), (slopes * (weight / noise)[..., None]).reshape(-1, piece.columns.size)
-            before += rows.block.noise.size
 
 
 def _of_group(

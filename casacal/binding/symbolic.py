@@ -80,7 +80,7 @@ class SymbolicProblem:
         self._information, self._slots, found, first = problem.prior_information, tuple(slots), [], 0
         for i, block in enumerate(blocks):
             for k, some in enumerate(block.slots):
-                rows, seen = np.flatnonzero(block.pattern == k), tuple(slot.name for slot in some)
+                rows, seen = block.by_pattern[k], tuple(slot.name for slot in some)
                 constants, columns, noise = block.constants[k], block.columns[k], block.noise[rows]
                 found.append(RowKind(block.model, i, seen, columns, constants, rows, first, block.rows(rows), noise))
             first += block.noise.size

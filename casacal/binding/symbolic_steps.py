@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.filter_passes import BlockCubature
+from casacal.kernels.filter_passes import Cubature
 from casacal.problem.compile import RowModel
 
 
@@ -32,7 +32,7 @@ def cubature_step(model: RowModel, columns: NDArray[np.intp], constants: Array, 
 
     The step itself is the one that `casacal.kernels.filter_passes` takes.
     """
-    n, m, kept = x0.size, model.components, BlockCubature(model.residual)
+    n, m, kept = x0.size, model.components, Cubature(model.residual, "blocks")
     mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
     d, w = ca.MX.sym("d", model.residual.numel_in(2)), ca.MX.sym("w", m)
     seen, base, unit = columns.tolist(), ca.DM(x0[columns]), ca.DM(scale[columns])

@@ -15,10 +15,11 @@ from casacal.discrepancy.effect import Effect
 from casacal.discrepancy.gears import per_radian
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kernels.backend import VARIABLE, RowKernels, cubature_pass
+from casacal.kernels.backend import VARIABLE, row_kernels
 from casacal.kernels.batch import Batch, Columnwise
-from casacal.kernels.curvature import CurvatureKernel
-from casacal.kernels.filter_passes import BlockCubature, NativeCubature
+from casacal.kernels.block_rows import CurvatureKernel
+from casacal.kernels.filter_passes import Cubature
+from casacal.kernels.rows import Kernels
 from casacal.kinematics import position
 from casacal.problem.trace import Trace
 from casacal.robots.robot import Robot
@@ -124,26 +125,26 @@ class RowModel:
         """Scalar residuals per row, m."""
         return int(self.residual.numel_out(0))
 
-    def rows(self, backend: str | None = None) -> RowKernels:
+    def rows(self, backend: str | None = None) -> Kernels:
         """Kernels over many rows at one (z, c), on a back end; None takes the environment's, or auto."""
         key = backend or os.environ.get(VARIABLE, "auto")
         if key not in self._rows:
-            self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
+            self._rows[key] = row_kernels(self.jacobian, key)
         return self._rows[key]
 
-    def filter(self, backend: str | None = None) -> NativeCubature | BlockCubature:
+    def filter(self, backend: str | None = None) -> Cubature:
         """The cubature filter's pass, on the back end that evaluates rows."""
-        name = self.rows(backend).kernels.name
+        name = self.rows(backend).name
         if name not in self._filters:
-            self._filters[name] = cubature_pass(self.residual, name)
+            self._filters[name] = Cubature(self.residual, name)
         return self._filters[name]
 
     @cached_property
-    def _filters(self) -> dict[str, NativeCubature | BlockCubature]:
+    def _filters(self) -> dict[str, Cubature]:
         return {}
 
     @cached_property
-    def _rows(self) -> dict[str, RowKernels]:
+    def _rows(self) -> dict[str, Kernels]:
         return {}
 
     @cached_property
