@@ -9,117 +9,45 @@ symbols.value_functions["pose"](alpha=..., a=..., d=..., theta=..., q=q)        
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
-from casacal.discrepancy.effect import Effect
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.problem.compile import RowModel, compile_rows, residual_jacobian, residual_noise, row_function
+from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
 from casacal.problem.symbols_in_c import c_text
-from casacal.problem.trace import Trace, trace
-from casacal.robots.robot import Robot
-from casacal.values import FrozenMapping, Value, alike, short
+from casacal.problem.trace import Trace
+from casacal.values import FrozenMapping, alike, short
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Symbols(Value):
+class Symbols(Trace):
     """One robot with one instrument as CasADi expressions: lengths in mm, angles in rad; what `Problem.symbols` gives.
 
     Expressions are SX and belong together: those of another `Symbols` do not mix with them. Raises ProblemError when
     `pose`, `tip` or `residual` fails, has the wrong shape or depends on something else.
     """
 
-    robot: Robot
-    instrument: Instrument
-    effects: tuple[Effect, ...] = ()
-
-    @cached_property
-    def trace(self) -> Trace:
-        """What was traced: everything else here, and all that estimators evaluate, is made of it."""
-        return trace(self.robot, self.instrument, self.effects)
-
     @cached_property
     def model(self) -> RowModel:
         """The functions that estimators evaluate."""
-        return compile_rows(self.trace)
-
-    @property
-    def z(self) -> ca.SX:
-        """Unknowns (nz): deviations from nominal of the robot's parameters, then of the instrument's unknowns."""
-        return self.trace.z
+        return compile_rows(self)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each of z, without labels."""
-        return tuple(name for key, unknown in self.trace.unknowns.items() for name in unknown.names(key))
+        return tuple(name for key, unknown in self.unknowns.items() for name in unknown.names(key))
 
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each of z."""
-        return tuple(unit for unknown in self.trace.unknowns.values() for unit in unknown.units)
-
-    @property
-    def c(self) -> ca.SX:
-        """Constants (nc): numbers that fix the nominal values which differ by label or are proposed by the data."""
-        return self.trace.c
-
-    @property
-    def constants(self) -> Mapping[str, int]:
-        """Keys of the unknowns whose nominal is part of c, in order, and how many numbers each takes."""
-        return FrozenMapping({key: self.trace.unknowns[key].nominal_size for key in self.trace.constants})
-
-    @property
-    def q(self) -> ca.SX:
-        """Joint values (n): rad, mm."""
-        return self.trace.q
-
-    @property
-    def columns(self) -> Mapping[str, ca.SX]:
-        """The row's columns by name: those that are read, then those known from labels."""
-        return FrozenMapping(self.trace.columns)
-
-    @property
-    def d(self) -> ca.SX:
-        """The row (nd): q, then the columns."""
-        return self.trace.d
-
-    @property
-    def p(self) -> SimpleNamespace:
-        """Values by name at z and c, as `pose` and `residual` take them: numbers, vectors, 4x4 frames, planes."""
-        return SimpleNamespace(**self.trace.values)
-
-    @property
-    def pose(self) -> ca.SX:
-        """Flange pose (4x4), mm: eqs (1) and (2) of arXiv:2208.02652."""
-        return ca.SX(self.trace.seen.pose)
-
-    @property
-    def tip(self) -> ca.SX:
-        """Where the instrument touches or is watched (3), mm, base frame."""
-        return self.trace.seen.tip
-
-    @property
-    def residual(self) -> ca.SX:
-        """Residual e (m): for a plane its signed distance from the tip, mm, eq (6) with a unit normal."""
-        return self.trace.seen.residual
-
-    @cached_property
-    def jacobian(self) -> ca.SX:
-        """de/dz (m x nz), by automatic differentiation: it takes the place of eqs (3)-(5) and (7)-(9).
-
-        Made by `casacal.problem.compile.residual_jacobian`.
-        """
-        return residual_jacobian(self.residual, self.z)
+        return tuple(unit for unknown in self.unknowns.values() for unit in unknown.units)
 
     @cached_property
     def noise(self) -> ca.SX:
         """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
-        return residual_noise(self.robot, self.instrument, self.residual, self.q, self.trace.columns)
+        return residual_noise(self)
 
     @cached_property
     def functions(self) -> Mapping[str, ca.Function]:
@@ -136,7 +64,7 @@ class Symbols(Value):
         and an offset (mm) along it. `pose` takes the robot's parameters and q; `tip` also what it depends on of the
         instrument and the columns; `residual` everything. Raises ProblemError for a name that CasADi does not take.
         """
-        free, built = self.trace.free
+        free, built = self.free
         for name in (*free, *self.columns):
             if name == "q" or not ca.Function.check_name(name):
                 raise ProblemError(
@@ -162,7 +90,7 @@ class Symbols(Value):
         `prefix` begins the names of the functions; by default the robot's name. Raises ProblemError where it is no C
         name.
         """
-        return c_text(self.trace, prefix=prefix)
+        return c_text(self, prefix=prefix)
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instrument, to the last operation of the residual."""
@@ -179,7 +107,7 @@ class Symbols(Value):
         return hash((self.robot, type(self.instrument).__qualname__))
 
     def __repr__(self) -> str:
-        shapes = {key: _shape(unknown.packed(self.trace.values[key])) for key, unknown in self.trace.unknowns.items()}
+        shapes = {key: _shape(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
         rows: list[tuple[str, Any, str]] = [
             ("z", len(self.names), short(self.names)),
             ("c", self.c.numel(), ", ".join(f"{key} {size}" for key, size in self.constants.items())),

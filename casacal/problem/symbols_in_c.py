@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.problem.compile import residual_jacobian, residual_noise, row_function
+from casacal.problem.compile import residual_noise, row_function
 from casacal.problem.trace import Trace
 
 
@@ -46,20 +47,21 @@ def c_text(traced: Trace, *, prefix: str | None = None) -> str:
 def _parts(traced: Trace) -> list[Part]:
     """Functions of values p; and of deviations z with constants c, as estimators use them."""
     symbols, built = traced.free
-    seen, q = traced.seen, {"q": traced.q}
+    q, zc, row = (
+        {"q": traced.q},
+        {"z": traced.z, "c": traced.c},
+        {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))},
+    )
     p = {"p": ca.vertcat(*(ca.vec(symbol) for symbol in symbols.values()))}
-    zc, row = {"z": traced.z, "c": traced.c}, {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))}
-    at = ca.vertcat(*(ca.vec(ca.SX(u.packed(traced.values[key]))) for key, u in traced.unknowns.items()))
-    jacobian = residual_jacobian(seen.residual, traced.z)
-    noise = residual_noise(traced.robot, traced.instrument, seen.residual, traced.q, traced.columns)
-    slopes = {"residual": seen.residual, "jacobian": jacobian.T}
+    at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
+    slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}
     return [
         Part("values", zc, {"p": at}, "the values p at deviations z from nominal"),
         Part("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
         Part("tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"),
         Part("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
         Part("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
-        Part("noise", zc | q | row, {"noise": noise}, "standard deviation of e"),
+        Part("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
     ]
 
 
@@ -82,7 +84,7 @@ def _head(traced: Trace, told: list[str]) -> str:
     symbols, _ = traced.free
     values = _counted({key: symbol.numel() for key, symbol in symbols.items()})
     free = _counted({key: unknown.size for key, unknown in traced.unknowns.items() if unknown.size})
-    constants = _counted({key: traced.unknowns[key].nominal_size for key in traced.constants}) or "none"
+    constants = _counted(traced.constants) or "none"
     about = [
         f"{traced.robot.name}, measured by {type(traced.instrument).__name__}, with its parameters free.",
         "Lengths in mm, angles in rad. C99; needs math.h alone.",
@@ -98,7 +100,7 @@ def _head(traced: Trace, told: list[str]) -> str:
     return "/*\n" + "".join(f" * {_comment(line)}".rstrip() + "\n" for line in about) + "".join(told) + " */\n"
 
 
-def _counted(sizes: dict[str, int]) -> str:
+def _counted(sizes: Mapping[str, int]) -> str:
     return ", ".join(f"{key} {size}" for key, size in sizes.items())
 
 
