@@ -16,7 +16,7 @@ from casacal.binding.kernel_rows import KernelRows
 from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
-from casacal.binding.slots import Slot, coordinates, make_slots, nominals
+from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.sums import Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.survey import Survey
@@ -28,7 +28,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, Places, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import FrozenMapping, alike, short
+from casacal.values import FrozenMapping, alike, read_only, short
 
 COMPACT = 50_000
 """Rows beyond which no whole Jacobian is held."""
@@ -76,9 +76,16 @@ class BoundProblem(AllRows, LeastSquares):
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.scale = FrozenMapping(scale)
-        at = coordinates(self.slots)
-        self.names, self.units, self.beside = at.names, at.units, at.beside
-        self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
+        seen, none = [slot for slot in self.slots if slot.unknown.size], np.zeros(0)
+        sizes = [slot.unknown.size for slot in seen]
+        self.names = tuple(name for slot in seen for name in slot.unknown.names(slot.name))
+        self.units = tuple(unit for slot in seen for unit in slot.unknown.units)
+        self.beside = tuple(slot.beside for slot in seen for _ in slot.columns)
+        """The effect that each unknown (n,) belongs to, or none."""
+        self.x0 = read_only(np.zeros(sum(sizes)))
+        self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)]))
+        self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)]))
+        self.datum = read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool))
         self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
         self._asked, self._threads = backend, thread_count(threads)
         if stated is None:

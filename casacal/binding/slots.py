@@ -124,34 +124,6 @@ def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
     return {slot.name: slot.nominal for slot in slots if slot.label is None}
 
 
-@dataclass(frozen=True)
-class Coordinates:
-    """What is known of each coordinate of x (n,) beforehand; `beside` names the effect that it belongs to, or none."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    beside: tuple[str, ...]
-    x0: Array
-    prior_std: Array
-    start_std: Array
-    datum: NDArray[np.bool_]
-
-
-def coordinates(slots: Sequence[Slot]) -> Coordinates:
-    """Of all slots, in their order."""
-    seen = [slot for slot in slots if slot.unknown.size]
-    sizes, none = [slot.unknown.size for slot in seen], np.zeros(0)
-    return Coordinates(
-        tuple(name for slot in seen for name in slot.unknown.names(slot.name)),
-        tuple(unit for slot in seen for unit in slot.unknown.units),
-        tuple(slot.beside for slot, size in zip(seen, sizes, strict=True) for _ in range(size)),
-        read_only(np.zeros(sum(sizes))),
-        read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)])),
-        read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)])),
-        read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool)),
-    )
-
-
 def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str, Array] | None = None) -> list[Slot]:
     """Lay out x: the robot's parameters, then each instrument's unknowns, those that differ by label last.
 

@@ -17,8 +17,7 @@ from typing import TypeAlias
 import casadi as ca
 
 from casacal.kernels.compiler import CompilerError
-from casacal.kernels.operations import C, name_of
-from casacal.kernels.program import TRIGONOMETRIC, Program
+from casacal.kernels.program import TRIGONOMETRIC, C, Program, name_of
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)

@@ -1,17 +1,22 @@
-"""An SX function as a list of elementary operations, split by how often each must be done.
+"""An SX function as a list of elementary operations, split by how often each must be done; what each is in NumPy and C.
 
 Operations on parameters alone are done once per call, operations on data alone once for all calls; what mixes both is
-left for the kernel, lane by lane. A lane is a row of samples, or one of many states.
+left for the kernel, lane by lane. A lane is a row of samples, or one of many states. NumPy and C give CasADi's own
+answer for any number. An operation that has no form in C keeps a graph on blocks, where CasADi's machine does it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
 
 Role: TypeAlias = Literal["once", "lane"]
 Kind: TypeAlias = Literal["constant", "once", "lane", "mixed"]
@@ -73,3 +78,94 @@ class Program:
     def results(self) -> list[int]:
         """All values that are outputs."""
         return [value for output in self.outputs for value in output]
+
+
+def _erf(values: Any) -> Any:
+    from scipy.special import erf  # a seventh of a second that few graphs need
+
+    return erf(values)
+
+
+def _by_casadi(op: int) -> Callable[..., Any]:
+    """An operation that NumPy does not have, or has with other digits, by CasADi's machine."""
+
+    def evaluated(*values: Any) -> Any:
+        given = np.broadcast_arrays(*values)
+        symbols = [ca.MX.sym("a", each.size) for each in given]
+        value = ca.MX.unary(op, symbols[0]) if len(symbols) == 1 else ca.MX.binary(op, symbols[0], symbols[1])
+        found = ca.Function("f", symbols, [value])(*(ca.DM(each.ravel()) for each in given))
+        return np.asarray(found).reshape(given[0].shape)
+
+    return evaluated
+
+
+NUMPY: dict[int, Callable[..., Any]] = {
+    ca.OP_ASSIGN: lambda a: a, ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide, ca.OP_NEG: np.negative, ca.OP_EXP: np.exp, ca.OP_LOG: np.log, ca.OP_POW: np.power,
+    ca.OP_CONSTPOW: np.power, ca.OP_SQRT: np.sqrt, ca.OP_SQ: np.square, ca.OP_TWICE: lambda a: 2 * a,
+    ca.OP_SIN: np.sin, ca.OP_COS: np.cos, ca.OP_TAN: np.tan, ca.OP_ASIN: np.arcsin, ca.OP_ACOS: np.arccos,
+    ca.OP_ATAN: np.arctan, ca.OP_ATAN2: np.arctan2, ca.OP_LT: np.less, ca.OP_LE: np.less_equal, ca.OP_EQ: np.equal,
+    ca.OP_NE: np.not_equal, ca.OP_NOT: np.logical_not, ca.OP_AND: np.logical_and, ca.OP_OR: np.logical_or,
+    ca.OP_FLOOR: np.floor, ca.OP_CEIL: np.ceil, ca.OP_FMOD: np.fmod, ca.OP_FABS: np.abs, ca.OP_SIGN: np.sign,
+    ca.OP_COPYSIGN: np.copysign, ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0), ca.OP_ERF: _erf,
+    ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax, ca.OP_INV: np.reciprocal, ca.OP_SINH: np.sinh, ca.OP_COSH: np.cosh,
+    ca.OP_TANH: np.tanh, ca.OP_ASINH: np.arcsinh, ca.OP_ACOSH: np.arccosh, ca.OP_ATANH: np.arctanh,
+    ca.OP_HYPOT: np.hypot, ca.OP_EXPM1: np.expm1, ca.OP_LOG1P: np.log1p, ca.OP_LIFT: lambda a, _: a,
+    ca.OP_ERFINV: _by_casadi(ca.OP_ERFINV), ca.OP_REMAINDER: _by_casadi(ca.OP_REMAINDER),
+    ca.OP_PRINTME: _by_casadi(ca.OP_PRINTME),
+}  # fmt: skip
+
+C: dict[int, str] = {
+    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})",
+    ca.OP_POW: "pow({0}, {1})", ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_SQRT: "sqrt({0})", ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2.0 * {0}", ca.OP_SIN: "sin({0})", ca.OP_COS: "cos({0})", ca.OP_TAN: "tan({0})",
+    ca.OP_ASIN: "asin({0})", ca.OP_ACOS: "acos({0})", ca.OP_ATAN: "atan({0})", ca.OP_ATAN2: "atan2({0}, {1})",
+    ca.OP_LT: "(double)({0} < {1})", ca.OP_LE: "(double)({0} <= {1})", ca.OP_EQ: "(double)({0} == {1})",
+    ca.OP_NE: "(double)({0} != {1})", ca.OP_NOT: "(double)({0} == 0.0)",
+    ca.OP_AND: "(double)({0} != 0.0 && {1} != 0.0)", ca.OP_OR: "(double)({0} != 0.0 || {1} != 0.0)",
+    ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})", ca.OP_FABS: "fabs({0})",
+    ca.OP_SIGN: "({0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0})", ca.OP_COPYSIGN: "copysign({0}, {1})",
+    ca.OP_IF_ELSE_ZERO: "({0} != 0.0 ? {1} : 0.0)", ca.OP_ERF: "erf({0})", ca.OP_FMIN: "fmin({0}, {1})",
+    ca.OP_FMAX: "fmax({0}, {1})", ca.OP_INV: "1.0 / {0}", ca.OP_SINH: "sinh({0})", ca.OP_COSH: "cosh({0})",
+    ca.OP_TANH: "tanh({0})", ca.OP_ASINH: "asinh({0})", ca.OP_ACOSH: "acosh({0})", ca.OP_ATANH: "atanh({0})",
+    ca.OP_HYPOT: "hypot({0}, {1})", ca.OP_EXPM1: "expm1({0})", ca.OP_LOG1P: "log1p({0})",
+    ca.OP_REMAINDER: "remainder({0}, {1})", ca.OP_LIFT: "{0}",
+}  # fmt: skip
+
+
+def name_of(op: int) -> str:
+    """CasADi's name of an operation."""
+    known = (name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op)
+    return next(known, f"OP_{op}").removeprefix("OP_").lower()
+
+
+def elementary(op: int) -> int:
+    """An operation that kernels evaluate, as it is; raises ProblemError for any other."""
+    if op not in NUMPY:
+        raise ProblemError(
+            f"The model holds the operation '{name_of(op)}', which is not elementary",
+            "Build pose and residual of CasADi's elementary operations; a function that they call must be one that"
+            " CasADi writes out: no table, no callback, nothing with never_inline",
+        )
+    return op
+
+
+def evaluate(program: Program, values: Sequence[int], arguments: Sequence[Array]) -> Array:
+    """Some values (len(values), ...) by NumPy; element k of argument i is arguments[i][k], a number or an array."""
+    known: dict[int, Any] = {}
+    for index in program.needed(values):
+        operation = program.operations[index]
+        if operation.op == ca.OP_CONST:
+            known[index] = operation.constant
+        elif operation.op == ca.OP_INPUT:
+            argument, element = operation.element
+            known[index] = arguments[argument][element]
+        else:
+            with np.errstate(all="ignore"):  # what is not finite is found in the residuals, and said there
+                known[index] = NUMPY[operation.op](*(known[arg] for arg in operation.args))
+    shape = np.broadcast_shapes(*(np.shape(known[value]) for value in values)) if values else ()
+    found = np.empty((len(values), *shape))
+    for i, value in enumerate(values):
+        found[i] = known[value]
+    return found

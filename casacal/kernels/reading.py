@@ -8,8 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from casacal.kernels.algebra import Builder
-from casacal.kernels.operations import elementary
-from casacal.kernels.program import Kind, Operation, Program, Role
+from casacal.kernels.program import Kind, Operation, Program, Role, elementary
 
 
 def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = True) -> Program:
@@ -44,36 +43,29 @@ def _flattened(builder: Builder, outputs: list[list[int]]) -> list[list[int]]:
     """Outputs that are sums of few values, each times a factor of parameters alone, as such where that saves work."""
     flat = {value: builder.flat(value) for output in outputs for value in output}
     chosen = {value: other for value, other in flat.items() if other != value}
-    work = _Work(builder.operations, builder.kinds)
+    work = Work(builder.operations, builder.kinds)
     for value in flat:
-        work.take(chosen.get(value, value))
+        work.use(chosen.get(value, value))
     for value, other in list(chosen.items()):
         least = work.lanes
-        work.take(value)
-        work.drop(other)
+        work.use(value)
+        work.use(other, -1)
         if work.lanes <= least:
             del chosen[value]
         else:
-            work.take(other)
-            work.drop(value)
+            work.use(other)
+            work.use(value, -1)
     return [[chosen.get(value, value) for value in output] for output in outputs]
 
 
-class _Work:
+class Work:
     """How many operations must be done lane by lane for some values, as values come and go."""
 
     def __init__(self, operations: Sequence[Operation], kinds: Sequence[Kind]) -> None:
         self._operations, self._kinds, self._uses, self.lanes = operations, kinds, [0] * len(operations), 0
 
-    def take(self, root: int) -> None:
-        """One more use of a value; what it depends on is done from its first use on."""
-        self._changed(root, 1)
-
-    def drop(self, root: int) -> None:
-        """One use less of a value."""
-        self._changed(root, -1)
-
-    def _changed(self, root: int, by: int) -> None:
+    def use(self, root: int, by: int = 1) -> None:
+        """One more use of a value, or one less; what it depends on is done from its first use on."""
         waiting = [root]
         while waiting:
             value = waiting.pop()

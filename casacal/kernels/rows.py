@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.operations import evaluate
-from casacal.kernels.program import Program
+from casacal.kernels.program import Program, evaluate
 
 
 @dataclass(frozen=True)
