@@ -94,6 +94,16 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
 
 
+def information_of(prior_std: Array) -> Array:
+    """1 / s^2 of each unknown (n,), zero where the prior is flat."""
+    return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
+
+
+def unit_scale(diagonal: Array) -> Array:
+    """What scales a matrix with this diagonal (n,) to a unit one."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
 def column_scales(diagonal: Array, prior_std: Array) -> Array:
     """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More).
 
@@ -116,10 +126,9 @@ def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
         return np.zeros((0, 0))
     if not np.isfinite(data_information).all():
         return np.diag(np.full(len(prior_std), np.inf))
-    information = data_information + np.diag(np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0))
+    information = data_information + np.diag(information_of(prior_std))
     # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
-    diagonal = np.diagonal(information)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = unit_scale(np.diagonal(information))
     scaled = scale[:, None] * information * scale
     root, failed = dpotrf(scaled, lower=1)
     if not failed and dpocon(root, np.abs(scaled).sum(axis=0).max(), uplo="L")[0] > WELL_CONDITIONED:

@@ -16,6 +16,27 @@ FILL_IN = "TO FILL IN"
 """What marks a line that nobody has looked at yet."""
 
 
+DIAL = """# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a
+# millimetre, the samples say the rest.{todo[tool]}
+tool = tool_point({tool}, prior_std=1.0)
+
+# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger
+# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
+# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
+# of planes cannot tell.
+dial = DialOnPlane(noise_std=0.01, sign={sign}, tool=tool, gain=dial_gain(0.15))
+
+{problem}
+"""
+UNKNOWN_MAKER = f"""\
+# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what
+# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.
+# {FILL_IN}.
+problem = Problem(robot, dial)"""
+KNOWN_MAKER = """# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.
+problem = scaled_to_accuracy(Problem(robot, dial), {accuracy})"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Given:
     """What a user says of a cell when its problem is made; None for what was not said.
@@ -41,44 +62,19 @@ class Given:
     @property
     def names(self) -> list[str]:
         """What problem.py imports for it."""
-        return [
-            "DialOnPlane",
-            "dial_gain",
-            "tool_point",
-            *(["scaled_to_accuracy"] if self.accuracy is not None else []),
-        ]
+        scaled = [] if self.accuracy is None else ["scaled_to_accuracy"]
+        return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
 
     @property
     def text(self) -> str:
         """The end of problem.py: tool, dial, problem."""
-        x, y, z = (plain(value) for value in self.tool or (0.0, 0.0, 0.0))
         todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
-        sign = "+1" if self.sign == 1 else "-1"
-        lines = [
-            "# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a",
-            f"# millimetre, the samples say the rest.{todo['tool']}",
-            f"tool = tool_point({x}, {y}, {z}, prior_std=1.0)",
-            "",
-            "# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger",
-            f"# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo['sign']}",
-            "# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches",
-            "# of planes cannot tell.",
-            f"dial = DialOnPlane(noise_std=0.01, sign={sign}, tool=tool, gain=dial_gain(0.15))",
-            "",
-        ]
-        if self.accuracy is None:
-            lines += [
-                "# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what",
-                "# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.",
-                f"# {FILL_IN}.",
-                "problem = Problem(robot, dial)",
-            ]
-        else:
-            lines += [
-                "# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.",
-                f"problem = scaled_to_accuracy(Problem(robot, dial), {plain(self.accuracy)})",
-            ]
-        return "\n".join(lines) + "\n"
+        return DIAL.format(
+            tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
+            sign="+1" if self.sign == 1 else "-1",
+            todo=todo,
+            problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
+        )
 
     @property
     def missing(self) -> list[str]:
