@@ -10,23 +10,10 @@ import numpy as np
 
 from casacal.errors import SimulationError, came
 
-AMOUNTS = {
-    "travel": math.inf,
-    "repeatability": math.inf,
-    "resolution": math.inf,
-    "joint_std": math.inf,
-    "backlash": math.inf,
-    "encoder_step": 0.1,
-    "flatness": math.inf,
-    "flatness_reach": 10.0,
-    "compliance": math.inf,
-    "thermal": 0.01,
-    "dial_gain": 0.1,
-    "dial_cycle": 0.1,
-    "hysteresis": math.inf,
-    "drift": math.inf,
-    "error_scale": math.inf,
-}
+UNBOUNDED = "travel repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
+AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {
+    "encoder_step": 0.1, "flatness_reach": 10.0, "thermal": 0.01, "dial_gain": 0.1, "dial_cycle": 0.1,
+}  # fmt: skip
 """Numbers of a cell that are zero or positive, and the most that they mean something for."""
 
 STEEPEST = 0.5
