@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from casacal.kernels.program import TRIGONOMETRIC, Kind, Operation, Role
+from casacal.graphs import Operation
+from casacal.kernels.program import TRIGONOMETRIC, Kind, Role
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
 

@@ -17,22 +17,12 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
+from casacal.graphs import Operation
 
 Role: TypeAlias = Literal["once", "lane"]
 Kind: TypeAlias = Literal["constant", "once", "lane", "mixed"]
 
 TRIGONOMETRIC = (ca.OP_SIN, ca.OP_COS)
-
-
-@dataclass(frozen=True)
-class Operation:
-    """One value: an operation on earlier values, a constant, or an element of an argument."""
-
-    op: int
-    args: tuple[int, ...] = ()
-    constant: float = 0.0
-    element: tuple[int, int] = (-1, -1)
-    """Argument of the function and position in it, for OP_INPUT."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +61,12 @@ class Program:
     @cached_property
     def once(self) -> list[int]:
         """Values of parameters alone that mixed operations or outputs use: what a kernel prepares before its loop."""
+        return self.used("once")
+
+    def used(self, kind: Kind) -> list[int]:
+        """Values of one kind that mixed operations or outputs use."""
         mixed = {arg for v in self.needed(self.results) if self.kinds[v] == "mixed" for arg in self.operations[v].args}
-        return [v for v in sorted(mixed | set(self.results)) if self.kinds[v] == "once"]
+        return [v for v in sorted(mixed | set(self.results)) if self.kinds[v] == kind]
 
     @property
     def results(self) -> list[int]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
 
+from casacal.graphs import Operation, operations_of
 from casacal.kernels.algebra import Builder
-from casacal.kernels.program import Kind, Operation, Program, Role, elementary
+from casacal.kernels.program import Kind, Program, Role, elementary
 
 
 def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = True) -> Program:
@@ -18,25 +20,16 @@ def read_program(function: ca.Function, roles: Sequence[Role], *, ahead: bool = 
     differ from call to call, and lanes are elements of arguments. Raises ProblemError for what is not elementary.
     """
     builder = Builder(roles, ahead)
-    work: dict[int, int] = {}
-    outputs = [[0] * function.numel_out(i) for i in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        op, inputs, places = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if op == ca.OP_OUTPUT:
-            outputs[places[0]][places[1]] = work[inputs[0]]
-        elif op == ca.OP_INPUT:
-            work[places[0]] = builder.add(Operation(op, element=(inputs[0], inputs[1])))
-        elif op == ca.OP_CONST:
-            work[places[0]] = builder.constant(function.instruction_constant(k))
-        else:
-            work[places[0]] = builder.apply(elementary(op), *(work[i] for i in inputs))
-    outputs = _flattened(builder, outputs)
+    operations, results = operations_of(function)
+    made: list[int] = []
+    for each in operations:
+        given = each.op in (ca.OP_CONST, ca.OP_INPUT)
+        made.append(builder.add(each) if given else builder.apply(elementary(each.op), *(made[i] for i in each.args)))
+    outputs = _flattened(builder, [[made[value] for value in result] for result in results])
     sizes = [function.numel_in(i) if role == "once" else 0 for i, role in enumerate(roles)]
-    starts = tuple(sum(sizes[:i]) for i in range(len(sizes)))
+    starts = tuple(itertools.accumulate(sizes[:-1], initial=0))
     program = Program(tuple(builder.operations), tuple(builder.kinds), tuple(map(tuple, outputs)), starts, ())
-    used = {arg for v in program.needed(program.results) if program.kinds[v] == "mixed"
-            for arg in program.operations[v].args} | set(program.results)  # fmt: skip
-    return replace(program, lanes=tuple(sorted(value for value in used if program.kinds[value] == "lane")))
+    return replace(program, lanes=tuple(program.used("lane")))
 
 
 def _flattened(builder: Builder, outputs: list[list[int]]) -> list[list[int]]:
