@@ -39,26 +39,21 @@ class Buffered:
 
     def bound(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
         """What evaluates from and to the same memory whenever this thread calls it, as long as this object lives."""
-        buffer, evaluate = self._buffer()
-        for i, array in enumerate(inputs):
-            if array.size:
-                buffer.set_arg(i, _flat(array))
-        for i, array in enumerate(outputs):
-            if array.size:
-                buffer.set_res(i, _flat(array))
+        if not hasattr(self._own, "buffer"):
+            self._own.buffer, self._own.evaluate = self._function.buffer()
+        buffer: Any = self._own.buffer  # CasADi's stubs do not know that it takes a memoryview
+        evaluate: Callable[[], None] = self._own.evaluate
+        for put, arrays in ((buffer.set_arg, inputs), (buffer.set_res, outputs)):
+            for i, array in enumerate(arrays):
+                if array.size:
+                    put(i, _flat(array))
         self._own.arrays = (inputs, outputs)
         return evaluate
 
     def feed(self, i: int, array: Array) -> None:
         """Read argument i from other memory from now on."""
-        self._buffer()[0].set_arg(i, _flat(array))
+        self._own.buffer.set_arg(i, _flat(array))
         self._own.fed = array
-
-    def _buffer(self) -> tuple[Any, Callable[[], None]]:
-        if not hasattr(self._own, "buffer"):
-            self._own.buffer = self._function.buffer()
-        buffer: tuple[Any, Callable[[], None]] = self._own.buffer
-        return buffer
 
 
 def _flat(array: Array) -> memoryview:
@@ -71,8 +66,8 @@ def _flat(array: Array) -> memoryview:
 def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> list[ca.MX]:
     """Some values, a column each, with the operations of a program on columns of samples.
 
-    p: all parameters, or what `prepared` made of them. Values that share operations belong in one call: CasADi does not
-    see that two calls do the same.
+    p: all parameters or, prepared, the values of `program.once`. Values that share operations belong in one call:
+    CasADi does not see that two calls do the same.
     """
     known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
     parameters = ca.vertsplit(p) if p.numel() else []

@@ -135,17 +135,10 @@ class PackedPieces:
     def extended_pass(
         self, place: NDArray[np.intp], x0: Array, scale: Array, mean: Array, covariance: Array
     ) -> tuple[Array, Array, Array]:
-        """The extended filter: take in all rows, changing mean (n,) and covariance (n, n) in place.
+        """Let the extended filter take in all rows, changing mean (n,) and covariance (n, n) of (x - x0) / scale.
 
-        A row is evaluated with as many lanes as C pads to.
-
-        Args:
-            place: piece, lane in it and component of each row (rows, 3); pieces together hold all.
-            x0, scale: (n,), of the coordinates (x - x0) / scale.
-            mean, covariance: the belief.
-
-        Returns means (rows, n) after each row, innovations and their standard deviations (rows,).
-
+        place: piece, lane in it and component of each row (rows, 3). A row is evaluated with as many lanes as C pads
+        to. Returns means (rows, n) after each row, innovations and their standard deviations (rows,).
         """
         n, rows = x0.size, len(place)
         run, long, pointer = self.compiled.extended_pass, ctypes.c_long, ctypes.c_void_p
@@ -164,11 +157,7 @@ class PackedPieces:
 class NativeNormal:
     """Sums over pieces of rows at one x, and damped steps about x0 in units of `scale` with a prior's information.
 
-    Args:
-        packed: at least one piece.
-        x0, scale, prior: (n,).
-        threads: how many may share the pieces; sums do not depend on it.
-
+    Threads may share the pieces; sums do not depend on how many.
     """
 
     def __init__(self, packed: PackedPieces, x0: Array, scale: Array, prior: Array, threads: int) -> None:

@@ -99,13 +99,9 @@ class RowModel:
     raw_residual: ca.Function
     """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
 
-    def same_as(self, other: RowModel) -> bool:
-        """Whether another model computes the same, operation by operation."""
-        return self.text == other.text
-
     @cached_property
     def text(self) -> str:
-        """What it computes, as text."""
+        """What it computes, operation by operation."""
         return "\n".join(function.serialize() for function in (self.residual, self.noise, self.tip, self.pose))
 
     @property

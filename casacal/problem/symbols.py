@@ -15,7 +15,6 @@ from typing import Any
 import casadi as ca
 
 from casacal.errors import ProblemError
-from casacal.instruments import Instrument
 from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
 from casacal.problem.symbols_in_c import c_text
 from casacal.problem.trace import Trace
@@ -97,11 +96,13 @@ class Symbols(Trace):
         if self is other or not isinstance(other, Symbols):
             return self is other
         one, two = self.instrument, other.instrument
-        return (
-            self.robot == other.robot
-            and alike(self.effects, other.effects)
-            and (one == two or (_declared_alike(one, two) and self.model.same_as(other.model)))
-        )
+        if self.robot != other.robot or not alike(self.effects, other.effects):
+            return False
+        if one == two:
+            return True
+        # perhaps of a class that was read twice from its file
+        declared = type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
+        return declared and self.model.text == other.model.text
 
     def __hash__(self) -> int:
         return hash((self.robot, type(self.instrument).__qualname__))
@@ -122,11 +123,6 @@ class Symbols(Trace):
         ]
         head = f"Symbols of {self.robot.name}, measured by {type(self.instrument).__name__}"
         return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
-
-
-def _declared_alike(one: Instrument, two: Instrument) -> bool:
-    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
-    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
 
 
 def _shape(expression: Any) -> str:

@@ -32,16 +32,23 @@ def c_text(traced: Trace, *, prefix: str | None = None) -> str:
         raise ProblemError(
             f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
         )
-    generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), [], []
+    generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
     for part in _parts(traced):
-        columns = {name: ca.vec(matrix) for name, matrix in part.outputs.items()}
+        made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
         raw = f"{prefix}_{part.name}_raw"
-        function = row_function(raw, [*part.inputs.values()], [ca.densify(each) for each in columns.values()])
+        function = row_function(raw, [*part.inputs.values()], [*made.values()])
         generator.add(function)
-        signature = _signature(f"{prefix}_{part.name}", part.inputs, columns)
-        wrappers.append(_wrapper(signature, raw, part, function))
-        told.append(f" * {signature};\n *     {part.words}\n")
-    return _head(traced, told) + generator.dump() + "".join(wrappers)
+        given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in part.inputs.items()]
+        given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
+        signature = f"void {prefix}_{part.name}({', '.join(given)})"
+        wrappers += (
+            f"\n{signature} {{\n"
+            f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
+            f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
+            f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
+        )
+        told += f" * {signature};\n *     {part.words}\n"
+    return _head(traced, told) + str(generator.dump()) + wrappers
 
 
 def _parts(traced: Trace) -> list[Part]:
@@ -65,22 +72,7 @@ def _parts(traced: Trace) -> list[Part]:
     ]
 
 
-def _signature(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> str:
-    given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in inputs.items()]
-    made = [f"double {key}[{matrix.numel()}]" for key, matrix in outputs.items()]
-    return f"void {name}({', '.join(given + made)})"
-
-
-def _wrapper(signature: str, raw: str, part: Part, function: ca.Function) -> str:
-    return (
-        f"\n{signature} {{\n"
-        f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
-        f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
-        f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
-    )
-
-
-def _head(traced: Trace, told: list[str]) -> str:
+def _head(traced: Trace, told: str) -> str:
     symbols, _ = traced.free
     values = _counted({key: symbol.numel() for key, symbol in symbols.items()})
     free = _counted({key: unknown.size for key, unknown in traced.unknowns.items() if unknown.size})
@@ -97,13 +89,9 @@ def _head(traced: Trace, told: list[str]) -> str:
         f"c    constants: {constants}",
         "",
     ]
-    return "/*\n" + "".join(f" * {_comment(line)}".rstrip() + "\n" for line in about) + "".join(told) + " */\n"
+    lines = (line.replace("*/", "* /").replace("\n", " ") for line in about)  # which cannot end the comment
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + told + " */\n"
 
 
 def _counted(sizes: Mapping[str, int]) -> str:
     return ", ".join(f"{key} {size}" for key, size in sizes.items())
-
-
-def _comment(text: str) -> str:
-    """A text that cannot end a C comment."""
-    return text.replace("*/", "* /").replace("\n", " ")

@@ -82,11 +82,8 @@ class Samples(Value):
     def check(self, layout: Layout) -> None:
         """Raise SamplesError unless these rows have the joints, columns and labels that a problem asks for."""
         if self.joints.ndim != 2 or self.joints.shape[1] != len(layout.joints):
-            raise SamplesError(
-                self.file,
-                f"the joint values have the shape {self.joints.shape}",
-                f"Give {len(layout.joints)} per row",
-            )
+            what = f"the joint values have the shape {self.joints.shape}"
+            raise SamplesError(self.file, what, f"Give {len(layout.joints)} per row")
         for what, have, asked in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
             for name in asked:
                 if name not in have:
@@ -97,11 +94,8 @@ class Samples(Value):
                 raise SamplesError(self.file, f"the rows have a column '{name}' but {reason}", "Leave it out")
         for name, values in {"q": self.joints, **self.columns}.items():
             if len(values) != len(self.joints) or not np.isfinite(values).all():
-                raise SamplesError(
-                    self.file,
-                    f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite",
-                    "Give one finite number per row",
-                )
+                what = f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite"
+                raise SamplesError(self.file, what, "Give one finite number per row")
 
     @staticmethod
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
