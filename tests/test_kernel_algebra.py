@@ -15,8 +15,7 @@ from test_kernels import HAS_COMPILER
 from casacal import chain, dh
 from casacal.kernels import c_source
 from casacal.kernels.algebra import Builder
-from casacal.kernels.batch import Columnwise
-from casacal.kernels.block_rows import BlockKernels, CurvatureKernel
+from casacal.kernels.block_rows import BlockKernels, Columnwise, CurvatureKernel
 from casacal.kernels.program import evaluate
 from casacal.kernels.reading import Work, read_program
 from casacal.kinematics import transform_point

@@ -16,7 +16,7 @@ from casacal.discrepancy.effect import Site
 from casacal.discrepancy.survey import Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kernels.batch import Columnwise
+from casacal.kernels.block_rows import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples

@@ -1,15 +1,17 @@
 """Kernels without a compiler: the program replayed on columns of some hundred samples by CasADi's machine.
 
-The four kernels of a row model, and exact second derivatives, which IPOPT alone asks for and C does not have.
+The kernels of a row model, exact second derivatives, which IPOPT alone asks for, and any function of many rows.
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.kernels.batch import WIDEST, Buffered, replayed
+from casacal.kernels.batch import Batch, Buffered, replayed
 from casacal.kernels.program import Program
 from casacal.kernels.reading import read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
@@ -17,6 +19,9 @@ from casacal.threads import shared_out
 
 WIDTHS = {64: 64, 512: 128}
 """Samples up to which blocks have another width than the widest: for a face, for few rows."""
+WIDEST = 512
+FEW = 4096
+"""Rows below which a plain map is sooner done than columns are built."""
 TOGETHER = 16
 """Blocks of second derivatives that one thread sums up at a time."""
 
@@ -201,3 +206,24 @@ class CurvatureKernel:
             weighted.append(ca.horzcat(j[:, m * z : (m + 1) * z], e[:, m]) * w[:, m])
             bend += product(bent[:, m * count : (m + 1) * count].T, w[:, m] ** 2)
         return ca.Function("block", [p, d, w], [ca.horzcat(*weighted), bend])
+
+
+class Columnwise:
+    """A function (z, c, d) -> values, at one z and c for rows of d."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._batch = Batch(function)
+
+    @cached_property
+    def _kernels(self) -> BlockKernels:
+        """Built when many rows come for the first time, which takes longer than few rows do."""
+        function = self._batch.function
+        program = read_program(function, ("once", "once", "lane"), ahead=False)
+        return BlockKernels(program, function.numel_in(0) + function.numel_in(1))
+
+    def __call__(self, z: Array, c: Array, data: Array) -> Array:
+        """Values (N, outputs) at z and c for data (N, columns)."""
+        if len(data) < FEW:
+            return self._batch(z, c, data)[0]
+        lanes = self._kernels.lanes(data, np.ones((len(data), self._kernels.components)))
+        return self._kernels.residual(np.concatenate([z, c]), lanes).T

@@ -29,7 +29,7 @@ class Kernels(ABC):
     """A residual with its slopes, evaluated over rows.
 
     Args:
-        slopes: outputs e (m), and its derivative row by row (m * z).
+        slopes: outputs e (m) and, unless residuals alone are wanted, its derivative row by row (m * z).
         parameters: numbers in p, all arguments but the last, which is the row's data.
 
     """
@@ -38,7 +38,7 @@ class Kernels(ABC):
 
     def __init__(self, slopes: Program, parameters: int) -> None:
         self.components = len(slopes.outputs[0])
-        self.unknowns = len(slopes.outputs[1]) // self.components
+        self.unknowns = sum(map(len, slopes.outputs[1:])) // self.components
         self._program, self._parameters = slopes, parameters
 
     def lanes(self, data: Array, noise: Array) -> Lanes:

@@ -16,8 +16,8 @@ from casacal.discrepancy.gears import per_radian
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.backend import VARIABLE, row_kernels
-from casacal.kernels.batch import Batch, Columnwise
-from casacal.kernels.block_rows import CurvatureKernel
+from casacal.kernels.batch import Batch
+from casacal.kernels.block_rows import Columnwise, CurvatureKernel
 from casacal.kernels.filter_passes import Cubature
 from casacal.kernels.rows import Kernels
 from casacal.kinematics import position
