@@ -56,12 +56,11 @@ class AllRows:
             return self.faces.take(self.sample_of)
         names, codes = list[str](), np.zeros(self.sample_of.size, dtype=np.intp)
         for i, (name, instrument) in enumerate(zip(self.problem.names, instruments, strict=True)):
-            own, sizes = self.sample_rows(i), [block.size for block in instrument.blocks] or [1]
-            blocks = [block.name for block in instrument.blocks] or [""]
-            which = np.repeat(np.arange(len(blocks)), sizes)
-            component = self.component_of[own] if instrument.blocks else np.zeros(own.stop - own.start, dtype=np.intp)
-            codes[own] = len(names) + which[component]
-            names += [f"{name} {block}".strip() if several else block for block in blocks]
+            own, blocks = self.sample_rows(i), [(block.name, block.size) for block in instrument.blocks]
+            blocks = blocks or [("", self.blocks[i].noise.shape[1])]
+            which = np.repeat(np.arange(len(blocks)), [size for _, size in blocks])
+            codes[own] = len(names) + which[self.component_of[own]]
+            names += [f"{name} {block}".strip() if several else block for block, _ in blocks]
         return Labels(names, codes)
 
     @cached_property

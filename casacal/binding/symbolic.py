@@ -218,8 +218,8 @@ class SymbolicProblem:
         return model.residual.map("mapped", "serial", d.shape[1], [0, 1], [])(z, c, d) / w
 
     @staticmethod
-    def _cost(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:
-        return ca.sumsqr(SymbolicProblem._residuals(model, z, c, d, w)) / 2
+    def _cost(model: RowModel, *row: ca.MX) -> ca.MX:
+        return ca.sumsqr(SymbolicProblem._residuals(model, *row)) / 2
 
     @staticmethod
     def _sums(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:

@@ -94,15 +94,11 @@ class Cell(Disturbances):
         if isinstance(self.repeats, bool) or not isinstance(self.repeats, (int, np.integer)) or self.repeats < 1:
             raise SimulationError(f"Each place is touched {self.repeats!r} times", "Give a whole number from one on")
         if self.approach not in APPROACHES:
-            raise SimulationError(
-                f"The approach is {self.approach!r}",
-                f"Give {', '.join(map(repr, APPROACHES[:-1]))} or '{APPROACHES[-1]}'",
-            )
+            fix = f"Give {', '.join(map(repr, APPROACHES[:-1]))} or '{APPROACHES[-1]}'"
+            raise SimulationError(f"The approach is {self.approach!r}", fix)
 
 
-OF_FACES = tuple(
-    field.name for field in fields(Cell) if field.name not in {"faces", *(own.name for own in fields(Disturbances))}
-)
+OF_FACES = tuple(field.name for field in fields(Cell)[len(fields(Disturbances)) :] if field.name != "faces")
 """What only a cell with faces can be asked for."""
 
 OF_TOUCHES = tuple(name for name in OF_FACES if name not in ("tilt", "travel"))

@@ -85,9 +85,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     if not file.is_file():
         near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
         known = f"; known here: {', '.join(near)}" if near else ""
-        raise ProblemError(
-            f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
-        )
+        fix = f"Give a folder with a problem.py, or such a file{known}"
+        raise ProblemError(f"There is no problem at '{path}'", fix)
     if file.suffix != ".py":
         raise ProblemError(
             f"'{path}' is no problem file, which is a program in Python",

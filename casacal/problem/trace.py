@@ -126,7 +126,7 @@ class Trace(Value):
         residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
         here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
         for effect in self.acting:
-            found = _traced(_or_nothing(effect.residual), "residual", effect.words, None, here)
+            found = _traced(effect.residual, "residual", effect.words, None, here, optional=True)
             residual += _in_its_unit(instrument, residual, found, effect.words)
         read = list(instrument.columns)
         if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
@@ -178,7 +178,7 @@ def _with_effects(
 ) -> tuple[Expression, SimpleNamespace]:
     """Flange pose and row as they truly are, where joints, flange and readings err."""
     robot, count = here.robot, len(here.robot.axes)
-    off = [_traced(_or_nothing(effect.joints), "joints", effect.words, None, here) for effect in effects]
+    off = [_traced(effect.joints, "joints", effect.words, None, here, optional=True) for effect in effects]
     moved = [each for each in off if each.numel() == count]
     if moved:
         q = here.q + sum(moved, ca.SX.zeros(count))
@@ -207,31 +207,21 @@ def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, wor
     return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
 
 
-def _or_nothing(call: Any) -> Any:
-    """The same with nothing (0, 1) for None."""
-
-    def called(*arguments: Any) -> Any:
-        found = call(*arguments)
-        return ca.SX(0, 1) if found is None else found
-
-    return called
-
-
-def _traced(call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any) -> Any:
+def _traced(
+    call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any, optional: bool = False
+) -> Any:
+    """What a user's function builds, of that shape or a column; nothing (0, 1) for None where it is optional."""
     try:
         built = call(*arguments)
+        built = ca.SX(0, 1) if optional and built is None else built
         value = built if isinstance(built, Product) else ca.SX(built)
         found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # whatever a user's function raises, it is their problem file that must change
+    except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
         raise ProblemError(
             f"{what} of '{owner}' failed with {type(error).__name__}: {' '.join(str(error).split())}",
             "It must build CasADi expressions from its arguments; see casacal.kinematics",
         ) from error
-    if shape is not None and found != shape:
-        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {shape}")
-    if found[1] != 1 and shape is None:
-        raise ProblemError(f"{what} of '{owner}' has the shape {found}", "It must be a scalar or a column")
+    if found != shape and (shape is not None or found[1] != 1):
+        wanted = "a scalar or a column" if shape is None else f"{shape}"
+        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
     return value

@@ -46,19 +46,16 @@ class Repeats:
         return np.asarray(self.summed(values) / np.sqrt(self.sizes))
 
 
-def repeats_of(samples: Samples, groups: str | None) -> Repeats:
-    """Rows of the same joint values, to 1e-4 rad or mm, on the same face."""
-    places = np.column_stack([np.round(samples.joints / SAME), samples.faces(groups).codes]).astype(np.int64)
-    _, codes, sizes = np.unique(_keys(len(samples), places.T), return_inverse=True, return_counts=True)
-    return Repeats(np.asarray(codes, dtype=np.intp).ravel(), np.asarray(sizes, dtype=np.intp))
-
-
 def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
-    """The same of several instruments, whose rows never repeat one another."""
-    each = [repeats_of(some, column) for some, column in zip(measured.sets, groups, strict=True)]
-    before = np.cumsum([0, *(len(again.sizes) for again in each)])
-    codes = [again.codes + first for again, first in zip(each, before, strict=False)]
-    return Repeats(np.concatenate(codes), np.concatenate([again.sizes for again in each]))
+    """Rows of the same joint values, to 1e-4 rad or mm, on the same face of the same instrument."""
+    codes, sizes, before = [], [], 0
+    for some, column in zip(measured.sets, groups, strict=True):
+        places = np.column_stack([np.round(some.joints / SAME), some.faces(column).codes]).astype(np.int64)
+        _, own, counts = np.unique(_keys(len(some), places.T), return_inverse=True, return_counts=True)
+        codes.append(own.ravel().astype(np.intp) + before)
+        sizes.append(counts.astype(np.intp))
+        before += len(counts)
+    return Repeats(np.concatenate(codes), np.concatenate(sizes))
 
 
 def copies_of(samples: Samples) -> NDArray[np.bool_]:
@@ -179,15 +176,12 @@ def _earlier(codes: NDArray[np.intp]) -> NDArray[np.intp]:
     return earlier
 
 
-def _kinds(layout: Layout) -> list[Dimension]:
-    return [*layout.joints, *(layout.columns[name] for name in sorted(layout.columns))]
-
-
 def _on_grid(samples: Samples, layout: Layout) -> Array:
     """Joint values and readings (N, n + c) as whole numbers of steps."""
-    values = [*samples.joints.T, *(samples.columns[name] for name in sorted(layout.columns))]
-    steps = (GRID[kind] for kind in _kinds(layout))
-    whole = np.column_stack([np.round(value / step) for value, step in zip(values, steps, strict=True)])
+    names = sorted(layout.columns)
+    values = [*samples.joints.T, *(samples.columns[name] for name in names)]
+    kinds = [*layout.joints, *(layout.columns[name] for name in names)]
+    whole = np.column_stack([np.round(value / GRID[kind]) for value, kind in zip(values, kinds, strict=True)])
     return np.asarray(np.clip(whole, -LARGEST, LARGEST))
 
 
