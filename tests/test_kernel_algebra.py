@@ -16,8 +16,7 @@ from casacal import chain, dh
 from casacal.kernels import c_source
 from casacal.kernels.algebra import Builder
 from casacal.kernels.block_rows import BlockKernels, Columnwise, CurvatureKernel
-from casacal.kernels.program import evaluate
-from casacal.kernels.reading import Work, read_program
+from casacal.kernels.program import Work, evaluate, read_program
 from casacal.kinematics import transform_point
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())

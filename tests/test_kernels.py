@@ -18,8 +18,7 @@ from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler, libraries
 from casacal.kernels.backend import row_kernels
-from casacal.kernels.program import NUMPY, C, evaluate, name_of
-from casacal.kernels.reading import read_program
+from casacal.kernels.program import NUMPY, C, evaluate, name_of, read_program
 from casacal.least_squares.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))

@@ -9,12 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import reduce
 from itertools import product
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 
 from casacal.graphs import Operation
-from casacal.kernels.program import TRIGONOMETRIC, Kind, Role
+
+Role: TypeAlias = Literal["once", "lane"]
+Kind: TypeAlias = Literal["constant", "once", "lane", "mixed"]
+
+TRIGONOMETRIC = (ca.OP_SIN, ca.OP_COS)
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
 

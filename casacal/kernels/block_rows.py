@@ -12,8 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.kernels.batch import Batch, Buffered, replayed
-from casacal.kernels.program import Program
-from casacal.kernels.reading import read_program
+from casacal.kernels.program import Program, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
 from casacal.threads import shared_out
 

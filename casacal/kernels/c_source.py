@@ -16,8 +16,9 @@ from typing import TypeAlias
 
 import casadi as ca
 
+from casacal.kernels.algebra import TRIGONOMETRIC, Kind
 from casacal.kernels.compiler import CompilerError
-from casacal.kernels.program import TRIGONOMETRIC, C, Kind, Program, name_of
+from casacal.kernels.program import C, Program, name_of
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)

@@ -18,7 +18,7 @@ from casacal.kernels.c_source import filter_source
 from casacal.kernels.compiler import CompilerError
 from casacal.kernels.libraries import load_library
 from casacal.kernels.native_rows import PAD
-from casacal.kernels.reading import read_program
+from casacal.kernels.program import read_program
 from casacal.least_squares.linalg import LEAST_LEFT
 
 
