@@ -89,15 +89,8 @@ def revealed_step(
 ) -> tuple[Array, float, float] | None:
     """What `revealed_solution` finds, by taking groups out; None where not all is finite.
 
-    Args:
-        parts: the Jacobian A, group by group.
-        information: A'A and the prior's, undamped.
-        prior: the prior's information (n,).
-        gradient: g (n,).
-        damping: one number.
-
-    Returns s (n,), its squared length and the fall that it predicts.
-
+    parts: the Jacobian A, group by group. information: A'A and the prior's (n,), undamped. Returns s (n,), its squared
+    length and the fall that it predicts.
     """
     shared, found, gone, rows = information.groups.shared, np.zeros(gradient.size), [], []
     reduced = gradient[shared].copy()

@@ -69,12 +69,7 @@ def determined(information: Information, prior_std: Array) -> float:
 def posterior_spread(information: Arrow, prior_std: Array) -> tuple[Array, Array]:
     """Covariance (s, s) of the shared unknowns under (A + Lambda)^-1, and variances (n,) of all, as where A is dense.
 
-    What neither data nor prior hold gets an infinite variance.
-
-    Args:
-        information: A of the data.
-        prior_std: prior standard deviations (n,), infinite where flat.
-
+    A is the data's. What neither data nor prior hold gets an infinite variance.
     """
     if not np.isfinite(information.diagonal()).all():
         return np.diag(np.full(information.groups.shared.size, np.inf)), np.full(prior_std.size, np.inf)

@@ -109,10 +109,8 @@ NEAR_READING = 2
 def listing(samples: Samples, layout: Layout) -> dict[str, Any]:
     """What result.json keeps of fitted rows, to know them again.
 
-    Returns:
-        Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps
-        of 1e-6 rad and 0.001 mm.
-
+    Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps of
+    1e-6 rad and 0.001 mm.
     """
     spread = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST)).round().astype(np.intp))
     lines = [" ".join(map(str, map(int, row))) for row in _on_grid(samples.take(spread), layout).tolist()]

@@ -27,13 +27,8 @@ def read_columns(
 ) -> Columns:
     """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
-    Args:
-        path: of the file.
-        numbers: which columns of a header must be numbers.
-        labels: columns of text that are wanted; of a large text file, others are left in the file.
-
-    Raises SamplesError that names file, line, column, what is wrong and the fix.
-
+    numbers: which columns of a header must be numbers. labels: columns of text that are wanted; of a large text file,
+    others are left in the file. Raises SamplesError that names file, line, column, what is wrong and the fix.
     """
     path = Path(path)
     kind = path.suffix.lower()

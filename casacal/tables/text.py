@@ -148,15 +148,9 @@ def decimal_marks(table: Table) -> tuple[tuple[int, str] | None, tuple[int, str]
 
 
 def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
-    """Each pose with the reading that carries the same id: the columns of both.
-
-    Args:
-        poses: rows of joint values.
-        readings: rows of readings, in any order.
-        key: column of both that holds the id, compared as text.
+    """Each pose with the reading, in any order, that carries the same id, compared as text: the columns of both.
 
     Raises SamplesError when an id is missing, doubled, or without its counterpart.
-
     """
     for table in (poses, readings):
         if key not in table.header:
