@@ -9,29 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import make_block
+from casacal.binding.evaluated_rows import EvaluatedRows
 from casacal.binding.kernel_rows import KernelRows
 from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
-from casacal.binding.sums import Sums
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.survey import Survey
-from casacal.least_squares.arrow import Arrow, Groups
-from casacal.least_squares.elimination import GroupRows
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, Places, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.values import FrozenMapping, alike, read_only, short
-
-COMPACT = 50_000
-"""Rows beyond which no whole Jacobian is held."""
 
 NO_FACTORS: Mapping[str, float] = FrozenMapping({})
 
@@ -60,7 +51,7 @@ def bind(
     return BoundProblem(problem, make_slots(problem, sets := sets_of(samples)), sets, backend, threads)
 
 
-class BoundProblem(AllRows, LeastSquares):
+class BoundProblem(EvaluatedRows):
     """A `Problem` with its samples; see `bind`."""
 
     def __init__(
@@ -114,11 +105,6 @@ class BoundProblem(AllRows, LeastSquares):
     def __repr__(self) -> str:
         return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
 
-    @property
-    def rows(self) -> int:
-        """Scalar residuals of all instruments."""
-        return int(self.starts[-1])
-
     def on(self, *samples: Samples | Measurements) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return self._like(self.slots, sets_of(samples), self.scale)
@@ -152,83 +138,6 @@ class BoundProblem(AllRows, LeastSquares):
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], scale: Mapping[str, float]) -> BoundProblem:
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
-
-    @property
-    def backend(self) -> str:
-        """What evaluates the rows: "c" or "blocks"."""
-        return self._rows.backend
-
-    def plain_residual(self, x: Array) -> Array:
-        """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
-        return self._rows.residual(x)
-
-    def residual(self, x: Array) -> Array:
-        """Whitened residuals (rows,) at x (n,)."""
-        return self._rows.residual(x) / self._rows.noise
-
-    def jacobian(self, x: Array) -> Array:
-        """Whitened Jacobian (rows, n) at x (n,)."""
-        whole = np.zeros((self.rows, self.unknowns))
-        for piece, _, slopes in self._rows.slopes(x):
-            whole[piece.numbers[..., None], piece.columns] = slopes / self._rows.noise[piece.numbers][..., None]
-        return whole
-
-    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
-        return self._sums.normal(x, loss)
-
-    @property
-    def groups(self) -> Groups | None:
-        """Which unknowns belong to one label alone, where these are many: they are taken out label by label."""
-        return self._sums.groups
-
-    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
-        """The whitened Jacobian at x (n,) group by group, where information is an arrow; rows weighted by a loss."""
-        return self._sums.group_rows(x, loss)
-
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
-        """A damped Gauss-Newton step; in C where rows are evaluated in C."""
-        native, information = self._sums.native, normal.information
-        if native is None or isinstance(information, Arrow):
-            return super().damped_step(x, normal, damping)
-        found = native.step(x, normal.gradient, information, damping)
-        return None if found is None else Step(*found)
-
-    def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
-        return self.jacobian(x) if self.rows <= COMPACT else self._rows.triangle(x)
-
-    @cached_property
-    def _sums(self) -> Sums:
-        return Sums(self._rows, self.slots, (self.x0, self.start_std, self.prior_information), self._threads)
-
-    def costs(self, states: Array) -> Array:
-        """Objective at many states (m, n): (m,)."""
-        away = states - self.x0
-        away *= away
-        total = away @ (self.prior_information / 2)
-        total += self._rows.costs(states)
-        return np.asarray(total)
-
-    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
-        """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
-        return self._rows.filter_pass(first, self.x0, self.start_std, mean, root)
-
-    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
-        """Let an extended filter take in all rows, in C where there is a compiler."""
-        if self._sums.packed is None:
-            return None
-        mean, covariance = mean.copy(), np.ascontiguousarray(covariance.copy())
-        trace = self._sums.packed.extended_pass(self._rows.places, self.x0, self.start_std, mean, covariance)
-        return ExtendedPass(mean, covariance, *trace)
-
-    def row(self, k: int, states: Array) -> Array:
-        """Whitened residual k at many states (m, n): (m,)."""
-        return self._rows.row(k, states)
-
-    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
-        """Whitened residual k and its gradient (n,) at x (n,)."""
-        return self._rows.row_jacobian(k, x)
 
     def first_part(self) -> tuple[BoundProblem, NDArray[np.intp]] | None:
         """The geometry alone, where there are effects beside it."""

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
-from casacal.kernels.filter_passes import FilterRows
 from casacal.kernels.rows import Piece
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import FilterPass
 from casacal.threads import shared_out
 
 FEW = 8_192
@@ -49,8 +47,7 @@ class KernelRows:
         """The same rows with other noise, whose data are packed already."""
         self._kernels = [block.model.rows(backend) for block in blocks]
         self._threads = threads if sum(len(block.noise) for block in blocks) >= FEW else 1
-        self.starts = np.cumsum([0, *(block.noise.size for block in blocks)])
-        """The first residual of each instrument, and after the last how many there are."""
+        self._starts = np.cumsum([0, *(block.noise.size for block in blocks)])
 
     @property
     def backend(self) -> str:
@@ -76,7 +73,7 @@ class KernelRows:
                 for piece in self._packed.pieces
             )
         found = []
-        for block, kernels, first in zip(self.blocks, self._kernels, self.starts, strict=False):
+        for block, kernels, first in zip(self.blocks, self._kernels, self._starts, strict=False):
             components = np.arange(block.noise.shape[1])
             for columns, constants, seen in zip(block.columns, block.constants, block.by_pattern, strict=True):
                 for rows in _parts(seen):
@@ -88,7 +85,7 @@ class KernelRows:
     @cached_property
     def places(self) -> NDArray[np.intp]:
         """Piece, lane in it and component of each row (rows, 3)."""
-        found = np.empty((int(self.starts[-1]), 3), dtype=np.intp)
+        found = np.empty((int(self._starts[-1]), 3), dtype=np.intp)
         for k, piece in enumerate(self.pieces):
             lanes, components = np.indices(piece.numbers.shape)
             found[piece.numbers] = np.stack([np.full_like(lanes, k), lanes, components], axis=-1)
@@ -96,7 +93,7 @@ class KernelRows:
 
     def residual(self, x: Array) -> Array:
         """Plain residuals (rows,)."""
-        e = np.empty(int(self.starts[-1]))
+        e = np.empty(int(self._starts[-1]))
 
         def fill(piece: Piece) -> None:
             e[piece.numbers] = piece.kernels.residual(piece.parameters(x), piece.lanes).T
@@ -151,44 +148,6 @@ class KernelRows:
             some = self.pieces[k : k + PIECES]
             for piece, (cost, s) in zip(some, shared_out(part, some, self._threads), strict=True):
                 yield piece, cost, s
-
-    def row(self, k: int, states: Array) -> Array:
-        """Whitened residual k at many states (m, n): (m,)."""
-        block, sample, component = self._locate(k)
-        pattern = block.pattern[sample]
-        (e,) = block.model.batch.residual(
-            states[:, block.columns[pattern]], block.constants[pattern], block.data[sample]
-        )
-        return np.asarray(e[:, component] / block.noise[sample, component])
-
-    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
-        """Whitened residual k and its gradient (n,) at x (n,)."""
-        block, sample, component = self._locate(k)
-        pattern, noise = block.pattern[sample], block.noise[sample, component]
-        columns = block.columns[pattern]
-        e, slopes = block.model.batch.jacobian(x[columns][None], block.constants[pattern], block.data[sample])
-        gradient = np.zeros(self._unknowns)
-        gradient[columns] = slopes.reshape(-1, columns.size)[component] / noise
-        return float(e[0, component] / noise), gradient
-
-    def filter_pass(self, first: int, x0: Array, scale: Array, mean: Array, root: Array) -> FilterPass:
-        """Let a cubature filter take in the residuals of one instrument from `first` on."""
-        i = self._instrument(first)
-        block, before = self.blocks[i], int(self.starts[i])
-        once = np.hstack([block.constants[block.pattern], block.data])
-        rows = FilterRows(block.pattern, block.columns, x0, scale, once, 1 / block.noise)
-        mean, root = mean.copy(), np.ascontiguousarray(root.copy())
-        stop, *trace = block.model.filter(self._asked)(first - before, rows, mean, root)
-        return FilterPass(before + stop, mean, root, *(each[first - before : stop] for each in trace))
-
-    def _instrument(self, k: int) -> int:
-        return int(np.searchsorted(self.starts, k, side="right")) - 1
-
-    def _locate(self, k: int) -> tuple[Block, int, int]:
-        """The block of residual k, its sample there, and its component."""
-        i = self._instrument(k)
-        block = self.blocks[i]
-        return block, *divmod(k - int(self.starts[i]), block.noise.shape[1])
 
 
 def _parts(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
