@@ -106,8 +106,8 @@ if TYPE_CHECKING:
     from casacal.robots.robot import Robot as Robot
     from casacal.samples.measurements import Measurements as Measurements
     from casacal.samples.samples import Samples as Samples
+    from casacal.simulation.simulate import Simulation as Simulation
     from casacal.simulation.simulate import simulate as simulate
-    from casacal.simulation.simulation import Simulation as Simulation
     from casacal.study import Method as Method
     from casacal.study import Run as Run
     from casacal.study import Simulated as Simulated
@@ -194,8 +194,7 @@ _HOMES = {
     "casacal.uncertainty.learned_priors": ("LearnedPriors", "learned_priors", "scaled_to_accuracy"),
     "casacal.samples.measurements": ("Measurements",),
     "casacal.samples.samples": ("Samples",),
-    "casacal.simulation.simulate": ("simulate",),
-    "casacal.simulation.simulation": ("Simulation",),
+    "casacal.simulation.simulate": ("Simulation", "simulate"),
     "casacal.study": ("Method", "Run", "Simulated", "Study"),
     "casacal.unknowns": ("Direction", "Frame", "Parameter", "Plane"),
     "casacal.verification.verify": ("Verification", "verify"),

@@ -54,6 +54,7 @@ EXTRAS = {
     "study.executors": {"dask", "distributed"},
     "tables.workbooks": {"openpyxl"},
     "measuring.gauges": {"serial"},
+    "cli.completion": {"shtab"},
 }
 """Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}

@@ -100,10 +100,19 @@ def test_the_summary_says_what_a_person_needs(run):
     assert err == ""
     for words in ("Calibrated", "as drawn", "held out", "not accuracy", "Next: ", "ipopt agrees"):
         assert words in out
-    assert "known from" not in out
+    assert "Known from" not in out
     code, out, err = run("calibrate", HSR, "--holdout", 0.25, "--verbose")
     assert (code, err) == (0, "")
-    for words in ("Calibrated", "before", "after", "held out", "std", "known from", "directions", "ipopt agrees"):
+    for words in (
+        "Calibrated",
+        "Before",
+        "After",
+        "held-out rows",
+        "Std. dev.",
+        "Known from",
+        "directions",
+        "ipopt agrees",
+    ):
         assert words in out
 
 

@@ -27,7 +27,7 @@ from casacal import (
 )
 from casacal.bench.methods import left
 from casacal.calibration import corrections
-from casacal.calibration.effect_words import became
+from casacal.calibration.doubts import became
 from casacal.calibration.motion import used_arm
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main

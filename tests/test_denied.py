@@ -126,8 +126,8 @@ def test_nor_in_the_report_or_at_length(denied, capsys):
     assert 'id="correlations"' not in page
     assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--verbose"]) == 1
     said = capsys.readouterr().out
-    assert "each face by the others" in said
-    for words in ("predicted", "at the tip under the prior", "correlated above"):
+    assert "Each face by the others" in said
+    for words in ("redicted", "at the tip under the prior", "correlated above"):
         assert words not in said
     found.report(folder / "again.html")
     assert "Not stated: a figure would be worth nothing" in (folder / "again.html").read_text()

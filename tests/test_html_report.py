@@ -21,10 +21,8 @@ from casacal.calibration.page.touches import Touches
 from casacal.calibration.result_json import calibration_document
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
-from casacal.pages.colours import Scale
-from casacal.pages.drawing import Panel, nice_ceiling, ticks
-from casacal.pages.markup import tag
-from casacal.pages.squares import in_squares
+from casacal.pages.drawing import Panel, nice_ceiling, tag, ticks
+from casacal.pages.maps import Scale, in_squares
 from casacal.samples.samples import Samples
 
 HSR = ROOT / "problems" / "hsr_jr680"

@@ -312,7 +312,7 @@ def test_a_calibration_says_it(hsr, tmp_path):
     assert {each["expected_size"] for each in listed if each["key"] == "neighbours"} == {None}
     assert json.dumps(listed, allow_nan=False)
     told = summary(found, "hsr").split("Errors beside the geometry")[1]
-    assert "drift" in told.splitlines()[2]
+    assert "Drift" in told.splitlines()[2]
     found.report(tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count(">Drift<") == 1

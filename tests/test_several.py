@@ -246,7 +246,7 @@ def test_the_summary_speaks_of_each_instrument(found):
     text = found.summary()
     for name, count in COUNTS.items():
         assert f"{count} of the {name}" in text
-        assert f"  {name}, after" in text
+        assert f"{name}: after, fitted rows" in text
         assert f"24 more samples of the {name}" in text
     assert "tracker                   " in text, "left out as a whole"
     assert "dial floor" in text

@@ -181,7 +181,7 @@ def test_figures_are_by_block_and_in_its_unit(rows):
     for name, own in (("position", e[:, :3]), ("orientation", e[:, 3:])):
         assert parts[name]["after"]["fit"]["rmse_mm"] == pytest.approx(np.sqrt((own**2).mean()))
     assert found.metrics["after"]["fit"]["rmse_mm"] == parts["position"]["after"]["fit"]["rmse_mm"], "in mm alone"
-    assert "orientation (rad)" in found.summary()
+    assert "orientation (rad, not mm): after" in found.summary()
 
 
 def test_noise_is_found_block_by_block(rows):
@@ -266,7 +266,7 @@ def test_three_poses_fix_a_camera(seed):
 
 def test_orientations_are_not_called_millimetres(rows, tmp_path):
     found = calibrate(problem, rows, reference=False, discrepancy="none")
-    assert "  orientation (rad), after" in found.summary()
+    assert "orientation (rad, not mm): after" in found.summary()
     page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
     assert "orientation (rad, not mm): after" in page
     assert "stated 0.0500 mm" in page or "noise as stated" in page

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.nominal import proposed_by, row_columns
 from casacal.binding.slots import Slot, nominals
-from casacal.discrepancy.effect import Site
-from casacal.discrepancy.survey import Survey
+from casacal.discrepancy.effect import Site, Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
 from casacal.kernels.block_rows import Columnwise

@@ -17,7 +17,7 @@ from casacal.binding.nominal import surveys_of
 from casacal.binding.raw_graph import RawGraph
 from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
-from casacal.discrepancy.survey import Survey
+from casacal.discrepancy.effect import Survey
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, Places, sets_of
 from casacal.samples.samples import Samples

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Site
-from casacal.discrepancy.survey import Rows, Survey
+from casacal.discrepancy.effect import Rows, Site, Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses

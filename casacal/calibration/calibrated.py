@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +36,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+def _governed(left: Callable[[Any], Any]) -> Any:
+    """A figure of `unjudged` that the verdict governs: where it denies the result, what is `left` of the figure."""
+
+    class Governed:
+        def __set_name__(self, _: type, name: str) -> None:
+            self.name = name
+
+        def __get__(self, made: Calibrated | None, _: type) -> Any:
+            if made is None:
+                return self
+            found = getattr(made.unjudged, self.name)
+            return left(found) if made.denied else found
+
+    return Governed()
+
+
 class Calibrated(Calibration, AsArm):
     """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures.
 
@@ -59,74 +76,30 @@ class Calibrated(Calibration, AsArm):
         """Whether the method converged, the reference agrees where there must be a minimum, and nothing denies it."""
         return self.unjudged.passed and not self.denied
 
-    @cached_property
-    def tip_std(self) -> tuple[float, float]:
-        """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now.
-
-        NaN where the verdict is not to use this result.
-        """
-        return (math.nan, math.nan) if self.denied else self.unjudged.tip_std
-
-    @cached_property
-    def flange_std(self) -> tuple[float, float]:
-        """The same of the flange's origin, whatever tool it carries."""
-        return (math.nan, math.nan) if self.denied else self.unjudged.flange_std
-
-    @cached_property
-    def tip_std_without_prior(self) -> tuple[float, int]:
-        """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
-        alone, unseen = self.unjudged.tip_std_without_prior
-        return (math.nan if self.denied else alone), unseen
-
-    @cached_property
-    def tip_from_minimum(self) -> float:
-        """How far the tip stands from where the minimum puts it, mm RMS over the workspace; NaN as for `tip_std`."""
-        return math.nan if self.denied else self.unjudged.tip_from_minimum
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance (s, s) of the unknowns of `seen`, mm and rad; NaN where the verdict denies it."""
-        known = self.unjudged.covariance
-        return np.full_like(known, math.nan) if self.denied else known
-
-    @cached_property
-    def motion(self) -> Motion:
-        """All that moves the tip; its covariance is NaN where the verdict denies it."""
-        known = self.unjudged.motion
-        return replace(known, covariance=np.full_like(known.covariance, math.nan)) if self.denied else known
-
-    @cached_property
-    def cures(self) -> tuple[Cure, ...]:
-        """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
-        return () if self.denied else self.unjudged.cures
-
-    @cached_property
-    def advice(self) -> tuple[str, ...]:
-        """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
-        return self.unjudged.advice
-
-    @cached_property
-    def prior_moves(self) -> PriorMoves:
-        """How far arm and tool moved beyond what their priors allow, all together."""
-        return self.unjudged.prior_moves
-
-    @cached_property
-    def identifiability(self) -> Identifiability:
-        """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
-        found = self.unjudged.identifiability
-        return without_tips(found) if self.denied else found
-
-    @cached_property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
-        found = self.unjudged.left_out
-        return without_predictions(found) if self.denied else found
-
-    @cached_property
-    def score_tests(self) -> tuple[ScoreTest, ...]:
-        """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
-        found = self.unjudged.score_tests
-        return without_motion(found) if self.denied else found
+    tip_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
+    flange_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """The same of the flange's origin, whatever tool it carries."""
+    tip_std_without_prior: tuple[float, int] = _governed(lambda found: (math.nan, found[1]))
+    """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+    tip_from_minimum: float = _governed(lambda _: math.nan)
+    """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
+    covariance: Array = _governed(lambda known: np.full_like(known, math.nan))
+    """Covariance (s, s) of the unknowns of `seen`, mm and rad."""
+    motion: Motion = _governed(lambda known: replace(known, covariance=np.full_like(known.covariance, math.nan)))
+    """All that moves the tip, and its covariance."""
+    cures: tuple[Cure, ...] = _governed(lambda _: ())
+    """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
+    advice: tuple[str, ...] = _governed(lambda words: words)
+    """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+    prior_moves: PriorMoves = _governed(lambda found: found)
+    """How far arm and tool moved beyond what their priors allow, all together."""
+    identifiability: Identifiability = _governed(without_tips)
+    """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
+    left_out: tuple[LeftOut, ...] = _governed(without_predictions)
+    """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
+    score_tests: tuple[ScoreTest, ...] = _governed(without_motion)
+    """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
 
     @property
     def x(self) -> Array:

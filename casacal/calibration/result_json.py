@@ -40,7 +40,7 @@ from casacal.problem.problem_file import ProblemFile
 from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import listing
 from casacal.samples.write import write_samples
-from casacal.simulation.simulation import Simulation
+from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs
 from casacal.version import __version__

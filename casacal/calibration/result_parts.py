@@ -16,8 +16,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import REPEATABILITY, without_joints
 from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.doubts import without_motion, without_tips
-from casacal.calibration.effect_words import tip_without_corrections
+from casacal.calibration.doubts import tip_without_corrections, without_motion, without_tips
 from casacal.calibration.methods import Reference
 from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import besides

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
-
+from casacal.calibration import tables
 from casacal.calibration.brief import nothing_helps, together
-from casacal.calibration.calibration import NOT_NEEDED, Calibration
-from casacal.calibration.effect_words import corrected_words, size_words, tried_words
-from casacal.calibration.metrics import parts_of
-from casacal.calibration.result_parts import parameter_rows
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubts import corrected_words, tried_words
 from casacal.calibration.verdict import verdict_of
 from casacal.samples.measurements import Measurements
-from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
 from casacal.version import __version__
-from casacal.wording import METRE, mm
+from casacal.wording import METRE, lower, mm
 
 SHOWN_DIRECTIONS = 6
 SHOWN_PAIRS = 4
@@ -34,46 +29,16 @@ def summary(calibration: Calibration, name: str) -> str:
     parts = [
         _opening(calibration, name),
         "\n".join([verdict.words, *(f"- {reason}" for reason in verdict.reasons)]),
-        _residuals(calibration),
+        tables.residuals(calibration).text(),
         _left_out(calibration, denied),
         "" if denied else _accuracy(calibration),
-        parameter_table(calibration),
+        _parameters(calibration, denied),
         _blind_spots(calibration, denied),
-        "" if denied else _cures(calibration),
+        "" if denied else _next_steps(calibration),
         _beside(calibration, denied),
         _reference(calibration),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def parameter_table(calibration: Calibration) -> str:
-    """Nominal, change, estimate and standard deviation of each free parameter, with what determined it.
-
-    Angles are shown in degrees, lengths in mm.
-    """
-    denied = verdict_of(calibration).level == "do not use"
-    rows = parameter_rows(calibration.fit, calibration.used_x, calibration.result.std, denied=denied)
-    wide = max(12, *(len(row["name"]) + 2 for row in rows)) if rows else 12
-    lines = [f"{'parameter':<{wide}}{'unit':<5}{'nominal':>13}{'estimate':>13}{'change':>11}{'std':>10}  known from"]
-    held = []
-    for row in rows:
-        if row["note"] == "held at nominal":
-            held.append(row["name"])
-            continue
-        unit, factor = ("deg", 180 / math.pi) if row["unit"] == "rad" else (row["unit"], 1.0)
-        nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
-        lines.append(
-            f"{row['name']:<{wide}}{unit:<5}{nominal:>13.4f}{estimate:>13.4f}{estimate - nominal:>+11.4f}"
-            f"{'-' if denied else f'{std:.4f}':>10}"
-            f"  {KNOWN_FROM[row['identifiable']]}"
-        )
-    if held:
-        lines.append(f"held at nominal: {', '.join(held)}")
-    if calibration.corrected:
-        lines.append(
-            "These values belong with the corrected effects. For a controller without them use casacal export."
-        )
-    return "\n".join(lines)
 
 
 def _opening(calibration: Calibration, name: str) -> str:
@@ -102,41 +67,6 @@ def _counted(calibration: Calibration) -> str:
     return f"{groups} {column}{'s' if groups != 1 else ''}, " if groups else ""
 
 
-def _residuals(calibration: Calibration) -> str:
-    said = calibration.fit.problem.words
-    title = f"{said.residual}, {said.unit}"
-    lines = [f"{title:<32}{'RMSE':>9}{'MAE':>9}{'STD':>9}{'MAX':>9}"]
-    words = {"before": f"before ({said.before})", "after": "after"}
-    of_each, units = calibration.metrics_by_instrument, parts_of(calibration.fit)
-    for name, metrics in (of_each or {"": calibration.metrics}).items():
-        other = f" ({units[name]})" if name and units[name] != said.unit else ""
-        of = f"{name}{other}, " if name else ""
-        for when, parts in metrics.items():
-            for part, figures in parts.items():
-                if figures is not None:
-                    shown = when if of_each else words[when]
-                    label = f"  {of}{shown if part == 'fit' else when + ', held out'}"
-                    lines.append(f"{label:<32}" + _figures(figures))
-    return "\n".join(lines)
-
-
-def _left_out(calibration: Calibration, denied: bool) -> str:
-    faces = calibration.left_out
-    if not faces:
-        return ""
-    words = calibration.fit.problem.words
-    title = f"each {words.group} by the others, {words.unit} RMS"
-    lines = [f"{title:<41}{'found':>9}" + ("" if denied else f"{'predicted':>11}{'ratio':>8}")]
-    for face in faces:
-        predicted = "" if denied else f"{face.predicted_mm:>11.4f}{face.ratio:>8.2f}"
-        lines.append(f"  {face.face:<39}{face.actual_mm:>9.4f}{predicted}")
-    return "\n".join(lines)
-
-
-def _figures(figures: Mapping[str, Any]) -> str:
-    return "".join(f"{figures[key]:>9.4f}" for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm"))
-
-
 def _accuracy(calibration: Calibration) -> str:
     (before, after), (drawn, flange) = calibration.tip_std, calibration.flange_std
     alone, _ = calibration.tip_std_without_prior
@@ -154,68 +84,63 @@ def _accuracy(calibration: Calibration) -> str:
     )
 
 
+def _left_out(calibration: Calibration, denied: bool) -> str:
+    if not calibration.left_out:
+        return ""
+    title = f"Each {calibration.fit.problem.words.group} by the others:"
+    return f"{title}\n{tables.left_out(calibration, denied=denied).text()}"
+
+
+def _parameters(calibration: Calibration, denied: bool) -> str:
+    table, held = tables.parameters(calibration, denied=denied)
+    lines = [table.text()] if table.rows else []
+    lines += [f"held at nominal: {', '.join(held)}"] if held else []
+    if calibration.corrected:
+        lines.append(
+            "These values belong with the corrected effects. For a controller without them use casacal export."
+        )
+    return "\n".join(lines)
+
+
 def _blind_spots(calibration: Calibration, denied: bool) -> str:
-    found = calibration.identifiability
+    found, (costly, harmless) = calibration.identifiability, tables.directions(calibration, denied=denied)
     lines = [
         f"What these samples show: {found.rank} of {found.unknowns} directions of the unknowns, {len(found.weak)} of "
         f"them weakly; {len(found.null)} not at all (null)"
     ]
-    named: list[tuple[float, str]] = []
-    directions: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
-    for direction, cure in zip(directions, calibration.advice, strict=True):
-        kind = direction.kind if isinstance(direction, NullDirection) else "weak"
-        text = f"  {kind + ':':<11}{direction.words}"
-        if cure != NOT_NEEDED:
-            costs = "" if denied else f"{mm(direction.tip_mm)} at the tip under the prior; "
-            text += f"\n{'':<13}{costs}cure: {cure}"
-        named.append((direction.tip_mm, text))
-    named.sort(key=lambda entry: -entry[0])  # the costly ones first
-    lines += [text for _, text in named[:SHOWN_DIRECTIONS]]
-    if len(named) > SHOWN_DIRECTIONS:
-        lines.append(f"  ... and {len(named) - SHOWN_DIRECTIONS} more of less weight; result.json has them all")
-    arm = np.flatnonzero(~calibration.seen.datum)  # planes are always correlated with each other and with the base
-    names = [calibration.seen.names[j] for j in arm]
-    pairs = [] if denied else correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
+    for words, kind, tip, cure in costly.rows[:SHOWN_DIRECTIONS]:
+        costs = "" if denied else f"{tip} mm at the tip under the prior; "
+        lines += [f"  {words} ({kind})", f"      {costs}cure: {lower(cure)}"]
+    left = max(SHOWN_DIRECTIONS - len(costly.rows), 0)
+    lines += [f"  {words}; moves no tip" for words in harmless[:left]]
+    if (more := len(costly.rows) + len(harmless) - SHOWN_DIRECTIONS) > 0:
+        lines.append(f"  ... and {more} more of less weight; result.json has them all")
+    pairs = [] if denied else tables.correlations(calibration).rows
     if pairs:
-        shown = ", ".join(f"{one} with {two} ({value:+.2f})" for one, two, value in pairs[:SHOWN_PAIRS])
-        more = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
-        lines.append(f"  correlated above 0.95: {shown}{more}")
+        shown = ", ".join(f"{one} with {two} ({value})" for one, two, value in pairs[:SHOWN_PAIRS])
+        more_pairs = f" and {len(pairs) - SHOWN_PAIRS} more" if len(pairs) > SHOWN_PAIRS else ""
+        lines.append(f"  correlated above 0.95: {shown}{more_pairs}")
     return "\n".join(lines)
 
 
-def _cures(calibration: Calibration) -> str:
-    """What to do next, best first; what gains little, or hardly more than touches of the same kind, is marked."""
-    if not calibration.cures:
+def _next_steps(calibration: Calibration) -> str:
+    table = tables.next_steps(calibration)
+    if not table.rows:
         return ""
-    lines = ["What to do next, best first, with the tip error to expect afterwards:"]
-    for cure in calibration.cures:
-        said = f"{mm(cure.expected_rms_mm, 3):>11}  {cure.words}"
-        lines.append(said if cure.recommended else f"{said} (not recommended)")
-    lines.append(f"{mm(calibration.tip_std[1], 3):>11}  as it is")
-    if any("planned" in cure.words for cure in calibration.cures):
-        lines.append(PLANNED)
-    if none := nothing_helps(calibration):
-        lines.append(none)
-    return "\n".join(lines)
+    planned = [PLANNED] if any("planned" in cure.words for cure in calibration.cures) else []
+    return "\n".join([table.text(), *planned, *filter(None, [nothing_helps(calibration)])])
 
 
 def _beside(calibration: Calibration, denied: bool) -> str:
     """What the rows show beside the geometry; the likeliest first, and how many more were looked for."""
-    tests = calibration.score_tests
-    if not tests:
+    table = tables.effects(calibration, denied=denied)
+    if not table.rows:
         return ""
-    shown = [test for test in tests if test.shown != "no"]
+    shown = [row for row in table.rows if row[1] != "no"]
     lines = ["Errors beside the geometry (each as if it were the only one):"]
-    if shown:
-        wide = max(len(test.words) for test in shown)
-        tip = "" if denied else f"{'at the tip':>12}"
-        lines.append(f"  {'':<{wide}}  {'shown':<9}{'p':>9}{'size':>24}{tip}")
-    for test in shown:
-        size, at_tip = size_words(calibration, test)
-        tip = "" if denied else f"{at_tip:>12}"
-        lines.append(f"  {test.words:<{wide}}  {test.shown:<9}{test.p_holm:>9.1g}{size:>24}{tip}")
-    left = len(tests) - len(shown)
-    lines.append(f"  {left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
+    lines += [replace(table, rows=shown).text()] if shown else []
+    left = len(table.rows) - len(shown)
+    lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
     return "\n".join([*lines, *tried_words(calibration)])
 
 

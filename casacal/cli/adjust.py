@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import box_of
+from casacal.cli.common import add, box_of
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
@@ -17,25 +17,15 @@ if TYPE_CHECKING:
 
 def add_adjustments(parser: argparse.ArgumentParser) -> None:
     """The options that change a problem without an editor."""
-    parser.add_argument(
-        "--fix", action="append", default=[], metavar="NAMES", help="parameters to hold at nominal: alpha,a3,..."
+    add(parser, "--fix NAMES ...", "parameters to hold at nominal: alpha,a3,...")
+    add(parser, "--free NAMES ...", "parameters to estimate that are held: tool,...")
+    add(
+        parser,
+        "--set NAME=NUMBER ...",
+        "another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02",
     )
-    parser.add_argument(
-        "--free", action="append", default=[], metavar="NAMES", help="parameters to estimate that are held: tool,..."
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=NUMBER",
-        help="another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02",
-    )
-    parser.add_argument(
-        "--prior", action="append", default=[], metavar="NAME=STD", help="prior standard deviation in mm or rad, or inf"
-    )
-    parser.add_argument(
-        "--accuracy", type=float, metavar="MM", help="scale the arm's priors to the accuracy that its maker states"
-    )
+    add(parser, "--prior NAME=STD ...", "prior standard deviation in mm or rad, or inf")
+    add(parser, "--accuracy MM", "scale the arm's priors to the accuracy that its maker states", kind=float)
 
 
 def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
@@ -95,24 +85,13 @@ def numbers_of(option: str, settings: Sequence[str], form: str, example: str) ->
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:
     """Boxes, the thickness of links, and shapes of a URDF."""
-    parser.add_argument(
-        "--keep-out",
-        action="append",
-        default=[],
-        metavar="X0:X1,Y0:Y1,Z0:Z1",
-        help="a box, mm, base frame, that arm and tool must avoid; may be repeated",
+    add(
+        parser,
+        "--keep-out X0:X1,Y0:Y1,Z0:Z1 ...",
+        "a box, mm, base frame, that arm and tool must avoid; may be repeated",
     )
-    parser.add_argument(
-        "--link-radius",
-        type=float,
-        metavar="MM",
-        help="radius of the links, to keep clear of boxes, faces and each other",
-    )
-    parser.add_argument(
-        "--ignore-shapes",
-        action="store_true",
-        help="ignore the collision shapes of a URDF",
-    )
+    add(parser, "--link-radius MM", "radius of the links, to keep clear of boxes, faces and each other", kind=float)
+    add(parser, "--ignore-shapes", "ignore the collision shapes of a URDF")
 
 
 def clearance_of(options: argparse.Namespace, problem: Problem) -> Clearance | None:

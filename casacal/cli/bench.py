@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE
+from casacal.cli.common import DONE, add
 from casacal.cli.terminal import say_paragraph
 from casacal.errors import CasacalError, UnknownNameError
 
@@ -24,19 +24,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Fit every method to part of every data set and judge it by the rest: split as the set's page says, at "
         "random, and in blocks. The measurements are not part of casacal. A run that was interrupted can be resumed."
     )
-    parser.add_argument("sets", metavar="SETS", help="a folder of sets, such as studies/bench, or one set's own folder")
-    parser.add_argument("--data", metavar="DIR", help=f"where the measurements are; default: {WHERE}")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="this set; may be repeated")
-    parser.add_argument(
-        "--methods",
-        metavar="FILE",
-        help="a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well",
+    add(parser, "SETS", "a folder of sets, such as studies/bench, or one set's own folder")
+    add(parser, "--data DIR", f"where the measurements are; default: {WHERE}")
+    add(parser, "--only NAME ...", "this set; may be repeated")
+    add(
+        parser,
+        "--methods FILE",
+        "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well",
     )
-    parser.add_argument("--method", action="append", default=[], metavar="NAME", help="this method; may be repeated")
-    parser.add_argument("--quick", action="store_true", help="few rows, one block of each set: less than a minute")
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
-    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only what is missing")
-    parser.add_argument("--out", metavar="DIR", default="out/bench", help="folder for records and report")
+    add(parser, "--method NAME ...", "this method; may be repeated")
+    add(parser, "--quick", "few rows, one block of each set: less than a minute")
+    add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
+    add(parser, "--resume", "keep the records in DIR and run only what is missing")
+    add(parser, "--out DIR", "folder for records and report", default="out/bench")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from casacal.cli.adjust import add_adjustments, adjusted
 from casacal.cli.common import (
     DONE,
     FAILED,
+    add,
     add_json,
     add_problem,
     add_samples,
@@ -44,42 +45,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_samples(parser)
-    parser.add_argument("--method", choices=METHOD_NAMES, help="default: sckf-lm; with --loss, lm")
-    parser.add_argument("--holdout", type=float, default=0.0, metavar="F", help="fraction of the rows to hold out")
-    parser.add_argument(
-        "--holdout-by",
-        metavar="WHAT",
-        help="rows (default: some of each face), region (neighbouring postures), face, or a column, such as session",
+    add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
+    add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
+    add(
+        parser,
+        "--holdout-by WHAT",
+        "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session",
     )
-    parser.add_argument(
-        "--seed", type=whole_number, default=0, metavar="K", help="for held-out rows and random methods"
-    )
+    add(parser, "--seed K", "for held-out rows and random methods", kind=whole_number, default=0)
     add_adjustments(parser)
-    parser.add_argument("--loss", choices=("huber", "tukey"), help="keep gross rows from pulling the fit; method lm")
-    parser.add_argument(
-        "--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="also give the tip error expected inside this box, mm, base frame"
-    )
-    parser.add_argument(
-        "--noise", choices=("found", "stated"), help="found (default): from the rows, but at least as stated"
-    )
-    parser.add_argument("--keep-outliers", action="store_true", help="fit all rows, including outliers")
-    parser.add_argument(
+    add(parser, "--loss", "keep gross rows from pulling the fit; method lm", choices=("huber", "tukey"))
+    add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
+    add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
+    add(parser, "--keep-outliers", "fit all rows, including outliers")
+    add(
+        parser,
         "--discrepancy",
-        choices=("kit", "none"),
-        default="kit",
-        help="kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
+        "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
         "those that improve held-out rows; none: geometry alone",
+        default="kit",
+        choices=("kit", "none"),
     )
-    parser.add_argument("--no-reference", action="store_true", help="skip the cross-check with IPOPT")
-    parser.add_argument(
-        "--backend", choices=("auto", "c", "blocks"), help="what evaluates the rows; default: CASACAL_BACKEND, or auto"
+    add(parser, "--no-reference", "skip the cross-check with IPOPT")
+    add(
+        parser,
+        "--backend",
+        "what evaluates the rows; default: CASACAL_BACKEND, or auto",
+        choices=("auto", "c", "blocks"),
     )
-    parser.add_argument(
-        "--out", metavar="DIR", help="write report.html, result.json, parameters.csv and pictures there"
-    )
-    parser.add_argument(
-        "--verbose", action="store_true", help="print parameters, weak directions and the reference as well"
-    )
+    add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
+    add(parser, "--verbose", "print parameters, weak directions and the reference as well")
     add_json(parser)
 
 
@@ -127,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
     """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
     from casacal.calibration.brief import MOST_LINES, brief
-    from casacal.calibration.effect_words import corrected_words
+    from casacal.calibration.doubts import corrected_words
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import summary
     from casacal.calibration.verdict import verdict_of

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from casacal.errors import CasacalError
 
@@ -19,21 +19,58 @@ if TYPE_CHECKING:
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
+def add(
+    parser: argparse._ActionsContainer,
+    spelled: str,
+    words: str,
+    *,
+    kind: Callable[[str], Any] = str,
+    default: Any = None,
+    choices: Sequence[str] | None = None,
+    required: bool = False,
+    dest: str | None = None,
+) -> None:
+    """An argument, spelled as in a usage line.
+
+    "PROBLEM" and "[SAMPLES]" have a place; "--json" is said or not; "--seed K" takes a value, "--merge DIR+" one or
+    more, and "--prior NAME=STD ..." may come several times, which makes a list.
+    """
+    name, _, value = spelled.partition(" ")
+    if not name.startswith("-"):
+        place = name.strip("[]")
+        nargs = "?" if name.startswith("[") else None
+        parser.add_argument(place.lower(), metavar=None if choices else place, nargs=nargs, choices=choices, help=words)
+    elif not value and choices is None:
+        parser.add_argument(name, action="store_true", help=words)
+    else:
+        several, often = value.endswith("+"), value.endswith(" ...")
+        parser.add_argument(
+            name,
+            metavar=value.removesuffix(" ...").removesuffix("+") or None,
+            action="append" if often else "store",
+            nargs="+" if several else None,
+            type=kind,
+            default=[] if often else default,
+            choices=choices,
+            required=required,
+            dest=dest or name.lstrip("-").replace("-", "_"),
+            help=words,
+        )
+
+
 def add_problem(parser: argparse.ArgumentParser) -> None:
     """The problem a command is about."""
-    parser.add_argument("problem", metavar="PROBLEM", help="a folder with a problem.py, or such a file")
+    add(parser, "PROBLEM", "a folder with a problem.py, or such a file")
 
 
 def add_result(parser: argparse.ArgumentParser) -> None:
     """The result a command is about."""
-    parser.add_argument(
-        "result", metavar="RESULT", help="result.json of casacal calibrate, or the .truth.json of casacal simulate"
-    )
+    add(parser, "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate")
 
 
 def add_instrument(parser: argparse.ArgumentParser, what: str) -> None:
     """Which of several instruments is meant."""
-    parser.add_argument("--instrument", metavar="NAME", help=f"{what}, where a problem has several instruments")
+    add(parser, "--instrument NAME", f"{what}, where a problem has several instruments")
 
 
 def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
@@ -51,26 +88,20 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
     add_result(parser)
     add_instrument(parser, "instrument that took these rows; default: the one with these columns")
-    parser.add_argument("samples", metavar="SAMPLES", help="fresh rows: CSV, .xlsx, .npy or .npz")
-    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
-    parser.add_argument(
-        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
+    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
+    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
+    add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
+    add(
+        parser,
+        "--problem PROBLEM",
+        "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
     )
-    parser.add_argument(
-        "--problem",
-        metavar="PROBLEM",
-        help="the same arm with the instrument of these rows, such as a tracker; default: that of the calibration",
-    )
-    parser.add_argument("--standing", action="append", default=[], metavar="NAMES", help=f"{standing}: floor,wall,...")
+    add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Whether a result counts whose verdict is not to use it."""
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="accept a result that must not be used; the file says so",
-    )
+    add(parser, "--force", "accept a result that must not be used; the file says so")
 
 
 def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out") -> None:
@@ -111,30 +142,21 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Whether the answer is for another program."""
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON, and nothing else")
+    add(parser, "--json", "print the answer as JSON, and nothing else")
 
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
-    parser.add_argument(
-        "samples",
-        metavar="SAMPLES",
-        nargs="?",
-        help="CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem",
-    )
-    parser.add_argument(
-        "--samples",
-        action="append",
-        default=[],
-        dest="sets",
-        metavar="NAME=FILE",
-        help="samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
+    add(parser, "[SAMPLES]", "CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem")
+    add(
+        parser,
+        "--samples NAME=FILE ...",
+        "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
         "samples-dial.csv and so on beside the problem",
+        dest="sets",
     )
-    parser.add_argument("--readings", metavar="FILE", help="CSV or .xlsx with the readings, when SAMPLES has none")
-    parser.add_argument(
-        "--id", default="pose", metavar="COLUMN", help="column that joins readings to their poses; default: pose"
-    )
+    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
+    add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
 
 
 def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:

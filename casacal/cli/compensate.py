@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_force, add_instrument, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, FAILED, add, add_force, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 if TYPE_CHECKING:
@@ -27,23 +27,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_result(parser)
     add_instrument(parser, "instrument whose tip is meant; default: the first")
-    parser.add_argument(
-        "targets", metavar="TARGETS", help="CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz"
-    )
-    parser.add_argument("--out", required=True, metavar="FILE", help="file for the corrected targets")
-    parser.add_argument("--format", choices=("csv", "rapid", "krl", "urscript"), default="csv", help="default: csv")
-    parser.add_argument(
+    add(parser, "TARGETS", "CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz")
+    add(parser, "--out FILE", "file for the corrected targets", required=True)
+    add(parser, "--format", "default: csv", default="csv", choices=("csv", "rapid", "krl", "urscript"))
+    add(
+        parser,
         "--frame",
-        choices=("flange", "tip"),
+        "pose targets are of the flange, or of the tip that touches; default: flange",
         default="flange",
-        help="pose targets are of the flange, or of the tip that touches; default: flange",
+        choices=("flange", "tip"),
     )
-    parser.add_argument(
-        "--largest",
-        type=float,
+    add(
+        parser,
+        "--largest DEG",
+        "joint correction above which a target counts as a jump, degrees; default: 10",
+        kind=float,
         default=10.0,
-        metavar="DEG",
-        help="joint correction above which a target counts as a jump, degrees; default: 10",
     )
     add_force(parser)
     add_json(parser)

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.common import DONE, FAILED, add_json, add_problem
+from casacal.cli.common import DONE, FAILED, add, add_json, add_problem
 from casacal.cli.terminal import say, say_json
 from casacal.errors import CasacalError
 
@@ -28,24 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit 1 if the answer is not certain or nothing fits."
     )
     add_problem(parser)
-    parser.add_argument(
-        "poses", metavar="POSES", help="CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c"
-    )
-    parser.add_argument(
-        "--tool", metavar="POSE", help="tool frame of the pendant, relative to the flange; default: the flange"
-    )
-    parser.add_argument(
-        "--base",
-        metavar="POSE",
-        help="pose of the robot's base in the pendant's user frame; default: the same frame",
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        default=3.0,
-        metavar="MM",
-        help="largest allowed error of a row, in mm and mrad; default: 3",
-    )
+    add(parser, "POSES", "CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c")
+    add(parser, "--tool POSE", "tool frame of the pendant, relative to the flange; default: the flange")
+    add(parser, "--base POSE", "pose of the robot's base in the pendant's user frame; default: the same frame")
+    add(parser, "--tolerance MM", "largest allowed error of a row, in mm and mrad; default: 3", kind=float, default=3.0)
     add_json(parser)
     parser.epilog = (
         "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. The doctor looks at poses; casacal check looks at samples."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_force, add_instrument, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, add, add_force, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -21,20 +21,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Write a calibrated arm in a form that other programs read."
     add_result(parser)
     add_instrument(parser, "instrument whose tip is meant; default: the first")
-    parser.add_argument(
+    add(
+        parser,
         "--to",
-        required=True,
-        choices=("dh", "urdf", "zeros", "ur", "c", "frame"),
-        help="DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
+        "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
         "ur_description (YAML), C99, or the frame of a work object (--faces or --points)",
+        choices=("dh", "urdf", "zeros", "ur", "c", "frame"),
+        required=True,
     )
-    parser.add_argument("--out", required=True, metavar="FILE", help="file to write")
-    parser.add_argument(
-        "--source", metavar="FILE", help="for dh and urdf: a file of yours to copy with only its numbers changed"
-    )
-    parser.add_argument("--prefix", metavar="WORD", help="for c: prefix of function names; default: the problem's name")
-    parser.add_argument("--faces", metavar="A,B,C", help="for frame: z of the first face, x of the second, all three")
-    parser.add_argument("--points", metavar="A,B,C", help="for frame: origin, a point along x, a point beside it")
+    add(parser, "--out FILE", "file to write", required=True)
+    add(parser, "--source FILE", "for dh and urdf: a file of yours to copy with only its numbers changed")
+    add(parser, "--prefix WORD", "for c: prefix of function names; default: the problem's name")
+    add(parser, "--faces A,B,C", "for frame: z of the first face, x of the second, all three")
+    add(parser, "--points A,B,C", "for frame: origin, a point along x, a point beside it")
     add_force(parser)
     add_json(parser)
 

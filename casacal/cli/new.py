@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE
+from casacal.cli.common import DONE, add
 from casacal.cli.terminal import say_paragraph
 from casacal.errors import CasacalError
 
@@ -14,24 +14,21 @@ HELP = "make a problem folder from a DH table or a URDF"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal new` takes."""
     parser.description = "Write a problem folder for an arm given as a DH table or a URDF."
-    parser.add_argument("name", metavar="NAME", help="name of the folder, which must not exist yet")
+    add(parser, "NAME", "name of the folder, which must not exist yet")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--dh", metavar="FILE", help="DH table in CSV or TOML")
-    source.add_argument("--urdf", metavar="FILE", help="URDF, with xacro already expanded")
-    parser.add_argument(
-        "--tip", metavar="LINK", help="link that is the flange; default: the last link, when there is only one"
+    add(source, "--dh FILE", "DH table in CSV or TOML")
+    add(source, "--urdf FILE", "URDF, with xacro already expanded")
+    add(parser, "--tip LINK", "link that is the flange; default: the last link, when there is only one")
+    add(parser, "--base LINK", "link that is the base frame; default: the root link")
+    add(parser, "--tool X,Y,Z", "tip of the plunger at reading zero in the flange frame, mm, such as 0,0,120")
+    add(
+        parser,
+        "--sign",
+        "-1: a larger reading shortens the tool (pushed in); +1: lengthens it",
+        choices=("-1", "+1", "1"),
     )
-    parser.add_argument("--base", metavar="LINK", help="link that is the base frame; default: the root link")
-    parser.add_argument(
-        "--tool", metavar="X,Y,Z", help="tip of the plunger at reading zero in the flange frame, mm, such as 0,0,120"
-    )
-    parser.add_argument(
-        "--sign", choices=("-1", "+1", "1"), help="-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
-    )
-    parser.add_argument(
-        "--accuracy", type=float, metavar="MM", help="absolute accuracy of the arm as its maker states it"
-    )
-    parser.add_argument("--out", metavar="DIR", default=".", help="where to make the folder; default: here")
+    add(parser, "--accuracy MM", "absolute accuracy of the arm as its maker states it", kind=float)
+    add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from casacal.cli.common import DONE, add_instrument, add_json, add_result, made_from, spare
+from casacal.cli.common import DONE, add, add_instrument, add_json, add_result, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 
 HELP = "predict poses of the calibrated arm"
@@ -19,20 +19,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_result(parser)
     add_instrument(parser, "instrument whose tip is meant; default: the first")
-    parser.add_argument("joints", metavar="JOINTS", help="CSV with the joint columns of a samples file")
-    parser.add_argument("--out", required=True, metavar="FILE", help="CSV of poses")
-    parser.add_argument(
+    add(parser, "JOINTS", "CSV with the joint columns of a samples file")
+    add(parser, "--out FILE", "CSV of poses", required=True)
+    add(
+        parser,
         "--frame",
-        choices=("flange", "tip"),
+        "poses of the flange or of the tip; default: flange",
         default="flange",
-        help="poses of the flange or of the tip; default: flange",
+        choices=("flange", "tip"),
     )
-    parser.add_argument(
-        "--std",
-        action="store_true",
-        help="add a column std_mm: standard deviation of the position, apart from the position of the base",
-    )
-    parser.add_argument("--nominal", action="store_true", help="use the arm as drawn, not as calibrated")
+    add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
+    add(parser, "--nominal", "use the arm as drawn, not as calibrated")
     add_json(parser)
 
 

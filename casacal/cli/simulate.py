@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, add_json, add_problem, spare, whole_number
+from casacal.cli.common import DONE, add, add_json, add_problem, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -45,38 +45,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal simulate` takes."""
     parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
     add_problem(parser)
-    parser.add_argument(
-        "--out", required=True, metavar="FILE", help="samples to write, such as x.csv; the truth goes to x.truth.json"
-    )
-    parser.add_argument(
-        "--samples",
-        action="append",
-        default=[],
-        metavar="N",
-        help="number of touches; default: 120; with several instruments dial=120, once for each",
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole_number,
-        default=0,
-        metavar="K",
-        help="seed of arm, touches and noise; default: 0",
-    )
+    add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
+    add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
+    add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
     for name, (unit, words) in NUMBERS.items():
-        parser.add_argument(f"--{name}", type=float, metavar=unit, help=words)
-    parser.add_argument(
-        "--gear-wave",
-        type=_wave,
-        action="append",
+        add(parser, f"--{name} {unit}", words, kind=float)
+    add(
+        parser,
+        "--gear-wave ORDER=RAD ...",
+        "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated",
+        kind=_wave,
         dest="gear_waves",
-        metavar="ORDER=RAD",
-        help="transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated",
     )
-    parser.add_argument("--repeats", type=whole_number, metavar="N", help="touches of each place in a row")
-    parser.add_argument(
+    add(parser, "--repeats N", "touches of each place in a row", kind=whole_number)
+    add(
+        parser,
         "--approach",
+        "side from which joints and plunger approach; same: from the row before, with the plunger pushed in",
         choices=("same", "alternating", "random"),
-        help="side from which joints and plunger approach; same: from the row before, with the plunger pushed in",
     )
     add_json(parser)
 

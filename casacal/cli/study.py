@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.common import DONE, INTERRUPTED
+from casacal.cli.common import DONE, INTERRUPTED, add
 from casacal.cli.terminal import complain, say_paragraph, write_progress
 from casacal.errors import CasacalError
 
@@ -27,23 +27,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Run a study file and write its report. Trials are recorded one by one, so a run can be resumed."
     )
-    parser.add_argument("study", metavar="STUDY", help="a Python file such as studies/paper.py")
-    parser.add_argument("--quick", action="store_true", help="the short form of the study, less than a minute")
-    parser.add_argument("--trials", type=int, metavar="N", help="trials per setting; default: the study's own")
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="local processes; default: 1")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, such as tcp://host:8786")
-    parser.add_argument("--shard", metavar="I/N", help="run only the I-th of N parts of the trials, to be merged later")
-    parser.add_argument("--merge", nargs="+", metavar="DIR", help="run nothing; merge the records of shards")
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        metavar="SECONDS",
-        help="run each trial in its own process with this time limit; a method that takes longer or crashes is "
+    add(parser, "STUDY", "a Python file such as studies/paper.py")
+    add(parser, "--quick", "the short form of the study, less than a minute")
+    add(parser, "--trials N", "trials per setting; default: the study's own", kind=int)
+    add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
+    add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
+    add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
+    add(parser, "--merge DIR+", "run nothing; merge the records of shards")
+    add(
+        parser,
+        "--timeout SECONDS",
+        "run each trial in its own process with this time limit; a method that takes longer or crashes is "
         "recorded as a failure, and --resume with a longer time tries it again",
+        kind=float,
     )
-    parser.add_argument("--resume", action="store_true", help="keep the records in DIR and run only the missing trials")
-    parser.add_argument("--report", action="store_true", help="run nothing; write the report from the records in DIR")
-    parser.add_argument("--out", metavar="DIR", help="folder for records and report; default: out/NAME")
+    add(parser, "--resume", "keep the records in DIR and run only the missing trials")
+    add(parser, "--report", "run nothing; write the report from the records in DIR")
+    add(parser, "--out DIR", "folder for records and report; default: out/NAME")
 
 
 def run(options: argparse.Namespace) -> int:

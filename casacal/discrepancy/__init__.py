@@ -4,9 +4,8 @@ from casacal.discrepancy.arm import GravitySag, ThermalGrowth
 from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
 from casacal.discrepancy.effect import Effect, weighted
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.joint_field import JointField
 from casacal.discrepancy.kit import kit, rich_kit
-from casacal.discrepancy.smooth import Drift, FaceForm
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField
 
 # names of earlier versions
 GearWaves, GravityGive, LinkGive, MeasuredGive = TransmissionError, GravitySag, LinkSag, TorqueCompliance

@@ -13,8 +13,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.array_types import Rows as Chosen
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
-from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.survey import Rows
+from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of

@@ -10,8 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.compliance import read_columns_of
-from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.survey import Rows
+from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot

@@ -5,8 +5,7 @@ from __future__ import annotations
 from casacal.discrepancy.arm import GravitySag, ThermalGrowth
 from casacal.discrepancy.effect import Effect
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.joint_field import JointField
-from casacal.discrepancy.smooth import Drift, FaceForm
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField
 
 DOWN = (0.0, 0.0, -1.0)
 """Gravity in the base frame of an arm that stands."""

@@ -1,17 +1,14 @@
-"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm per file."""
+"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm a file where it is long."""
 
-from casacal.estimators.annealing import annealing
+from casacal.estimators.controls import null_step, plane_only
 from casacal.estimators.ekf import ekf
-from casacal.estimators.evolution import evolution
 from casacal.estimators.ipopt import ipopt
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nominal
-from casacal.estimators.null_step import null_step
-from casacal.estimators.plane_only import plane_only
+from casacal.estimators.population import annealing, evolution, swarm
 from casacal.estimators.scipy_least_squares import scipy_least_squares
 from casacal.estimators.sckf import sckf
 from casacal.estimators.sckf_lm import sckf_lm
-from casacal.estimators.swarm import swarm
 
 __all__ = [
     "annealing",

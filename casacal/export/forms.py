@@ -8,12 +8,11 @@ from pathlib import Path
 from casacal.compensation.arm import CalibratedArm, check_usable, corrections, denial
 from casacal.compensation.result_file import arm_from, caution
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.export.c_code import c_text
+from casacal.export.controllers import ur_kinematics_text, zeros_text
 from casacal.export.dh import dh_text
+from casacal.export.functions import c_text
 from casacal.export.remark import MARK, remark
-from casacal.export.ur_kinematics import ur_kinematics_text
 from casacal.export.urdf import urdf_text
-from casacal.export.zeros import zeros_text
 from casacal.files import write_text
 from casacal.robots.files.dh_file import is_toml
 

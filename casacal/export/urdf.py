@@ -13,8 +13,8 @@ import numpy as np
 from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
+from casacal.export.controllers import roll_pitch_yaw
 from casacal.export.remark import other_forms
-from casacal.export.ur_kinematics import roll_pitch_yaw
 from casacal.robots.files.dh_fields import plain
 from casacal.robots.urdf_chain import MM, UrdfChain, origin_matrix
 

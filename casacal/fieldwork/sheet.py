@@ -8,7 +8,7 @@ from markupsafe import Markup
 from casacal.array_types import Array
 from casacal.binding.nominal import nominal_tips
 from casacal.errors import ProblemError
-from casacal.pages.markup import tag, together
+from casacal.pages.drawing import tag, together
 from casacal.pages.render import rendered
 from casacal.planning.clearance import nodes_of
 from casacal.planning.route import Route

@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.unknowns import Plane
+from casacal.unknowns.fits import fitted_plane
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,28 @@ class Sight:
     """The rows' own columns and those known from labels, each (N,), in mm, rad or the user's unit."""
     plungers: Array | None = None
     """Nominal directions of the plunger, (N, 3), out of the tool; None for an instrument without one."""
+
+    def touched_plane(self) -> Array:
+        """Numbers (12,) of the total-least-squares plane through the tips, their known heights above it taken off.
+
+        Its normal is towards the tool. Raises ProblemError when the tips lie on a line, so that no plane is seen.
+        """
+        heights = self.columns.get("height", np.zeros(len(self.tips)))
+        values, counts = np.unique(heights, return_counts=True)
+        normal = self.touched_normal(heights == values[np.argmax(counts)])
+        return Plane.encode(normal, (self.tips - heights[:, None] * normal).mean(axis=0))
+
+    def touched_normal(self, rows: NDArray[np.bool_]) -> Array:
+        """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger where there is one."""
+        plane = fitted_plane(self.tips[rows])
+        if not plane.flat:
+            raise ProblemError(
+                f"A plane was touched at {int(rows.sum())} tips on one line", "Spread the touches over the face"
+            )
+        if self.plungers is None:
+            return np.asarray(plane.normal)
+        towards = float((self.plungers[rows] @ plane.normal).mean()) > 0
+        return np.asarray(-plane.normal if towards else plane.normal)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.description import Probe, Sight
-from casacal.instruments.dial_on_plane import DialOnPlane, touched_normal
+from casacal.instruments.dial_on_plane import DialOnPlane
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
 from casacal.unknowns.fits import rotation_between
@@ -38,6 +38,8 @@ class DialOnBody(DialOnPlane):
     body: Frame = Frame(turns_only=True)
     offset: Parameter = Parameter(None, unit="mm", per="plane")
 
+    datum = ("body", "offset")
+
     def __post_init__(self) -> None:
         super().__post_init__()
         triples = {label: tuple(float(value) for value in normal) for label, normal in self.normals.items()}
@@ -53,11 +55,6 @@ class DialOnBody(DialOnPlane):
         """Tool point, plunger direction, orientation of the body, offset of each face."""
         own = {"body": self.body, "offset": self.offset}
         return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **own}
-
-    @property
-    def datum(self) -> tuple[str, ...]:
-        """The body and its faces."""
-        return ("body", "offset")
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -95,12 +92,12 @@ class DialOnBody(DialOnPlane):
             seen = []
             distinct, which = np.unique(normals, axis=0, return_inverse=True)
             for i in range(len(distinct)):
-                seen.append(touched_normal(sight, which.ravel() == i))
+                seen.append(sight.touched_normal(which.ravel() == i))
             matrix = np.eye(4)
             matrix[:3, :3] = rotation_between(distinct, np.array(seen))[0]
             return Frame.encode(matrix)
         if key == "offset":
             return np.array(
-                [float((touched_normal(sight, np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
+                [float((sight.touched_normal(np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
             )
         return super().propose(key, sight)

@@ -5,21 +5,44 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Words
-from casacal.instruments.dial_parts import Step, tool_point
 from casacal.instruments.instrument import Instrument
+from casacal.instruments.tool_tip import tool_point
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
-from casacal.unknowns.fits import fitted_plane
 from casacal.values import FrozenMapping
+
+
+def dial_gain(percent: float = 0.15) -> Parameter:
+    """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
+
+    What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
+    that is too large or too small. So this has to be said.
+    """
+    return Parameter(0.0, unit="%", prior_std=percent)
+
+
+def dial_cycle(micrometres: float = 3.0) -> Parameter:
+    """An error that comes back with every turn of the pointer: priors of its cosine and sine, in micrometres."""
+    return Parameter((0.0, 0.0), unit="um", prior_std=micrometres, labels=("_cos", "_sin"))
+
+
+@dataclass(frozen=True)
+class Step:
+    """A face parallel to another one at a known distance, as on a gauge block.
+
+    on: label of the other face. height: distance along its normal, towards the tool, mm. std: of the certificate, mm.
+    """
+
+    on: str
+    height: float
+    std: float = 0.0003
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +81,8 @@ class DialOnPlane(Instrument):
     gain: Parameter | None = None
     cycle: Parameter | None = None
     turn: float = 1.0
+
+    datum: ClassVar[tuple[str, ...]] = ("plane",)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", FrozenMapping(self.steps))
@@ -122,11 +147,6 @@ class DialOnPlane(Instrument):
         return self.steps[label].on if key == "plane" and label in self.steps else label
 
     @property
-    def datum(self) -> tuple[str, ...]:
-        """The plane."""
-        return ("plane",)
-
-    @property
     def column_stds(self) -> Mapping[str, float]:
         """Noise of the reading, mm."""
         return {"reading": self.noise_std} if self.reading else {}
@@ -143,14 +163,11 @@ class DialOnPlane(Instrument):
         return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
 
     @property
-    def groups(self) -> str | None:
-        """The label of the faces."""
-        return self.known_by
-
-    @property
     def known_by(self) -> str:
         """The label of the faces."""
         return self.plane.per or "plane"
+
+    groups = known_by
 
     @property
     def probe(self) -> Probe:
@@ -221,28 +238,4 @@ class DialOnPlane(Instrument):
         """
         if key != "plane":
             return super().propose(key, sight)
-        return touched_plane(sight)
-
-
-def touched_plane(sight: Sight) -> Array:
-    """Numbers (12,) of the total-least-squares plane through the nominal tips, their heights above it taken off.
-
-    Raises ProblemError when the tips lie on a line, so that no plane is seen.
-    """
-    heights = sight.columns.get("height", np.zeros(len(sight.tips)))
-    values, counts = np.unique(heights, return_counts=True)
-    normal = touched_normal(sight, heights == values[np.argmax(counts)])
-    return Plane.encode(normal, (sight.tips - heights[:, None] * normal).mean(axis=0))
-
-
-def touched_normal(sight: Sight, rows: NDArray[np.bool_]) -> Array:
-    """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger where there is one."""
-    plane = fitted_plane(sight.tips[rows])
-    if not plane.flat:
-        raise ProblemError(
-            f"A plane was touched at {int(rows.sum())} tips on one line", "Spread the touches over the face"
-        )
-    if sight.plungers is None:
-        return np.asarray(plane.normal)
-    towards = float((sight.plungers[rows] @ plane.normal).mean()) > 0
-    return np.asarray(-plane.normal if towards else plane.normal)
+        return sight.touched_plane()

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, UnknownNameError, came
 from casacal.instruments.description import UNIT_MISTAKES, Dimension, Probe, ResidualBlock, Sight, Suspect, Words
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
@@ -20,8 +21,9 @@ class Instrument(Portable, ABC):
     """A way of measuring: the columns it reads, its own unknowns, and a signed smooth residual.
 
     A subclass gives `residual`, mostly `columns`, `unknowns` and its noise (`residual_std` or `column_stds`), and
-    overrides what differs from the defaults below. A subclass that is a frozen dataclass can have its unknowns held or
-    given other priors by `Problem.fix` and `Problem.with_prior`.
+    overrides what differs from the defaults below, by a property or by a plain attribute. A subclass that is a frozen
+    dataclass has its fields for unknowns, and can have them held or given other priors by `Problem.fix` and
+    `Problem.with_prior`.
     """
 
     @abstractmethod
@@ -50,8 +52,8 @@ class Instrument(Portable, ABC):
 
     @property
     def unknowns(self) -> Mapping[str, Unknown]:
-        """Its own unknowns: planes, tool, zero."""
-        return {}
+        """Its own unknowns: planes, tool, zero; by default the fields of a dataclass that are unknowns, in order."""
+        return {key: value for key, value in _fields(self).items() if isinstance(value, Unknown)}
 
     @property
     def datum(self) -> tuple[str, ...]:
@@ -165,3 +167,67 @@ class Instrument(Portable, ABC):
         """The same with a face at a known height (mm) on another one; None where that means nothing."""
         del label, on, height
         return None
+
+
+def check_declaration(instrument: object) -> None:
+    """Raise ProblemError for what is no instrument, or says of itself what cannot be."""
+    if isinstance(instrument, type) and issubclass(instrument, Instrument):
+        raise ProblemError(
+            f"Got the class {instrument.__name__}, not an instrument", f"Make one: {instrument.__name__}(...)"
+        )
+    if not isinstance(instrument, Instrument):
+        raise ProblemError(
+            f"Got {came(instrument)} as an instrument", "Give instruments one by one, such as DialOnPlane"
+        )
+    name = type(instrument).__name__
+    for what in ("columns", "column_stds", "known_columns", "unknowns"):
+        if not isinstance(getattr(instrument, what), Mapping):
+            raise ProblemError(f"{what} of {name} is {came(getattr(instrument, what))}", "Make it a dict by name")
+    for column, dimension in instrument.columns.items():
+        if dimension not in get_args(Dimension):
+            raise ProblemError(
+                f"Column '{column}' of {name} is a '{dimension}'", f"Known: {', '.join(get_args(Dimension))}"
+            )
+    for column in instrument.column_stds:
+        if column not in instrument.columns:
+            known = ", ".join(instrument.columns) or "none"
+            raise ProblemError(f"column_stds of {name} names '{column}', which is no column", f"Its columns: {known}")
+    for key, unknown in instrument.unknowns.items():
+        if not isinstance(unknown, Unknown):
+            raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
+
+
+def with_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrument:
+    """The instrument with another unknown: a field of a dataclass, or an entry of a plain `unknowns`."""
+    if key in _fields(instrument):
+        return dataclasses.replace(instrument, **{key: unknown})  # type: ignore[type-var]
+    if isinstance(getattr(type(instrument), "unknowns", None), property):
+        raise ProblemError(
+            f"'{key}' of {type(instrument).__name__} cannot be replaced",
+            "Make the instrument a dataclass with that field",
+        )
+    changed: Instrument = object.__new__(type(instrument))
+    for name, item in {**vars(instrument), "unknowns": {**instrument.unknowns, key: unknown}}.items():
+        object.__setattr__(changed, name, item)
+    return changed
+
+
+def with_setting(instrument: Instrument, name: str, value: float) -> Instrument:
+    """The instrument with another number, such as its sign or its noise_std.
+
+    Raises UnknownNameError for what is none of its numbers, ProblemError where the instrument refuses the value.
+    """
+    present = _fields(instrument)
+    numbers = [key for key, held in present.items() if isinstance(held, (int, float)) and not isinstance(held, bool)]
+    if name not in numbers:
+        raise UnknownNameError(f"number of {type(instrument).__name__}", name, numbers)
+    whole = isinstance(present[name], int) and float(value).is_integer()
+    changed: Instrument = dataclasses.replace(instrument, **{name: int(value) if whole else float(value)})  # type: ignore[type-var]
+    return changed
+
+
+def _fields(instrument: Instrument) -> dict[str, object]:
+    """The fields of a dataclass by name; none of another class."""
+    if not dataclasses.is_dataclass(instrument):
+        return {}
+    return {each.name: getattr(instrument, each.name) for each in dataclasses.fields(instrument)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +10,17 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.dial_parts import tool_point
 from casacal.instruments.instrument import Instrument
 from casacal.kinematics import Expression, transform_point
-from casacal.unknowns import Parameter, Unknown
+from casacal.unknowns import Parameter
 from casacal.values import is_real
+
+
+def tool_point(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, prior_std: float = math.inf, free: bool = True
+) -> Parameter:
+    """Tool point (3, mm) in the flange frame, with components tool_x, tool_y, tool_z; its prior is flat by default."""
+    return Parameter((x, y, z), unit="mm", prior_std=prior_std, free=free, labels=("_x", "_y", "_z"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +43,6 @@ class ToolTip(Instrument):
             raise ProblemError(
                 f"noise_std of {type(self).__name__} is {self.noise_std!r}", "Give a positive number of mm"
             )
-
-    @property
-    def unknowns(self) -> Mapping[str, Unknown]:
-        """The point on the flange."""
-        return {"tool": self.tool}
 
     @property
     def residual_std(self) -> float:

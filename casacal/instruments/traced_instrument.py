@@ -10,8 +10,7 @@ from typing import Any
 import casadi as ca
 
 from casacal.array_types import Array
-from casacal.instruments.description import Dimension, Probe, ResidualBlock, Sight
-from casacal.instruments.dial_on_plane import touched_plane
+from casacal.instruments.description import Sight
 from casacal.instruments.instrument import Instrument
 from casacal.kinematics import Expression, Product
 from casacal.unknowns import Plane, Unknown
@@ -32,6 +31,11 @@ DECLARED = (
 )
 
 
+def _declared(name: str, before: Any = None) -> Any:
+    """A property as it was declared; in files from before it was, this."""
+    return property(lambda self: self.declared.get(name, before))
+
+
 @dataclass(frozen=True, eq=False)
 class TracedInstrument(Instrument):
     """What an instrument declares, and its functions as a graph.
@@ -44,6 +48,17 @@ class TracedInstrument(Instrument):
     declared: Mapping[str, Any]
     values: Mapping[str, Unknown]
     graph: ca.Function
+
+    columns = _declared("columns")
+    unknowns = _declared("unknowns")
+    known_columns = _declared("known_columns")
+    known_by = _declared("known_by")
+    knows_every_label = _declared("knows_every_label", False)
+    datum = _declared("datum")
+    column_stds = _declared("column_stds")
+    residual_std = _declared("residual_std")
+    blocks = _declared("blocks", ())
+    probe = _declared("probe")
 
     @staticmethod
     def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:
@@ -60,56 +75,6 @@ class TracedInstrument(Instrument):
         declared = {name: getattr(instrument, name) for name in DECLARED}
         return TracedInstrument(frozen(declared), FrozenMapping(every), graph)
 
-    @property
-    def columns(self) -> Mapping[str, Dimension]:
-        """As declared."""
-        return self.declared["columns"]  # type: ignore[no-any-return]
-
-    @property
-    def unknowns(self) -> Mapping[str, Unknown]:
-        """As declared."""
-        return self.declared["unknowns"]  # type: ignore[no-any-return]
-
-    @property
-    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
-        """As declared."""
-        return self.declared["known_columns"]  # type: ignore[no-any-return]
-
-    @property
-    def known_by(self) -> str:
-        """As declared."""
-        return self.declared["known_by"]  # type: ignore[no-any-return]
-
-    @property
-    def knows_every_label(self) -> bool:
-        """As declared; False in files from before it was."""
-        return bool(self.declared.get("knows_every_label", False))
-
-    @property
-    def datum(self) -> tuple[str, ...]:
-        """As declared."""
-        return self.declared["datum"]  # type: ignore[no-any-return]
-
-    @property
-    def column_stds(self) -> Mapping[str, float]:
-        """As declared."""
-        return self.declared["column_stds"]  # type: ignore[no-any-return]
-
-    @property
-    def residual_std(self) -> float:
-        """As declared."""
-        return float(self.declared["residual_std"])
-
-    @property
-    def blocks(self) -> tuple[ResidualBlock, ...]:
-        """As declared; none in files from before they were."""
-        return tuple(self.declared.get("blocks", ()))
-
-    @property
-    def probe(self) -> Probe | None:
-        """As declared; None in files from before it was."""
-        return self.declared.get("probe")
-
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """The residual that was traced."""
         return self._called(pose, p, row)[0]
@@ -124,7 +89,7 @@ class TracedInstrument(Instrument):
 
     def propose(self, key: str, sight: Sight) -> Array:
         """A plane through the tips; for anything else the instrument itself would have to be asked."""
-        return touched_plane(sight) if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
+        return sight.touched_plane() if isinstance(self.unknowns[key], Plane) else super().propose(key, sight)
 
     def _called(self, pose: Expression, p: Any, row: Any, *, whole: bool = True) -> list[Expression]:
         """All outputs; of a tip or a plunger alone, unknowns that nobody gives, such as a face, play no part."""

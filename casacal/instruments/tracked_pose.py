@@ -16,7 +16,7 @@ from casacal.instruments.description import Dimension, ResidualBlock, Sight, Sus
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.orientations import Orientation
 from casacal.kinematics import Expression, chain, position, rotation
-from casacal.unknowns import Frame, Unknown
+from casacal.unknowns import Frame
 from casacal.unknowns.fits import hand_eye
 from casacal.values import is_real
 
@@ -56,6 +56,8 @@ class TrackedPose(Instrument):
     body: Frame = Frame()
     station: Frame = Frame()
 
+    words = Words("residual of each coordinate", "mm", "poses", "body and station fitted alone", accuracy=True)
+
     def __post_init__(self) -> None:
         for name in ("position_std", "angle_std"):
             std = getattr(self, name)
@@ -86,26 +88,10 @@ class TrackedPose(Instrument):
         return found
 
     @property
-    def unknowns(self) -> Mapping[str, Unknown]:
-        """Body and station."""
-        return {"body": self.body, "station": self.station}
-
-    @property
-    def datum(self) -> tuple[str, ...]:
-        """Both: nobody knew beforehand where they are."""
-        frames = self.unknowns.items()
-        return tuple(key for key, frame in frames if frame.size and not np.isfinite(frame.prior_stds).any())
-
-    @property
     def blocks(self) -> tuple[ResidualBlock, ...]:
         """Position and orientation."""
         place = ResidualBlock("position", 3, "mm", self.position_std)
         return (place, ResidualBlock("orientation", 3, "rad", self.angle_std))
-
-    @property
-    def words(self) -> Words:
-        """Poses."""
-        return Words("residual of each coordinate", "mm", "poses", "body and station fitted alone", accuracy=True)
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:

@@ -1,22 +1,42 @@
-"""Pictures as inline SVG: a panel with two linear axes, and what is drawn into it.
-
-A picture is 400 units wide, about as many pixels as a phone's page, so that its 13-unit text stays legible there.
-Points of one look are one path of strokes of no length to speak of, whose round or square ends are the dots: a dozen
-bytes each. (Of no length at all, square ones are missing in print.)
-"""
+"""Pictures as inline SVG: a panel with axes, and dots, bars, lines and squares on it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from casacal.array_types import Array
-from casacal.pages.markup import tag, together
+
+UNSHOWABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u200e\u200f\u202a-\u202e\u2066-\u2069\ufdd0-\ufdef\ufffe\uffff]"
+)
+"""Control characters, halves of characters, and marks that turn the direction of writing and so hide what is there."""
+
+NOTHING: Mapping[str, object] = MappingProxyType({})
+
+
+def showable(value: object) -> object:
+    """Text in which characters that cannot be shown became the replacement character; markup as it is."""
+    return value if isinstance(value, Markup) else UNSHOWABLE.sub("\ufffd", str(value))
+
+
+def tag(name: str, *children: object, at: Mapping[str, object] = NOTHING) -> Markup:
+    """Element with attributes `at` and children, which are markup or text to be escaped; None is left out."""
+    attributes = "".join(f' {key}="{escape(showable(value))}"' for key, value in at.items())
+    return Markup(f"<{name}{attributes}>{together(*children)}</{name}>\n")  # escaped above
+
+
+def together(*children: object) -> Markup:
+    """Children one after the other; None is left out."""
+    return Markup("").join(escape(showable(child)) for child in children if child is not None)
+
 
 Ticks: TypeAlias = Sequence[tuple[float, str]]
 

@@ -12,7 +12,7 @@ from typing import Any, Self
 from casacal.discrepancy import Effect
 from casacal.errors import ProblemError, UnknownNameError, came
 from casacal.instruments import Instrument, Words
-from casacal.instruments.declaration import check_declaration
+from casacal.instruments.instrument import check_declaration
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, is_real

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
-from casacal.instruments.declaration import with_setting, with_unknown
+from casacal.instruments.instrument import with_setting, with_unknown
 from casacal.problem.compile import RowModel, models_like
 from casacal.problem.measured_arm import MeasuredArm
 from casacal.problem.symbols import Symbols

@@ -12,7 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
 from casacal.discrepancy.effect import Effect, Site
-from casacal.discrepancy.joint_field import JointField
+from casacal.discrepancy.smooth import JointField
 from casacal.estimators import lm
 from casacal.least_squares.arrow import Arrow
 from casacal.problem.problem import Problem

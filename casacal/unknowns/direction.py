@@ -48,6 +48,8 @@ class Direction(Unknown):
     per: str | None = None
     held_as_proposed: bool = False
 
+    nominal_size = 9
+
     def __post_init__(self) -> None:
         for name in ("vector", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
@@ -88,11 +90,6 @@ class Direction(Unknown):
         """Numbers (9,) that fix a nominal direction; raises ProblemError for no vector (3,) that points anywhere."""
         unit = unit_vector(vector, "A direction")
         return np.concatenate([unit, tangent_basis(unit).T.ravel()])
-
-    @property
-    def nominal_size(self) -> int:
-        """Nine numbers."""
-        return 9
 
     @property
     def raw_size(self) -> int:

@@ -52,6 +52,8 @@ class Frame(Unknown):
     per: str | None = None
     held_as_proposed: bool = False
 
+    nominal_size = 12
+
     def __post_init__(self) -> None:
         for name in ("matrix", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
@@ -86,11 +88,6 @@ class Frame(Unknown):
     def nominal(self) -> Array | None:
         """Rotation (9, column by column) and translation (3, mm); None when the data must propose them."""
         return None if self.matrix is None else self.encode(np.asarray(self.matrix, dtype=np.float64))
-
-    @property
-    def nominal_size(self) -> int:
-        """Twelve numbers."""
-        return 12
 
     @property
     def raw_size(self) -> int:

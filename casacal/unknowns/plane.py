@@ -70,6 +70,8 @@ class Plane(Unknown):
     per: str | None = None
     held_as_proposed: bool = False
 
+    nominal_size = 12
+
     def __post_init__(self) -> None:
         for name in ("normal", "point", "prior_std", "start_std"):
             object.__setattr__(self, name, plain(getattr(self, name)))
@@ -109,11 +111,6 @@ class Plane(Unknown):
         if self.normal is None or self.point is None:
             return None
         return self.encode(self.normal, self.point)
-
-    @property
-    def nominal_size(self) -> int:
-        """Twelve numbers."""
-        return 12
 
     @property
     def raw_size(self) -> int:

@@ -6,9 +6,8 @@ import math
 
 from markupsafe import Markup
 
-from casacal.pages.drawing import Panel, figure, number, picture
-from casacal.pages.markup import tag
-from casacal.pages.numbers import shortened
+from casacal.pages.drawing import Panel, figure, number, picture, tag
+from casacal.pages.render import shortened
 from casacal.verification.figures import ErrorInterval, Figures
 
 MOST = 16

@@ -11,8 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from casacal.errors import CasacalError
-from casacal.pages.numbers import fixed, mm, shortened
-from casacal.pages.render import rendered
+from casacal.pages.render import fixed, mm, rendered, shortened
 from casacal.verification.error_picture import NAMES, error_picture
 from casacal.verification.figures import ErrorInterval, Figures, PartError
 from casacal.verification.words import told

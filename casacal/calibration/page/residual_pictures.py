@@ -7,10 +7,9 @@ from markupsafe import Markup
 
 from casacal.array_types import Array
 from casacal.calibration.page.touches import TITLES, Part, Places, Touches, When, spread, thinned
-from casacal.pages.colours import Scale
 from casacal.pages.drawing import Panel, Ticks, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
-from casacal.pages.numbers import shortened
-from casacal.pages.squares import Squares, in_squares
+from casacal.pages.maps import Scale, Squares, in_squares
+from casacal.pages.render import shortened
 
 BINS = (15, 41)
 """Fewest and most bars, odd, so that one stands about zero."""

@@ -20,6 +20,20 @@ from casacal.tables.text import read_table
 
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+COLUMNS = (
+    "joint",
+    "alpha_deg",
+    "a_mm",
+    "d_mm",
+    "theta_deg",
+    "beta_deg",
+    "kind",
+    "lower_deg",
+    "upper_deg",
+    "lower_mm",
+    "upper_mm",
+)
+"""Of a CSV that is written, as far as the table has them."""
 
 
 def read_csv(path: str | Path) -> Fields:
@@ -47,43 +61,6 @@ def decode(path: Path) -> str:
     """Text of a file that `read_table` accepts, line ends as they are."""
     data = path.read_bytes()
     return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
-
-
-def csv_text(table: DHTable) -> str:
-    """A DH table as CSV, degrees and millimetres."""
-    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
-    if table.parallel:
-        lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
-    if table.conventions is not None:
-        lines += conventions_comments(table.conventions, [joint.turns for joint in table.joints])
-    slides = [joint for joint in table.joints if joint.kind == "prismatic"]
-    header = ["joint", "alpha_deg", "a_mm", "d_mm", "theta_deg", *(["beta_deg"] if table.parallel else []), "kind"]
-    header += ["lower_deg", "upper_deg", *(["lower_mm", "upper_mm"] if slides else [])]
-    lines.append(",".join(header))
-    for i, joint in enumerate(table.joints):
-        turn = joint.turns
-        cells = [str(i + 1), degrees(table.alpha[i]), plain(table.a[i]), plain(table.d[i]), degrees(table.theta[i])]
-        if table.parallel:
-            cells.append(degrees(table.beta[table.parallel.index(i + 1)]) if i + 1 in table.parallel else "")
-        limits = [degrees(joint.lower), degrees(joint.upper)] if turn else [plain(joint.lower), plain(joint.upper)]
-        cells += [joint.kind, *(limits if turn else ["", ""])]
-        if slides:
-            cells += ["", ""] if turn else limits
-        lines.append(",".join(cells))
-    return "\n".join(lines) + "\n"
-
-
-def conventions_comments(conventions: Conventions, turns: list[bool]) -> list[str]:
-    """The block lines of what a controller's joints mean; `turns` says which joints turn."""
-    degs = [degrees(o) if turn else "0" for o, turn in zip(conventions.offsets, turns, strict=True)]
-    lines = [f"# signs: {', '.join(map(str, conventions.signs))}", f"# offsets_deg: {', '.join(degs)}"]
-    if not all(turns):
-        mms = [plain(0.0 if turn else o) for o, turn in zip(conventions.offsets, turns, strict=True)]
-        lines.append(f"# offsets_mm: {', '.join(mms)}")
-    if conventions.coupling:
-        entries = (f"{i} {j} {plain(factor)}" for i, j, factor in conventions.coupling)
-        lines.append(f"# coupling: {'; '.join(entries)}")
-    return lines
 
 
 def _block(text: str, file: str) -> dict[str, Any]:
@@ -170,40 +147,6 @@ def read_toml(path: str | Path) -> Fields:
     return Fields(file, block, tuple(joints), tuple(f"joint {i}" for i in range(1, len(joints) + 1)))
 
 
-def toml_text(table: DHTable) -> str:
-    """A DH table as TOML, degrees and millimetres."""
-    lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
-    if table.parallel:
-        lines.append(f"parallel = {list(table.parallel)}")
-    text = "\n".join(lines) + "\n"
-    if table.conventions is not None:
-        text += "\n" + conventions_toml(table.conventions, table.joints)
-    for i, joint in enumerate(table.joints):
-        turn = joint.turns
-        unit, shown = ("deg", degrees) if turn else ("mm", plain)
-        rows = [f'kind = "{joint.kind}"', f"alpha_deg = {degrees(table.alpha[i])}", f"a_mm = {plain(table.a[i])}"]
-        rows += [f"d_mm = {plain(table.d[i])}", f"theta_deg = {degrees(table.theta[i])}"]
-        if i + 1 in table.parallel:
-            rows.append(f"beta_deg = {degrees(table.beta[table.parallel.index(i + 1)])}")
-        rows += [f"lower_{unit} = {shown(joint.lower)}", f"upper_{unit} = {shown(joint.upper)}"]
-        text += "\n[[joint]]\n" + "\n".join(rows) + "\n"
-    return text
-
-
-def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = None) -> str:
-    """The [conventions] block of a TOML file; offsets in degrees, or mm for those `joints` that slide."""
-    turns = [True] * len(conventions.signs) if joints is None else [joint.turns for joint in joints]
-    degs = [degrees(o) if turn else "0" for o, turn in zip(conventions.offsets, turns, strict=True)]
-    lines = ["[conventions]", f"signs = {list(conventions.signs)}", f"offsets_deg = [{', '.join(degs)}]"]
-    if not all(turns):
-        mms = [plain(0.0 if turn else o) for o, turn in zip(conventions.offsets, turns, strict=True)]
-        lines.append(f"offsets_mm = [{', '.join(mms)}]")
-    if conventions.coupling:
-        entries = (f"[{i}, {j}, {plain(factor)}]" for i, j, factor in conventions.coupling)
-        lines.append(f"coupling = [{', '.join(entries)}]  # joint, joint that is added to it, factor")
-    return "\n".join(lines) + "\n"
-
-
 def _check_list(key: str, value: Any, file: str) -> None:
     """Refuse what is no list of numbers, or for coupling no list of [joint, joint, factor]."""
     rows = value if key == "coupling" and isinstance(value, list) else [value]
@@ -219,3 +162,69 @@ def _check_list(key: str, value: Any, file: str) -> None:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def csv_text(table: DHTable) -> str:
+    """A DH table as CSV, degrees and millimetres."""
+    lines = [f"# name: {table.name}", f"# convention: {table.convention}"]
+    if table.parallel:
+        lines.append(f"# parallel: {', '.join(map(str, table.parallel))}")
+    if table.conventions is not None:
+        meant = _meant(table.conventions, [joint.turns for joint in table.joints])
+        lines += [f"# {key}: {('; ' if key == 'coupling' else ', ').join(each)}" for key, each in meant.items()]
+    rows = _rows(table)
+    columns = [name for name in COLUMNS if any(name in row for row in rows)]
+    lines += [",".join(columns), *(",".join(row.get(name, "") for name in columns) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def toml_text(table: DHTable) -> str:
+    """A DH table as TOML, degrees and millimetres."""
+    lines = [f"name = {json.dumps(table.name, ensure_ascii=False)}", f'convention = "{table.convention}"']
+    if table.parallel:
+        lines.append(f"parallel = {list(table.parallel)}")
+    text = "\n".join(lines) + "\n"
+    if table.conventions is not None:
+        text += "\n" + conventions_toml(table.conventions, table.joints)
+    for row in _rows(table):
+        kind = f'kind = "{row["kind"]}"'
+        numbers = [f"{key} = {value}" for key, value in row.items() if key not in ("joint", "kind")]
+        text += "\n".join(["", "[[joint]]", kind, *numbers, ""])
+    return text
+
+
+def conventions_toml(conventions: Conventions, joints: Sequence[Joint] | None = None) -> str:
+    """The [conventions] block of a TOML file; offsets in degrees, or mm for those `joints` that slide."""
+    turns = [True] * len(conventions.signs) if joints is None else [joint.turns for joint in joints]
+    lines = ["[conventions]"]
+    for key, each in _meant(conventions, turns).items():
+        if key == "coupling":
+            each = [f"[{entry.replace(' ', ', ')}]" for entry in each]
+        remark = "  # joint, joint that is added to it, factor" if key == "coupling" else ""
+        lines.append(f"{key} = [{', '.join(each)}]{remark}")
+    return "\n".join(lines) + "\n"
+
+
+def _meant(conventions: Conventions, turns: Sequence[bool]) -> dict[str, list[str]]:
+    """What a controller's joints mean, numbers as text by key; `turns` says which joints turn."""
+    pairs = list(zip(conventions.offsets, turns, strict=True))
+    found = {"signs": [str(sign) for sign in conventions.signs]}
+    found["offsets_deg"] = [degrees(offset) if turn else "0" for offset, turn in pairs]
+    if not all(turns):
+        found["offsets_mm"] = [plain(0.0 if turn else offset) for offset, turn in pairs]
+    if conventions.coupling:
+        found["coupling"] = [f"{i} {j} {plain(factor)}" for i, j, factor in conventions.coupling]
+    return found
+
+
+def _rows(table: DHTable) -> list[dict[str, str]]:
+    """The fields of each joint as text."""
+    rows = []
+    for i, joint in enumerate(table.joints):
+        row = {"joint": str(i + 1), "kind": joint.kind, "alpha_deg": degrees(table.alpha[i])}
+        row |= {"a_mm": plain(table.a[i]), "d_mm": plain(table.d[i]), "theta_deg": degrees(table.theta[i])}
+        if i + 1 in table.parallel:
+            row["beta_deg"] = degrees(table.beta[table.parallel.index(i + 1)])
+        unit, shown = ("deg", degrees) if joint.turns else ("mm", plain)
+        rows.append(row | {f"lower_{unit}": shown(joint.lower), f"upper_{unit}": shown(joint.upper)})
+    return rows

@@ -1,4 +1,4 @@
-"""The control that misleads: a random step from the minimum along what the samples hardly see."""
+"""Two controls: M0, which fits the planes alone, and a step that the residuals cannot see, which misleads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.information import with_diagonal
 from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
 
 UNMOVED = 1.01
@@ -17,6 +19,19 @@ HALVINGS = 60
 UNSEEN = 0.3
 """Singular value of the whitened Jacobian, in prior standard deviations, below which a direction counts as unseen: one
 prior standard deviation along it moves all residuals together by less than a third of one residual's noise."""
+
+
+def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float = 1e-9) -> Result:
+    """Minimise f in the unknowns that `problem.datum` marks, the others held at the prior's mean.
+
+    What a calibration must beat: it shows how much of a residual a better plane alone removes. The covariance of
+    the held unknowns is their prior's. Arguments as for `lm`.
+    """
+    part = Restricted(problem, problem.datum, problem.x0)
+    fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
+    x, fitted_alone = part.expand(fitted.x), problem.datum.astype(np.float64)
+    information = with_diagonal(problem.normal(x).information, fitted_alone, np.zeros(x.size))
+    return replace(fitted, method="plane-only", problem=problem, x=x, information=information, belief=None)
 
 
 def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Result:

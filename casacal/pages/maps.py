@@ -1,4 +1,4 @@
-"""Colours of numbers: a scale in steps, which print and colour-blind eyes can tell apart, and its key."""
+"""Maps: means over small squares, and the colours that they are painted with."""
 
 from __future__ import annotations
 
@@ -11,8 +11,29 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.pages.drawing import nice_ceiling, number, picture
-from casacal.pages.markup import tag
+from casacal.pages.drawing import nice_ceiling, number, picture, tag
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Lower left corners (k,) of squares that hold a point, their side, and the mean of the values in each (k,)."""
+
+    x: Array
+    y: Array
+    side: float
+    values: Array
+
+
+def in_squares(points: Array, values: Array, most: int) -> Squares:
+    """Means of values (N,) over squares that points (N, 2) fall into, `most` of them along the longer side."""
+    low = points.min(axis=0)
+    side = max(float(np.ptp(points, axis=0).max()) / most, 1e-9) * (1 + 1e-9)
+    place = np.floor((points - low) / side).astype(np.int64)
+    distinct, which = np.unique(place, axis=0, return_inverse=True)
+    which = which.ravel()
+    mean = np.bincount(which, weights=values) / np.bincount(which)
+    return Squares(low[0] + side * distinct[:, 0], low[1] + side * distinct[:, 1], side, mean)
+
 
 SIZES = ("#dce8f2", "#b9d2e6", "#8cb6d6", "#5b95c2", "#3573a8", "#1d4f86", "#0d2d57")
 """From small to large: light to dark."""
