@@ -37,10 +37,10 @@ class Buffered:
             self._own.buffer, self._own.evaluate = self._function.buffer()
         buffer: Any = self._own.buffer  # CasADi's stubs do not know that it takes a memoryview
         evaluate: Callable[[], None] = self._own.evaluate
-        for put, arrays in ((buffer.set_arg, inputs), (buffer.set_res, outputs)):
-            for i, array in enumerate(arrays):
-                if array.size:
-                    put(i, _flat(array))
+        for i, array in enumerate(inputs):
+            buffer.set_arg(i, _flat(array))
+        for i, array in enumerate(outputs):
+            buffer.set_res(i, _flat(array))
         self._own.arrays = (inputs, outputs)
         return evaluate
 
