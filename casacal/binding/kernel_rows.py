@@ -78,11 +78,13 @@ class KernelRows:
             for columns, constants, seen in zip(block.columns, block.constants, block.by_pattern, strict=True):
                 for rows in _parts(seen):
                     lanes = kernels.lanes(block.rows(rows), block.noise[rows])
-                    numbers = first + rows[:, None] * components.size + components
+                    numbers = rows[:, None]  # of a million rows no copy is held that need not be
+                    if first or components.size > 1:
+                        numbers = first + numbers * components.size + components
                     found.append(Piece(kernels, lanes, numbers, columns, constants))
         return tuple(found)
 
-    @cached_property
+    @property
     def places(self) -> NDArray[np.intp]:
         """Piece, lane in it and component of each row (rows, 3)."""
         found = np.empty((int(self._starts[-1]), 3), dtype=np.intp)
