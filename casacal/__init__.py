@@ -88,11 +88,11 @@ if TYPE_CHECKING:
     from casacal.planning.route import Route as Route
     from casacal.planning.route import read_route as read_route
     from casacal.problem.cell import Cell as Cell
+    from casacal.problem.cell import Disturbances as Disturbances
     from casacal.problem.cell import Face as Face
     from casacal.problem.cell import corner as corner
     from casacal.problem.cell import gauge_block as gauge_block
     from casacal.problem.cell import plate as plate
-    from casacal.problem.disturbances import Disturbances as Disturbances
     from casacal.problem.problem import Problem as Problem
     from casacal.problem.problem_file import ProblemFile as ProblemFile
     from casacal.problem.problem_file import load_problem as load_problem
@@ -133,8 +133,7 @@ _HOMES = {
     "casacal.changes.update": ("updated",),
     "casacal.planning.plan": ("Plan", "plan"),
     "casacal.planning.route": ("Route", "read_route"),
-    "casacal.problem.cell": ("Cell", "Face", "corner", "gauge_block", "plate"),
-    "casacal.problem.disturbances": ("Disturbances",),
+    "casacal.problem.cell": ("Cell", "Disturbances", "Face", "corner", "gauge_block", "plate"),
     "casacal.compensation.compensate": ("compensate",),
     "casacal.doctor": ("PendantRows", "diagnose", "read_pendant_rows"),
     "casacal.robots.joints": ("Conventions", "Joint"),

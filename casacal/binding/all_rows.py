@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -144,3 +146,21 @@ class AllRows:
     def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
         return stacked_poses(self.blocks[instrument].posture("pose", x, joints)[0])
+
+
+@dataclass(frozen=True)
+class Alone:
+    """One instrument of a problem and its samples; the name is empty for an only one."""
+
+    name: str
+    problem: Problem
+    samples: Samples
+
+
+def each_alone(problem: Problem, samples: Sequence[Samples]) -> Iterator[Alone]:
+    """The instruments of a problem one by one, in their order, each with its samples."""
+    if len(samples) == 1:
+        yield Alone("", problem, samples[0])
+        return
+    for name, some in zip(problem.names, samples, strict=True):
+        yield Alone(name, problem.measured_by(name), some)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from casacal.binding.alone import Alone, each_alone
+from casacal.binding.all_rows import Alone, each_alone
 from casacal.binding.bound_problem import bind
 from casacal.checks.causes import SUSPICIOUS
 from casacal.checks.finding import Finding

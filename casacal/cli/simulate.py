@@ -12,7 +12,7 @@ from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.problem.disturbances import Disturbances
+    from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "simulate samples, with the true arm"
@@ -150,8 +150,7 @@ def _wave(text: str) -> tuple[int, float]:
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     from dataclasses import replace
 
-    from casacal.problem.cell import OF_FACES
-    from casacal.problem.disturbances import AMOUNTS, Disturbances
+    from casacal.problem.cell import AMOUNTS, OF_FACES, Disturbances
     from casacal.simulation.touches import default_cell
 
     instrument, problem = source.problem.instruments[0], source.problem

@@ -14,7 +14,7 @@ from casacal.planning.clearance import nodes_of
 from casacal.planning.route import Route
 from casacal.planning.written import PLANNED_DECIMALS
 from casacal.problem.problem import Problem
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN
 
 WIDE, HIGH = 64.0, 46.0
 """Size of a picture, in its own units."""

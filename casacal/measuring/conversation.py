@@ -17,7 +17,7 @@ from casacal.measuring.session import Session
 from casacal.measuring.spoken import HELP_WORDS, doubt, told
 from casacal.measuring.touch import Touch
 from casacal.samples.layout import Layout
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN
 from casacal.wording import counted
 
 UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"

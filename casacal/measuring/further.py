@@ -16,7 +16,7 @@ from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.choice import pool_of
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import gains
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import up_to_base, workspace_joints

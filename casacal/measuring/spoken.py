@@ -11,7 +11,7 @@ from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.planning.written import PLANNED_DECIMALS
 from casacal.samples.layout import Layout
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN
 from casacal.wording import counted
 
 HELP_WORDS = (

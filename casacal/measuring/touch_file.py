@@ -17,8 +17,7 @@ from casacal.files import write_text
 from casacal.measuring.touch import Touch
 from casacal.planning.route import AGAIN, CHECK, FIT
 from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import JOINT_DECIMALS, WRITTEN
+from casacal.samples.samples import JOINT_DECIMALS, WRITTEN, Samples
 from casacal.values import Value
 
 BESIDE = ("order", "touch", "purpose", "kept")

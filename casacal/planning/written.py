@@ -16,8 +16,7 @@ from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, EXPECTED, FIT
 from casacal.planning.setups import SetUp
 from casacal.samples.layout import Layout
-from casacal.samples.samples import Samples
-from casacal.samples.write import WRITTEN
+from casacal.samples.samples import WRITTEN, Samples
 
 FLAT = 0.93
 """Error over that of fewer touches above which more bring little."""

@@ -12,8 +12,7 @@ from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
-from casacal.problem.cell import Cell, Face
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples

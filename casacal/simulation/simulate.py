@@ -12,8 +12,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SimulationError, came
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
-from casacal.problem.cell import Cell
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples

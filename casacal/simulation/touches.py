@@ -11,8 +11,7 @@ from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe
 from casacal.kinematics import stacked_poses
-from casacal.problem.cell import Cell, Face, corner
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances, Face, corner
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.faults import form_error
