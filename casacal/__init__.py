@@ -119,7 +119,7 @@ if TYPE_CHECKING:
     from casacal.unknowns import Frame as Frame
     from casacal.unknowns import Parameter as Parameter
     from casacal.unknowns import Plane as Plane
-    from casacal.verification.verification import Verification as Verification
+    from casacal.verification.verify import Verification as Verification
     from casacal.verification.verify import verify as verify
 
 _HOMES = {

@@ -15,7 +15,7 @@ from pathlib import Path
 from casacal import Cell, ProblemFile, Run, calibrate, load_problem, simulate
 from casacal.changes.explain import SURE, contenders, explanations
 from casacal.changes.look import Look
-from casacal.changes.memory import with_memory
+from casacal.changes.posterior import with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
@@ -54,12 +54,8 @@ def looks(source: ProblemFile, arm: CalibratedArm, seed: int, sets: int, stands:
 
 def shifted(look: Look, joint: int, shift: float) -> Look:
     """The same rows of an arm one of whose joints has shifted, to first order."""
-    whitened = look.tests.whitened
-    residual = whitened.residual - look.slopes[joint][:, 0] * shift
-    tests = look.tests.at(residual)
-    by_cause, by_row, overall = tests.chances(tests.falls(residual[None]))
-    found = float(overall[0])
-    return dataclasses.replace(look, tests=tests, by_cause=by_cause[0], by_row=by_row[0], overall=found)
+    residual = look.tests.fresh.white - look.slopes[joint][:, 0] * shift
+    return dataclasses.replace(look, tests=dataclasses.replace(look.tests, white=residual))
 
 
 def named(look: Look) -> str:

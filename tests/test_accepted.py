@@ -28,7 +28,7 @@ from casacal import (
     verify,
 )
 from casacal.cli.main import main
-from casacal.verification.words_of_error import measurand
+from casacal.verification.sentences import measurand
 
 TOOL = np.array([20.0, 10.0, 60.0])
 NOISE = 0.02

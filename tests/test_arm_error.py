@@ -10,9 +10,8 @@ from conftest import ROOT
 from scipy.stats import binom, chi2
 
 from casacal import bind, load_problem, simulate
-from casacal.verification.arm_error import Seen
+from casacal.verification.arm_error import FEWEST, Seen, blocks
 from casacal.verification.decision import RISK, Scatter, decide
-from casacal.verification.parts import FEWEST, blocks
 
 # ------------------------------------------------------------------------------------------------ the rule itself
 

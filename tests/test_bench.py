@@ -17,7 +17,7 @@ from casacal.bench.benchmark_set import folds, read_set, read_sets
 from casacal.bench.methods import WAYS, Judged, geometry_and_process
 from casacal.cli.main import main
 from casacal.errors import CasacalError, UnknownNameError
-from casacal.samples.samples import write_samples
+from casacal.samples.write import write_samples
 from casacal.study.records import read_records
 from casacal.study.runs import Run
 

@@ -26,13 +26,13 @@ from casacal import (
 )
 from casacal.changes.explain import contenders, explanations
 from casacal.changes.look import AllTests, Look, row_bases
-from casacal.changes.memory import with_drift, with_memory
+from casacal.changes.posterior import with_drift, with_memory
 from casacal.errors import SamplesError, UnknownNameError
 from casacal.samples.samples import joined
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.touches import default_cell
 from casacal.simulation.true_arm import Draw
-from casacal.uncertainty.fresh_rows import Whitened, chances, likelihood, occam, seen_basis
+from casacal.uncertainty.fresh_rows import FreshRows, chances, likelihood, occam, seen_basis
 from casacal.verification.opened import opened
 
 STANDING = ("floor", "wall", "side")
@@ -77,20 +77,18 @@ def test_whitening_and_likelihood_ratios_against_dense_matrices():
     rng = np.random.default_rng(0)
     spread, own = an_example(rng)
     residual, columns = 3 * rng.normal(size=24), rng.normal(size=(24, 2))
-    found = Whitened.of(residual, spread, own)
+    found = FreshRows(residual, spread, own)
     beside = null_space(own.T)
     inside = np.linalg.inv(beside.T @ (np.eye(24) + spread @ spread.T) @ beside)
     small, there = beside.T @ residual, beside.T @ columns
     assert found.freedom == 21
     assert found.chi_square == pytest.approx(small @ inside @ small)
-    np.testing.assert_allclose(
-        found.of_columns(columns).T @ found.of_columns(columns), there.T @ inside @ there, rtol=1e-9
-    )
+    np.testing.assert_allclose(found.whitened(columns).T @ found.whitened(columns), there.T @ inside @ there, rtol=1e-9)
     shift = -np.linalg.solve(there.T @ inside @ there, there.T @ inside @ small)
     left = small + there @ shift
-    basis = seen_basis(found.of_columns(columns), np.ones(2))
+    basis = seen_basis(found.whitened(columns), np.ones(2))
     tests = AllTests(found, [basis], row_bases(found, 24, 1), np.inf)
-    by_cause, by_row, whole = tests.falls(found.residual[None])
+    by_cause, by_row, whole = tests.falls(found.white[None])
     assert by_cause[0, 0] == pytest.approx(small @ inside @ small - left @ inside @ left)
     assert whole[0] == pytest.approx(found.chi_square)
     # row 7 by itself: the fall where it may be anywhere
@@ -102,7 +100,7 @@ def test_whitening_and_likelihood_ratios_against_dense_matrices():
     assert p_row[0, 7] == pytest.approx(min(24 * chi2.sf(by_row[0, 7], 1), 1.0))
     assert p_all[0] == pytest.approx(chi2.sf(whole[0], 21))
     for by, least in ((np.zeros(24), 0), (15 * np.eye(24)[7], 1), (20 * columns[:, 0], 0)):
-        one = Whitened.of(residual / 3 + by, spread, own).residual[None]
+        one = FreshRows(residual / 3 + by, spread, own).white[None]
         every = [each.min() for each in tests.chances(tests.falls(one))]
         assert tests.smallest(one)[0] == pytest.approx(min(every), rel=1e-6)
         assert least == 0 or np.argmin(every) == 1, "single rows decide where one is off"
@@ -129,15 +127,15 @@ def test_false_alarms_come_at_the_rate_that_was_asked_for(alarm, noise):
     causes = [rng.normal(size=(24, k)) for k in (1, 1, 1, 3)]
     causes[1] = causes[0] + 0.1 * causes[1]  # tests that nearly agree
     count, alarms = 4000, 0
-    first = Whitened.of(np.zeros(24), spread, own)
-    bases = [seen_basis(first.of_columns(each), np.ones(each.shape[1])) for each in causes]
+    first = FreshRows(np.zeros(24), spread, own)
+    bases = [seen_basis(first.whitened(each), np.ones(each.shape[1])) for each in causes]
     tests = AllTests(first, bases, row_bases(first, 24, 1), noise)
     level = tests.level(alarm, seed=7)
     size = np.sqrt(rng.chisquare(noise, count) / noise) if np.isfinite(noise) else np.ones(count)
     for k in range(count):
         rows = rng.normal(size=24) + spread @ rng.normal(size=6)
         rows = rows / size[k] + own @ rng.normal(size=3) * 100
-        whitened = Whitened.of(rows, spread, own).residual
+        whitened = FreshRows(rows, spread, own).white
         alarms += tests.smallest(whitened[None])[0] < level
     low, high = binom.ppf([0.001, 0.999], count, alarm)
     assert low - 0.1 * alarm * count <= alarms <= high + 0.1 * alarm * count  # the level itself was drawn
@@ -145,7 +143,7 @@ def test_false_alarms_come_at_the_rate_that_was_asked_for(alarm, noise):
 
 def test_the_level_is_the_same_for_the_same_seed_and_lower_than_the_rate():
     rng = np.random.default_rng(2)
-    whitened = Whitened.of(rng.normal(size=24), *an_example(rng))
+    whitened = FreshRows(rng.normal(size=24), *an_example(rng))
     tests = AllTests(whitened, [np.zeros((24, 0))], row_bases(whitened, 24, 1), np.inf)
     assert tests.level(0.05, 0, draws=2000) == tests.level(0.05, 0, draws=2000)
     assert tests.level(0.05, 0, draws=2000) != tests.level(0.05, 1, draws=2000)
@@ -204,7 +202,7 @@ def test_what_would_have_been_found_is_found_nine_times_of_ten():
     """The shift that is promised to show, put into rows as they are promised: an alarm in 90 %."""
     given = opened(robot("hsr_jr680")[2], touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING)
     look = Look.at(given.fresh(STANDING), given.noise_freedom, 0.01, 0)
-    rng, size = np.random.default_rng(3), len(look.tests.whitened.residual)
+    rng, size = np.random.default_rng(3), len(look.tests.fresh.residual)
     for k in range(5):
         shift = look.found_from(k)
         drawn = rng.normal(size=(3000, size)) - look.slopes[k][:, 0] * shift
@@ -218,7 +216,7 @@ def test_noise_that_was_found_asks_for_larger_shifts():
     given = opened(robot("hsr_jr680")[2], touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING)
     look = Look.at(given.fresh(STANDING), 12.0, 0.01, 0)
     sure = Look.at(given.fresh(STANDING), np.inf, 0.01, 0)
-    rng, size = np.random.default_rng(4), len(look.tests.whitened.residual)
+    rng, size = np.random.default_rng(4), len(look.tests.fresh.residual)
     for k in (1, 3):
         assert look.found_from(k) > 1.1 * sure.found_from(k)
         drawn = rng.normal(size=(3000, size)) - look.slopes[k][:, 0] * look.found_from(k)
@@ -487,7 +485,8 @@ def test_shares_are_of_the_evidence():
     assert sum(each.share for each in found) == pytest.approx(1.0)
     assert [each.cause.name for each in contenders(found)] == ["joint 4"]
     first = {each.cause.name: each for each in explanations(look, linear=True) if each.cause}
-    residual, spread, own = look.fresh.likelihood()
+    rows = look.fresh.linear
+    residual, spread, own = rows.residual, rows.spread, rows.own
     beside = null_space(own.T)
     inside = beside @ np.linalg.inv(beside.T @ (np.eye(len(spread)) + spread @ spread.T) @ beside) @ beside.T
     for each in found:
@@ -496,7 +495,7 @@ def test_shares_are_of_the_evidence():
         ):  # a row by itself: it leaves the others, is one of 24, and may be off by 100 times its noise
             weight = inside[each.row, each.row]
             left = residual @ inside @ residual - (inside @ residual)[each.row] ** 2 / weight
-            wanted = likelihood(left, look.tests.whitened.freedom, given.noise_freedom)
+            wanted = likelihood(left, look.tests.fresh.freedom, given.noise_freedom)
             assert each.evidence == pytest.approx(wanted - np.log(1 + 1e4 * weight) / 2 - np.log(24), rel=1e-6)
     for each in found:
         if each.cause is not None and each.cause.kind == "joint":

@@ -34,7 +34,7 @@ from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.planning.cures import NO_CURE, cures, outcomes
 from casacal.planning.extra_touches import Touches
-from casacal.planning.offers import offers
+from casacal.planning.set_ups import offers
 from casacal.samples.samples import joined
 from casacal.tables.columns import Labels
 from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy

@@ -14,7 +14,7 @@ from casacal.checks.dial import tells_a_wrong_sign
 from casacal.checks.labels import odd_labels
 from casacal.checks.rows import outside
 from casacal.cli.main import main
-from casacal.samples.samples import write_samples
+from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.figures import leverages
 

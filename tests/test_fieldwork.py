@@ -14,12 +14,11 @@ from casacal import Cell, Face, Problem, TrackedPoint, bind, load_problem, plan,
 from casacal.cli.main import main
 from casacal.errors import CasacalError
 from casacal.fieldwork.approaches import approaches
-from casacal.fieldwork.programs import program_text
-from casacal.fieldwork.sheet import sheet_page
+from casacal.fieldwork.handouts import program_text, sheet_page
 from casacal.planning.clearance import Clearance, near_face, nodes_of
 from casacal.planning.exchange import Criterion, exchange
 from casacal.planning.plan import touches_for
-from casacal.planning.setups import set_ups
+from casacal.planning.set_ups import set_ups
 from casacal.robots.joint_space import random_joints
 from casacal.uncertainty.expectation import planned_accuracy
 

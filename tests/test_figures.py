@@ -17,7 +17,7 @@ from casacal.cli.adjust import adjusted
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.robots.joint_space import random_joints
-from casacal.samples.samples import write_samples
+from casacal.samples.write import write_samples
 from casacal.uncertainty.expectation import accuracy_in_box
 from casacal.uncertainty.figures import leverages
 from casacal.uncertainty.workspace import (

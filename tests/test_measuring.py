@@ -11,8 +11,7 @@ from measured_world import World, taken
 from scipy.optimize import least_squares
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
-from casacal.estimators.sckf import Belief
-from casacal.measuring.further import error_below, expected_error, spectrum
+from casacal.measuring.linear import error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
 from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
@@ -78,7 +77,7 @@ def test_nineteen_of_twenty():
     field, root = rng.normal(size=(30, 6)), np.tril(rng.normal(size=(6, 6))) * np.geomspace(1, 0.03, 6)
     moves = (field @ root @ rng.normal(size=(6, 200_000))).reshape(10, 3, -1)
     drawn = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
-    weights = spectrum(Belief(np.zeros(6), root), field)
+    weights = spectrum(root, field)
     assert expected_error(weights) == pytest.approx(np.sqrt((drawn**2).mean()), rel=0.01)
     assert error_below(weights) == pytest.approx(np.quantile(drawn, 0.95), rel=0.01)
     assert error_below(weights, 0.5) == pytest.approx(np.quantile(drawn, 0.5), rel=0.03)

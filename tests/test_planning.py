@@ -14,8 +14,9 @@ from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.plan import plan, touches_for
-from casacal.planning.route import AGAIN, CHECK, FIT, length_of, shortest_way
+from casacal.planning.route import AGAIN, CHECK, FIT, shortest_way
 from casacal.planning.written import plan_text
+from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
 from casacal.uncertainty.workspace import tip_rms, tip_stds, up_to_base, without_rigid, workspace_joints
 
@@ -153,6 +154,12 @@ def test_a_box_and_targets_are_where_the_tip_is_best(hsr):
     stds = tip_stds(covariance, up_to_base(*at, *over))
     assert one.error == pytest.approx(np.sqrt((stds**2).sum(axis=1).mean()), rel=1e-4)
     assert one.error < 0.9 * one.at_random
+
+
+def length_of(robot, joints):
+    """How far the joint that has furthest to go goes from posture to posture (N, n), all steps together, rad."""
+    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+    return float(np.abs(np.diff(places, axis=0)).max(axis=1).sum())
 
 
 def test_the_way_is_short_and_comes_everywhere(hsr):

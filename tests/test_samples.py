@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from casacal.errors import SamplesError
-from casacal.samples.samples import Layout, Samples, write_samples
+from casacal.samples.samples import Layout, Samples
+from casacal.samples.write import write_samples
 
 LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
 GOOD = """# a comment

@@ -37,7 +37,7 @@ from casacal.files import jsonable, write_json
 from casacal.samples.layout import Layout
 from casacal.samples.repeats import MOST, copies, fitted_among, is_listing, listing
 from casacal.samples.samples import joined
-from casacal.uncertainty.fresh_rows import chance, expected, gross, learnt, toward
+from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.verification.figures import LEVEL
 
 ROBOTS = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
@@ -110,7 +110,7 @@ def test_restricted_likelihood_against_dense_matrices():
     rng = np.random.default_rng(0)
     slopes, own, half = an_example(rng)
     residual = 3 * rng.normal(size=24)
-    found = expected(residual, slopes @ half, own)
+    found = FreshRows(residual, slopes @ half, own)
     beside, total = null_space(own.T), np.eye(24) + slopes @ half @ half.T @ slopes.T
     inside = beside.T @ total @ beside
     assert found.freedom == 21
@@ -141,12 +141,13 @@ def test_chances_are_uniform_where_the_promise_is_true():
     spread, chances = slopes @ half, []
     for _ in range(400):
         residual = rng.normal(size=24) + spread @ rng.normal(size=6) + own @ rng.normal(size=3) * 1e3
-        found, (arm, seen) = expected(residual, spread, own), toward(residual, spread, own, slopes)
+        found = FreshRows(residual, spread, own)
+        arm, seen = found.toward(slopes)
         chances.append((chance(found.chi_square, found.freedom), chance(arm, seen)))
     for one in np.array(chances).T:
         assert kstest(one, "uniform").pvalue > 0.01
     assert seen == 6
-    assert toward(residual, spread, own, slopes * np.array([1e-3, 1, 1, 1, 1, 1]))[1] == 5  # the prior knows it better
+    assert found.toward(slopes * np.array([1e-3, 1, 1, 1, 1, 1]))[1] == 5  # the prior knows it better
 
 
 def test_noise_that_was_found_itself_widens_what_is_expected():
@@ -161,11 +162,11 @@ def test_gross_rows_are_named_one_by_one_and_never_where_all_are_off():
     rng = np.random.default_rng(4)
     slopes, own, half = an_example(rng, rows=80)
     residual = rng.normal(size=80)
-    assert gross(residual, slopes @ half, own).size == 0
+    assert FreshRows(residual, slopes @ half, own).gross().size == 0
     residual[[7, 31]] += (40.0, -25.0)
-    assert gross(residual, slopes @ half, own).tolist() == [7, 31]
+    assert FreshRows(residual, slopes @ half, own).gross().tolist() == [7, 31]
     residual += 30 * rng.normal(size=80)  # all of them are off: it is not single rows
-    assert gross(residual, slopes @ half, own).size == 0
+    assert FreshRows(residual, slopes @ half, own).gross().size == 0
 
 
 # ------------------------------------------------------------------------------------------------ arms of problems/

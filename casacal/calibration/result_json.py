@@ -39,7 +39,7 @@ from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import listing
-from casacal.samples.samples import write_samples
+from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import correlated_pairs

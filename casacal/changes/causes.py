@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -20,8 +20,7 @@ from casacal.verification.fresh import Fresh
 JOINTS, TOOL, TURN, BASE, BASE_TURN = "shift_q", "shift_tool", "shift_turn", "shift_base", "shift_base_turn"
 """Keys of the unknowns: joints as the controller counts them, tool and base in mm along and rad about their axes."""
 
-WIDE = 10.0
-"""Standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them."""
+WIDE = 10.0  # standard deviation that stands for nothing known; these unknowns are given priors by whoever uses them
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,8 @@ def _rigid(place: Expression, turn: Expression) -> Expression:
     return ca.mtimes([each.matrix if isinstance(each, Product) else ca.SX(each) for each in factors])
 
 
-SAME = 1e-6
-"""Part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow."""
-
-POSES = 60
-"""Postures at which these motions are compared."""
+SAME = 1e-6  # part of the motion of tip and flange by a joint that the arm's unknowns may fail to follow
+POSES = 60  # postures at which these motions are compared
 
 
 def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[np.bool_]) -> Array | None:
@@ -92,13 +88,9 @@ def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[n
     """
     joints = workspace_joints(shifted.problem.robot, poses=POSES)
     block, columns = shifted.blocks[0], shifted.blocks[0].columns[0]
-    parts = []
-    for what in ("tip_jacobian", "flange_jacobian"):
-        slopes = block.posture(what, x, joints)[1].reshape(3 * len(joints), -1)
-        whole = np.zeros((len(slopes), shifted.unknowns))
-        whole[:, columns] = slopes
-        parts.append(whole)
-    field = np.vstack(parts)
+    field = np.zeros((6 * len(joints), shifted.unknowns))
+    motions = (block.posture(what, x, joints)[1] for what in ("tip_jacobian", "flange_jacobian"))
+    field[:, columns] = np.vstack([motion.reshape(3 * len(joints), -1) for motion in motions])
     wanted, own = field[:, column], np.flatnonzero(arm)
     size = float(np.linalg.norm(wanted))
     if not size:
@@ -150,33 +142,16 @@ def causes_of(fresh: Fresh, shifted: BoundProblem) -> tuple[Cause, ...]:
     for i, (axis, column) in enumerate(zip(shifted.problem.robot.axes, joints, strict=True)):
         unit = "rad" if axis.turns else "mm"
         found.append(Cause(f"joint {i + 1}", "joint", np.array([column]), (unit,), ("zero",), i))
-    tool = [*shift_columns(shifted, TOOL)]
-    labels, units = ["x", "y", "z"], ["mm"] * 3
-    if _sees_turns(shifted):
-        tool += [*shift_columns(shifted, TURN)]
-        labels, units = [*labels, "about x", "about y", "about z"], [*units, *["rad"] * 3]
-    found.append(Cause("tool", "tool", np.array(tool), tuple(units), tuple(labels)))
-    base = np.concatenate([shift_columns(shifted, BASE), shift_columns(shifted, BASE_TURN)])
-    labels = ["x", "y", "z", "about x", "about y", "about z"]
-    found.append(Cause("base", "base", base, ("mm",) * 3 + ("rad",) * 3, tuple(labels)))
+    labels = ("x", "y", "z", "about x", "about y", "about z")
+    turns_show = any(block.unit == "rad" for block in shifted.problem.instrument.blocks)  # as of a body's pose
+    for name, keys in (("tool", (TOOL, TURN) if turns_show else (TOOL,)), ("base", (BASE, BASE_TURN))):
+        columns = np.concatenate([shift_columns(shifted, key) for key in keys])
+        units = (("mm",) * 3 + ("rad",) * 3)[: columns.size]
+        found.append(Cause(name, name, columns, units, labels[: columns.size]))
     for slot in fresh.bound.slots:
         columns = np.array(slot.columns, dtype=np.intp)
         if slot.beside or not slot.datum or not columns.size or not fresh.known[columns].all():
             continue
-        labels = [name.removeprefix(slot.name).lstrip("._") for name in slot.unknown.names(slot.name)]
-        found.append(Cause(slot.name, "place", columns, tuple(slot.unknown.units), tuple(labels)))
+        names = tuple(name.removeprefix(slot.name).lstrip("._") for name in slot.unknown.names(slot.name))
+        found.append(Cause(slot.name, "place", columns, tuple(slot.unknown.units), names))
     return tuple(found)
-
-
-def slopes_of(shifted: BoundProblem, x: Array, causes: Sequence[Cause], rows: int) -> list[Array]:
-    """Whitened derivative (rows, k) by each cause's unknowns at x; rows after those of the samples are priors."""
-    whole = shifted.jacobian(x)
-    padded = np.vstack([whole, np.zeros((rows - len(whole), whole.shape[1]))])
-    return [padded[:, cause.columns] for cause in causes]
-
-
-def _sees_turns(shifted: BoundProblem) -> bool:
-    """Whether each row says how the flange is turned, as a body's pose does."""
-    return shifted.problem.instrument.blocks != () and any(
-        block.unit == "rad" for block in shifted.problem.instrument.blocks
-    )

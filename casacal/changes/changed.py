@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.calibration.saved import AsArm
-from casacal.changes.change import Change
-from casacal.changes.explain import SURE, Explanation, contenders, explanations
-from casacal.changes.figures import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Shown
+from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
+from casacal.changes.explain import SURE, Explanation, contenders, explanations, telling
 from casacal.changes.look import Look
-from casacal.changes.memory import with_drift, with_memory
-from casacal.changes.tell import telling
+from casacal.changes.posterior import with_drift, with_memory
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
@@ -25,14 +23,9 @@ from casacal.samples.samples import Samples
 from casacal.values import is_real
 from casacal.verification.opened import Opened, opened
 
-MOST = 1500
-"""Rows that are looked at: each is compared with every cause as one that is off."""
-
-FEWEST = 3
-"""Rows that may be off, of few; of many one in twenty."""
-
-UNEXPLAINED = 0.01
-"""Chance of what a cause leaves below which it is not the whole of it."""
+MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
+FEWEST = 3  # rows that may be off, of few; of many one in twenty
+UNEXPLAINED = 0.01  # chance of what a cause leaves below which it is not the whole of it
 
 
 def changed(
@@ -69,85 +62,50 @@ def changed(
     Raises CasacalError, UnknownNameError and SamplesError as `verify` does, and for numbers that mean nothing.
 
     """
-    return changed_by(
-        result,
-        samples,
-        problem=problem,
-        instrument=instrument,
-        standing=standing,
-        drift=drift,
-        alarm=alarm,
-        touches=touches,
-        seed=seed,
-    )[1]
+    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    return looked(given, standing, drift or {}, alarm=alarm, touches=touches, seed=seed)[0]
 
 
-def changed_by(
-    result: AsArm | CalibratedArm | str | Path,
-    samples: Samples | Any,
-    *,
-    problem: Problem | ProblemFile | str | Path | None = None,
-    instrument: str | None = None,
-    standing: Collection[str] = (),
-    drift: Mapping[str, float] | None = None,
-    alarm: float = 0.01,
-    touches: int = 0,
-    seed: int = 0,
-) -> tuple[Opened, Change, Look]:
-    """The same with what an update needs: rows and result as they were opened, and the last look at them."""
+def looked(
+    given: Opened, standing: Collection[str], drift: Mapping[str, float], *, alarm: float, touches: int, seed: int
+) -> tuple[Change, Look]:
+    """The same of rows that were opened, and the last look: without rows that are off."""
     if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
         raise CasacalError(f"Got {came(alarm)}, {alarm!r}, as the false alarm rate", "Give 0.001 to 0.5")
     for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
             raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from 0 to {most}")
-    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
     if len(given.rows) > MOST:
         fix = f"Give up to {MOST:,} of them"
         raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
-    return given, *examined(given, tuple(standing), dict(drift or {}), float(alarm), int(touches), int(seed))
-
-
-def examined(
-    given: Opened, standing: tuple[str, ...], drift: Mapping[str, float], alarm: float, touches: int, seed: int
-) -> tuple[Change, Look]:
-    """The same of rows that were opened, and the last look: without rows that are off."""
     fresh = with_drift(with_memory(given.fresh(standing), given.arm), drift)
-    first = Look.at(fresh, given.noise_freedom, alarm, seed)
-    look, best, places = _without_bad(first, len(given.rows), alarm, seed)
+    first = Look.at(fresh, given.noise_freedom, float(alarm), int(seed))
+    look, best, places = _without_bad(first, len(given.rows), float(alarm), int(seed))
     bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
     ended = _ended(look, best, bad)
-    proposed, tells = telling(given.source.problem, look, best, touches, seed) if ended == UNDECIDED else (None, 0.0)
-    rows, document = given.rows, given.arm.document
-    verdict = document.get("verdict") or {}
+    proposed, tells = None, 0.0
+    if ended == UNDECIDED:
+        proposed, tells = telling(given.source.problem, look, best, int(touches), int(seed))
+    whitened = first.tests.fresh
+    joints = [k for k, cause in enumerate(look.causes) if cause.kind == "joint"]
+    found_from = {k: look.found_from(k) for k in joints}
+    seen = [math.isfinite(found_from[k]) if k in found_from else look.seen(k) for k in range(len(look.causes))]
     change = Change(
-        robot=given.source.problem.robot.name,
-        result=given.arm.file,
-        verdict=(str(verdict.get("level", "")), str(verdict.get("words", ""))),
-        samples=rows.file,
-        sha256=rows.sha256,
-        rows=len(rows),
-        own=fresh.own_names,
-        standing=standing,
+        **given.about(fresh, tuple(standing)),
         drift=tuple(sorted(drift.items())),
-        alarm=alarm,
+        alarm=float(alarm),
         p=first.smallest,
         level=first.level,
-        chi_square=first.tests.whitened.chi_square,
-        freedom=first.tests.whitened.freedom,
-        p_all=first.overall,
+        chi_square=whitened.chi_square,
+        freedom=whitened.freedom,
+        p_all=first.tests.p[2],
         ended=ended,
-        causes=tuple(_cause(each, rows, places) for each in best),
-        bad_lines=tuple(int(rows.lines[k]) for k in bad),
-        joints=tuple(
-            Shown(cause.name, cause.units[0], look.found_from(k))
-            for k, cause in enumerate(look.causes)
-            if cause.kind == "joint"
-        ),
-        unseen=tuple(cause.name for k, cause in enumerate(look.causes) if not _shows(look, k)),
+        causes=tuple(_cause(each, given.rows, places) for each in best),
+        bad_lines=tuple(int(given.rows.lines[k]) for k in bad),
+        joints=tuple(Shown(look.causes[k].name, look.causes[k].units[0], found_from[k]) for k in joints),
+        unseen=tuple(cause.name for cause, shows in zip(look.causes, seen, strict=True) if not shows),
         touches=proposed,
         tells=tells,
-        copied_lines=given.copied,
-        fitted_lines=given.fitted,
     )
     return change, look
 
@@ -159,13 +117,9 @@ def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look,
         best = contenders(explanations(look))
         if len(best) != 1 or best[0].cause is not None or count - len(places) == most:
             return look, best, places
-        look = look.without(np.array([best[0].row]), alarm, seed)
+        look = look.without(best[0].row, alarm, seed)
         places = np.delete(places, best[0].row)
     return look, [], places
-
-
-def _shows(look: Look, k: int) -> bool:
-    return math.isfinite(look.found_from(k)) if look.causes[k].kind == "joint" else look.seen(k)
 
 
 def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
@@ -179,20 +133,8 @@ def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
 
 
 def _cause(found: Explanation, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
-    cause = found.cause
-    if cause is None:
-        line = int(rows.lines[int(places[found.row])])
-        none = np.zeros(0)
-        return CauseFound(f"line {line}", "row", line, (), (), none, none, found.p, found.share, found.left)
-    return CauseFound(
-        cause.name,
-        cause.kind,
-        0,
-        cause.labels,
-        cause.units,
-        found.shift,
-        found.std,
-        found.p,
-        found.share,
-        found.left,
-    )
+    cause, fitted, figures = found.cause, found.fitted, (found.p, found.share, found.left)
+    if cause is None or fitted is None:
+        line, none = int(rows.lines[int(places[found.row])]), np.zeros(0)
+        return CauseFound(f"line {line}", "row", line, (), (), none, none, *figures)
+    return CauseFound(cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std, *figures)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.calibration.given import seen_from
 from casacal.calibration.result_parts import geometry, parameter_rows
-from casacal.changes.change import Change, amount, name_of
-from casacal.changes.figures import CHANGED
-from casacal.changes.state import State
+from casacal.changes.change import CHANGED, Change
+from casacal.changes.posterior import State
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import sealed
@@ -23,11 +20,9 @@ from casacal.samples.repeats import listing
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
-from casacal.wording import counted
+from casacal.wording import counted, sentence
 
-KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")
-"""What an update leaves as it was."""
-
+KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # what an update leaves as it was
 GAIN = 0.9
 """As in the verdict of a calibration: expected tip error over the one of the priors, above which little was gained."""
 
@@ -40,10 +35,8 @@ def updated_document(
     stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
     of_arm = np.flatnonzero([not key for key in bound.beside])
     effects = {row["name"] for row in (old.get("discrepancy") or {}).get("unknowns", ())}
-    places = [i for i, name in enumerate(state.others) if name not in effects]
-    rows = np.concatenate([of_arm, n + np.array(places, dtype=np.intp)])
-    names = [bound.names[j] for j in of_arm] + [state.others[i] for i in places]
-    parts = _geometry(old, geometry(bound, state.x), state, places)
+    others = {name: n + i for i, name in enumerate(state.moved) if name not in effects}
+    rows = np.array([*of_arm, *others.values()], dtype=np.intp)
     document = {
         **{key: old[key] for key in KEPT if key in old},
         "problem": _problem(arm, folder),
@@ -53,13 +46,13 @@ def updated_document(
         "data": _data(old, fresh, found, arm, folder),
         "cost": state.chi_square / 2,
         "parameters": parameter_rows(bound, state.x, stds[:n]),
-        **parts,
+        **_geometry(old, geometry(bound, state.x), {name: state.moved[name] for name in others}),
         "metrics": None,
         "discrepancy": _discrepancy(old, fresh, state),
         "identifiability": None,
         "cures": [],
         "correlations": [],
-        "covariance_of": names,
+        "covariance_of": [*(bound.names[j] for j in of_arm), *others],
         "covariance": state.covariance[np.ix_(rows, rows)],
         "warnings": [],
         "reference": None,
@@ -70,14 +63,10 @@ def updated_document(
     return sealed(jsonable(document))
 
 
-def _geometry(old: Mapping[str, Any], new: dict[str, Any], state: State, places: list[int]) -> dict[str, Any]:
+def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, float]) -> dict[str, Any]:
     """Where everything stands: rows first, then what they did not see and the result knows."""
     before = {row["name"]: row for row in old.get("unknowns", ())}
-    rows = [
-        {**before[state.others[i]], "value": float(before[state.others[i]]["value"]) + float(state.moved[i])}
-        for i in places
-        if state.others[i] in before
-    ]
+    rows = _moved([before[name] for name in moved if name in before], moved)
     seen = {row["name"].rsplit(".", 1)[0] for row in rows}
     kept = {key: value for key, value in (old.get("proposed") or {}).items() if key in seen}
     found = {**new, "unknowns": [*new["unknowns"], *rows], "proposed": {**kept, **new["proposed"]}}
@@ -96,16 +85,11 @@ def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
     bound, n = fresh.bound, fresh.bound.unknowns
     corrected = set(said.get("corrected", ()))
     inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}
-    at = {**inside, **{name: n + i for i, name in enumerate(state.others)}}
-    moves = dict(zip(state.others, state.moved.tolist(), strict=True))
-    moves |= {name: float(state.x[j] - fresh.at[j]) for name, j in inside.items() if fresh.known[j]}
-    unknowns = [{**row, "value": float(row["value"]) + moves.get(row["name"], 0.0)} for row in said["unknowns"]]
-    alone = [
-        {**row, "value": float(row["value"]) + moves.get(row["name"], 0.0)}
-        for row in said.get("without_corrections", ())
-        if row["name"] in at
-    ]
-    part = {**said, "unknowns": unknowns, **({"without_corrections": alone} if "without_corrections" in said else {})}
+    at = inside | {name: n + i for i, name in enumerate(state.moved)}
+    moves = {**state.moved, **{name: float(state.x[j] - fresh.at[j]) for name, j in inside.items() if fresh.known[j]}}
+    part = {**said, "unknowns": _moved(said["unknowns"], moves)}
+    if "without_corrections" in said:
+        part["without_corrections"] = _moved([row for row in said["without_corrections"] if row["name"] in at], moves)
     if "covariance" in said:
         off = dict(zip(said["covariance_of"], said["off"], strict=True))
         uncorrected = {row["name"] for row in said["unknowns"] if row["effect"] not in corrected}
@@ -119,6 +103,11 @@ def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
     return part
 
 
+def _moved(rows: Iterable[Mapping[str, Any]], moves: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Unknowns with their values moved."""
+    return [{**row, "value": float(row["value"]) + moves.get(row["name"], 0.0)} for row in rows]
+
+
 def _tip(arm: CalibratedArm, old: Mapping[str, Any]) -> dict[str, Any]:
     """Tip error to expect over the workspace, mm RMS, apart from the position of the base."""
     joints = Samples.of_joints(workspace_joints(arm.source.problem.robot))
@@ -127,12 +116,8 @@ def _tip(arm: CalibratedArm, old: Mapping[str, Any]) -> dict[str, Any]:
     for frame, key in (("tip", "expected_rms_mm"), ("flange", "flange_expected_rms_mm")):
         known = before.get(key) is not None
         spread = predict(arm, joints, frame=frame, std=True).std if known or frame == "tip" else None  # type: ignore[arg-type]
-        errors[key] = None if spread is None else _rms(spread)
+        errors[key] = None if spread is None else float(np.sqrt((spread**2).mean()))
     return {**before, **errors, "without_prior_rms_mm": None, "unseen": None}
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float((values**2).mean()))
 
 
 def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> dict[str, Any]:
@@ -147,7 +132,7 @@ def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> d
     doubts = []
     if found.ended == CHANGED:
         (cause,) = found.causes
-        doubts.append(f"{name_of(cause)} changed, by {amount(cause)}, and no fresh rows have verified it since")
+        doubts.append(f"{cause.called} changed, by {cause.amount}, and no fresh rows have verified it since")
     if before["level"] != "calibrated":
         doubts.append("the earlier result was to be used with care")
     prior = tip.get("prior_rms_mm")
@@ -155,9 +140,8 @@ def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> d
         doubts.append("little was gained")
     if not doubts:
         return {"level": "calibrated", "words": f"Calibrated: {expected}.", "reasons": []}
-    sentences = [f"{doubt[:1].upper()}{doubt[1:]}." for doubt in doubts]
     words = f"Use with care: {expected}; but {' and '.join(doubts[:2])}."
-    return {"level": "use with care", "words": words, "reasons": [*sentences, *reasons]}
+    return {"level": "use with care", "words": words, "reasons": [*map(sentence, doubts), *reasons]}
 
 
 def _problem(arm: CalibratedArm, folder: Path | None) -> dict[str, Any]:

@@ -5,54 +5,85 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtri, ndtri
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.changes.causes import Cause, causes_of, slopes_of, with_shifts
-from casacal.uncertainty.fresh_rows import Whitened, chances, seen_basis
+from casacal.changes.causes import Cause, causes_of, with_shifts
+from casacal.uncertainty.fresh_rows import FreshRows, chances, seen_basis
 from casacal.verification.fresh import Fresh
 
-DRAWS = 20_000
-"""Sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %."""
-
-AT_ONCE = 4_000_000
-"""Numbers that are drawn at once."""
-
-SPARE = 1e-6
-"""Part of a row's residual that must be left to it for it to be judged by the others."""
+DRAWS = 20_000  # sets of rows of an arm that has not changed: the rate of false alarms is met to 0.0007 at 1 %
+AT_ONCE = 4_000_000  # numbers that are drawn at once
+SPARE = 1e-6  # part of a row's residual that must be left to it for it to be judged by the others
+POWER = 0.9  # chance with which a change must be found to count as one that these rows would have shown
+NEVER = {"rad": 0.05, "mm": 50.0}  # a shift that nobody overlooks: what shows only beyond it does not show
 
 
-def row_bases(whitened: Whitened, count: int, per_row: int) -> Array:
+def alone(fresh: FreshRows, k: int, per_row: int) -> Array:
+    """Whitened directions (m, per_row) in which row k alone could be off."""
+    found = np.zeros((len(fresh.residual), per_row))
+    found[k * per_row + np.arange(per_row), np.arange(per_row)] = 1.0
+    return fresh.whitened(found)
+
+
+def row_bases(fresh: FreshRows, count: int, per_row: int) -> Array:
     """Orthonormal bases (rows, m, per_row) of what each row alone could be off by; zero where nobody could tell."""
-    found = np.zeros((count, len(whitened.residual), per_row))
+    found = np.zeros((count, len(fresh.residual), per_row))
     for k in range(count):
-        alone = np.zeros((len(whitened.residual), per_row))
-        alone[k * per_row + np.arange(per_row), np.arange(per_row)] = 1.0
-        left, values, _ = np.linalg.svd(whitened.of_columns(alone), full_matrices=False)
+        left, values, _ = np.linalg.svd(alone(fresh, k, per_row), full_matrices=False)
         found[k] = left * (values**2 > SPARE)
     return found
 
 
+@dataclass(frozen=True, eq=False)
 class AllTests:
-    """All tests of fresh rows at once: of each cause, of single rows, and of everything."""
+    """All tests of fresh rows at once: of each cause, of single rows, and of everything.
 
-    def __init__(self, whitened: Whitened, bases: Sequence[Array], rows: Array, noise_freedom: float) -> None:
-        self.whitened, self.bases, self.rows, self.noise = whitened, list(bases), rows, noise_freedom
-        self.freedoms = np.array([basis.shape[1] for basis in bases], dtype=np.float64)
-        self.row_freedoms = np.rint((rows**2).sum(axis=(1, 2)))
-        self._every = np.hstack([*self.bases, *rows]) if len(rows) else np.hstack(self.bases)
+    bases: of each cause (m, k). rows: of single rows, as `row_bases` has them. noise: degrees of freedom of the noise.
+    white: whitened residual (m,) that is tested, if not that of the rows.
+    """
 
-    def at(self, residual: Array) -> AllTests:
-        """The same tests of another whitened residual (m,)."""
-        return AllTests(replace(self.whitened, residual=residual), self.bases, self.rows, self.noise)
+    fresh: FreshRows
+    bases: Sequence[Array]
+    rows: Array
+    noise: float
+    white: Array | None = None
 
-    @property
+    @cached_property
+    def freedoms(self) -> Array:
+        """Directions of each cause that show."""
+        return np.array([basis.shape[1] for basis in self.bases], dtype=np.float64)
+
+    @cached_property
+    def row_freedoms(self) -> Array:
+        """Directions of each row that the others can judge."""
+        return np.asarray(np.rint((self.rows**2).sum(axis=(1, 2))))
+
+    @cached_property
     def judged(self) -> int:
         """How many rows the others can judge."""
         return int((self.row_freedoms > 0).sum())
+
+    @cached_property
+    def _every(self) -> Array:
+        return np.hstack([*self.bases, *self.rows])
+
+    @cached_property
+    def found(self) -> tuple[Array, Array, float]:
+        """Fall of chi-square by each cause and row, and chi-square itself."""
+        by_cause, by_row, whole = self.falls((self.fresh.white if self.white is None else self.white)[None])
+        return by_cause[0], by_row[0], float(whole[0])
+
+    @cached_property
+    def p(self) -> tuple[Array, Array, float]:
+        """Chance of each."""
+        by_cause, by_row, whole = self.chances(tuple(np.asarray(each)[None] for each in self.found))
+        return by_cause[0], by_row[0], float(whole[0])
 
     def falls(self, residuals: Array) -> tuple[Array, Array, Array]:
         """Fall of chi-square by each cause (D, causes) and row (D, rows), and chi-square itself (D,).
@@ -64,23 +95,23 @@ class AllTests:
         parts = np.split(squares, ends, axis=1)
         by_cause = np.column_stack([part.sum(axis=1) for part in parts[:-1]]) if self.bases else parts[-1][:, :0]
         by_row = parts[-1].reshape(len(residuals), len(self.rows), -1).sum(axis=2)
-        inside = residuals - (residuals @ self.whitened.own) @ self.whitened.own.T
+        inside = residuals - (residuals @ self.fresh.basis) @ self.fresh.basis.T
         return by_cause, by_row, (inside**2).sum(axis=1)
 
-    def chances(self, falls: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def chances(self, falls: Sequence[Array]) -> tuple[Array, Array, Array]:
         """Chance of each fall; of single rows times as many as there are (Bonferroni)."""
         by_cause, by_row, everything = falls
         return (
             chances(by_cause, self.freedoms, self.noise),
             np.minimum(self.judged * chances(by_row, self.row_freedoms, self.noise), 1.0),
-            chances(everything, float(self.whitened.freedom), self.noise),
+            chances(everything, float(self.fresh.freedom), self.noise),
         )
 
     def smallest(self, residuals: Array, noise: Array | float = 1.0) -> Array:
         """The smallest chance (D,) of whitened residuals (D, m) whose noise was found to be so many times the true."""
         squared = np.broadcast_to(np.asarray(noise) ** 2, (len(residuals),))
         by_cause, by_row, everything = self.falls(residuals)
-        found = chances(everything / squared, float(self.whitened.freedom), self.noise)
+        found = chances(everything / squared, float(self.fresh.freedom), self.noise)
         for falls, freedoms, times in ((by_cause, self.freedoms, 1.0), (by_row, self.row_freedoms, self.judged)):
             for freedom in np.unique(freedoms[freedoms > 0]):  # of one freedom the largest fall is the least likely
                 largest = falls[:, freedoms == freedom].max(axis=1)
@@ -89,7 +120,7 @@ class AllTests:
 
     def level(self, alarm: float, seed: int, draws: int = DRAWS) -> float:
         """Below which the smallest chance of an arm that has not changed falls in this part of all cases."""
-        rng, size = np.random.default_rng(seed), len(self.whitened.residual)
+        rng, size = np.random.default_rng(seed), len(self.fresh.residual)
         found, left = [], draws
         while left:
             count = min(left, max(AT_ONCE // size, 1))
@@ -101,59 +132,44 @@ class AllTests:
         return float(np.quantile(np.concatenate(found), alarm))
 
 
-POWER = 0.9
-"""Chance with which a change must be found to count as one that these rows would have shown."""
-
-NEVER = {"rad": 0.05, "mm": 50.0}
-"""A shift that nobody overlooks: what shows only beyond it does not show."""
-
-
 @dataclass(frozen=True, eq=False)
 class Look:
     """Rows, what may have changed, and the tests of it.
 
-    chances: smallest over all, of each cause (c,), of single rows (N,), of everything. level: below which the smallest
-    one is an alarm.
+    fresh, shifted: the rows without and with shifts. slopes: whitened, by each cause. level: below which the smallest
+    chance of all tests is an alarm.
     """
 
     fresh: Fresh
     shifted: BoundProblem
-    x: Array
     causes: tuple[Cause, ...]
     slopes: tuple[Array, ...]
     tests: AllTests
     level: float
-    by_cause: Array
-    by_row: Array
-    overall: float
 
     @staticmethod
     def at(fresh: Fresh, noise_freedom: float, alarm: float, seed: int, shifted: BoundProblem | None = None) -> Look:
         """Of some rows; `shifted` where they are bound with shifts already."""
         shifted = with_shifts(fresh.bound) if shifted is None else shifted
-        x = np.concatenate([fresh.x, np.zeros(shifted.unknowns - fresh.bound.unknowns)])
-        parts = fresh.likelihood()
-        whitened, causes = Whitened.of(*parts), causes_of(fresh, shifted)
-        slopes = [whitened.of_columns(each) for each in slopes_of(shifted, x, causes, len(parts[0]))]
+        rows, causes, samples = fresh.linear, causes_of(fresh, shifted), len(fresh.bound.block.samples)
+        whole = shifted.jacobian(np.append(fresh.x, np.zeros(shifted.unknowns - fresh.bound.unknowns)))
+        padded = np.vstack([whole, np.zeros((len(rows.residual) - len(whole), whole.shape[1]))])  # priors do not move
+        slopes = tuple(rows.whitened(padded[:, cause.columns]) for cause in causes)
         bases = [seen_basis(each, cause.sizes) for each, cause in zip(slopes, causes, strict=True)]
-        samples = len(fresh.bound.block.samples)
-        rows = row_bases(whitened, samples, fresh.bound.rows // samples)
-        tests = AllTests(whitened, bases, rows, noise_freedom)
-        by_cause, by_row, overall = tests.chances(tests.falls(whitened.residual[None]))
-        level = tests.level(alarm, seed)
-        return Look(fresh, shifted, x, causes, tuple(slopes), tests, level, by_cause[0], by_row[0], float(overall[0]))
+        tests = AllTests(rows, bases, row_bases(rows, samples, fresh.bound.rows // samples), noise_freedom)
+        return Look(fresh, shifted, causes, slopes, tests, tests.level(alarm, seed))
 
-    def without(self, rows: NDArray[np.intp], alarm: float, seed: int) -> Look:
-        """The same without some rows."""
-        kept = np.delete(np.arange(len(self.fresh.bound.block.samples)), rows)
+    def without(self, row: int, alarm: float, seed: int) -> Look:
+        """The same without a row."""
+        kept: NDArray[np.intp] = np.delete(np.arange(len(self.fresh.bound.block.samples)), row)
         fewer = replace(self.fresh, bound=self.fresh.bound.take(kept.tolist()))
-        shifted = self.shifted.on(fewer.bound.block.samples)
-        return Look.at(fewer, self.tests.noise, alarm, seed, shifted)
+        return Look.at(fewer, self.tests.noise, alarm, seed, self.shifted.on(fewer.bound.block.samples))
 
     @property
     def smallest(self) -> float:
         """The smallest of all chances."""
-        return min(self.overall, float(self.by_cause.min(initial=1.0)), float(self.by_row.min(initial=1.0)))
+        by_cause, by_row, overall = self.tests.p
+        return min(overall, float(by_cause.min(initial=1.0)), float(by_row.min(initial=1.0)))
 
     @property
     def alarm(self) -> bool:
@@ -166,8 +182,6 @@ class Look:
 
     def found_from(self, k: int) -> float:
         """Shift of a joint (rad, mm) that raises the alarm with a chance of 90 %; infinite where none does."""
-        from scipy.special import fdtri, ndtri
-
         length = float(np.linalg.norm(self.slopes[k]))
         if not self.seen(k) or not length:
             return math.inf

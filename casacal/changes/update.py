@@ -11,19 +11,17 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.saved import AsArm, SavedCalibration
 from casacal.changes.causes import JOINTS, joint_direction, shift_columns
-from casacal.changes.change import Change
-from casacal.changes.changed import changed_by
+from casacal.changes.change import ROWS, UNDECIDED, CauseFound, Change
+from casacal.changes.changed import looked
 from casacal.changes.document import updated_document
-from casacal.changes.figures import ROWS, UNDECIDED, CauseFound
 from casacal.changes.look import Look
-from casacal.changes.memory import with_drift
-from casacal.changes.state import updated_state
+from casacal.changes.posterior import updated_state, with_drift
 from casacal.compensation.arm import CalibratedArm
 from casacal.errors import CasacalError
 from casacal.files import together, write_json
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh
-from casacal.verification.opened import Opened
+from casacal.verification.opened import Opened, opened
 
 FILE = "result.json"
 
@@ -54,7 +52,8 @@ def updated(
     problem has no unknown for what changed.
 
     """
-    given, found, look = changed_by(result, samples, standing=standing, drift=drift, alarm=alarm, seed=seed)
+    given = opened(result, samples, problem=None, instrument=None, standing=standing)
+    found, look = looked(given, standing, drift or {}, alarm=alarm, touches=0, seed=seed)
     return after(given, found, look, None if folder is None else Path(folder))
 
 
@@ -107,45 +106,33 @@ def _still(look: Look, found: Change) -> tuple[list[str], Any]:
 
 def _free(fresh: Fresh, look: Look, found: Change) -> list[Array]:
     """Directions (n,) along which anything may have happened."""
-    ways = list[Array]()
     for cause in found.causes:
         if cause.kind == "joint":
-            ways.append(_of_joint(fresh, look, cause))
-        elif cause.kind == "tool":
-            ways += _of_tool(fresh, look)
-    return ways
+            return [_of_joint(fresh, look, cause)]
+        if cause.kind == "tool":
+            keys = fresh.bound.problem.robot.parameters
+            slots = [slot for slot in fresh.bound.slots if slot.key == "tool" and slot.key not in keys]
+            columns = [j for slot in slots if not slot.beside and not slot.datum for j in slot.columns]
+            if not columns:
+                raise CasacalError(
+                    "The tool has moved, but this problem holds it",
+                    "Correct its position in the problem, or free it (--free tool), and calibrate again",
+                )
+            return [*np.eye(fresh.bound.unknowns)[columns]]
+    return []
 
 
 def _of_joint(fresh: Fresh, look: Look, cause: CauseFound) -> Array:
-    bound = fresh.bound
     place = next(each.place for each in look.causes if each.name == cause.name)
-    keys = bound.problem.robot.parameters
-    before = look.fresh.bound  # what stands may differ, the arm's unknowns come first in both
-    arm = np.zeros(look.shifted.unknowns, dtype=bool)
-    for slot in before.slots:
-        arm[slot.columns] = slot.key in keys
-    bare = np.where(np.array(look.shifted.beside, dtype=bool), 0.0, look.x)  # gears that err are no part of an offset
-    direction = joint_direction(look.shifted, bare, int(shift_columns(look.shifted, JOINTS)[place]), arm)
+    # what stands may differ from what stood in the look; the arm's unknowns come first in both
+    arm, count = look.fresh.of_arm, look.shifted.unknowns
+    bare = np.append(look.fresh.x, np.zeros(count - look.fresh.bound.unknowns))
+    bare[np.array(look.shifted.beside, dtype=bool)] = 0.0  # gears that err are no part of an offset
+    joint = int(shift_columns(look.shifted, JOINTS)[place])
+    direction = joint_direction(look.shifted, bare, joint, np.isin(np.arange(count), arm))
     if direction is None:
         raise CasacalError(
             f"The zero of {cause.name} changed, and no free unknown of this problem does what it does",
             "Calibrate again with its offset free (--free)",
         )
-    return np.concatenate([direction[arm], np.zeros(bound.unknowns - int(arm.sum()))])
-
-
-def _of_tool(fresh: Fresh, look: Look) -> list[Array]:
-    bound, keys = fresh.bound, fresh.bound.problem.robot.parameters
-    columns = [
-        j
-        for slot in bound.slots
-        if not slot.beside and not slot.datum and slot.key not in keys and slot.key == "tool"
-        for j in slot.columns
-    ]
-    if not columns:
-        raise CasacalError(
-            "The tool has moved, but this problem holds it",
-            "Correct its position in the problem, or free it (--free tool), and calibrate again",
-        )
-    del look
-    return [np.eye(bound.unknowns)[j] for j in columns]
+    return np.append(direction[arm], np.zeros(fresh.bound.unknowns - arm.size))

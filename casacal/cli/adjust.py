@@ -11,8 +11,11 @@ from casacal.cli.common import add, box_of
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.array_types import Array
     from casacal.planning.clearance import Clearance
     from casacal.problem.problem import Problem
+    from casacal.problem.problem_file import ProblemFile
+    from casacal.uncertainty.expectation import Box
 
 
 def add_adjustments(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +84,20 @@ def numbers_of(option: str, settings: Sequence[str], form: str, example: str) ->
         if not equals or math.isnan(found.get(name.strip(), math.nan)):
             raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}")
     return found
+
+
+def add_where(parser: argparse.ArgumentParser) -> None:
+    """Where the tip will work: a box, or joint values."""
+    add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "region where the tip will work, mm, base frame")
+    add(parser, "--targets FILE", "joint values where it will work, in place of a box")
+
+
+def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None, Array | None]:
+    """The box and the joint values (M, n) that were named."""
+    from casacal.compensation.predict import read_joints
+
+    box = None if options.box is None else box_of(options.box)
+    return box, None if options.targets is None else read_joints(options.targets, source).joints
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of, numbers_of
-from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from, spare, whole_number
+from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -24,52 +24,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "something changed or is undecided."
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration")
-    parser.add_argument(
-        "--alarm", type=float, default=0.01, metavar="RATE", help="rate of false alarms, 0.001 to 0.5; default: 0.01"
+    add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
+    add(
+        parser,
+        "--drift NAME=STD ...",
+        "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
     )
-    parser.add_argument(
-        "--drift",
-        action="append",
-        default=[],
-        metavar="NAME=STD",
-        help="allowed drift since, a standard deviation in mm or rad, such as theta=2e-5",
-    )
-    parser.add_argument("--update", metavar="DIR", help="write an updated result from the old one and these rows")
-    parser.add_argument(
-        "--touches", metavar="FILE", help=f"write {TOUCHES} touches that would settle the cause, where needed"
-    )
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
+    add(parser, "--update DIR", "write an updated result from the old one and these rows")
+    add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
-    from casacal.changes.changed import changed_by
-    from casacal.changes.tell import write_touches
+    from casacal.changes.changed import looked
+    from casacal.changes.explain import write_touches
     from casacal.changes.update import after
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
-    from casacal.problem.problem_file import load_problem
-    from casacal.verification.opened import measured_by
+    from casacal.verification.opened import opened
 
-    if not options.samples.strip():
-        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
-    result = read_result(options.result)
+    result, other, named, rows = fresh_rows(options)
     _spare(options, made_from(result))
-    other = None if options.problem is None else load_problem(options.problem)
-    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
-    problem = seen_by(result, named).source.problem if other is None else other.problem
-    given, found, look = changed_by(
-        result,
-        problem.read(options.samples, readings=options.readings, key=options.id),
-        problem=other,
-        instrument=named,
-        standing=names_of("--standing", options.standing),
-        drift=numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5"),
-        alarm=options.alarm,
-        touches=0 if options.touches is None else TOUCHES,
-        seed=options.seed,
-    )
+    standing = names_of("--standing", options.standing)
+    given = opened(result, rows, problem=other, instrument=named, standing=standing)
+    drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
+    touches = 0 if options.touches is None else TOUCHES
+    found, look = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
     written, refused = list[str](), ""
     if options.update is not None:
         try:

@@ -99,6 +99,22 @@ def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
     add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
 
 
+def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
+    """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
+    from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
+    from casacal.problem.problem_file import load_problem
+    from casacal.verification.opened import measured_by
+
+    if not options.samples.strip():
+        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
+    result = read_result(options.result)
+    other = None if options.problem is None else load_problem(options.problem)
+    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
+    problem = seen_by(result, named).source.problem if other is None else other.problem
+    return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
+
+
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Whether a result counts whose verdict is not to use it."""
     add(parser, "--force", "accept a result that must not be used; the file says so")

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casacal.cli.adjust import add_clearance, clearance_of
-from casacal.cli.common import DONE, FAILED, add_instrument, add_problem, box_of, of_instrument, spare, whole_number
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
+from casacal.cli.common import DONE, FAILED, add, add_instrument, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import prompt, say_paragraph
 from casacal.errors import CasacalError
 
@@ -39,32 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_instrument(parser, "which one takes the readings")
-    parser.add_argument("--plan", required=True, metavar="FILE", help="what casacal plan wrote")
-    parser.add_argument(
-        "--out", required=True, metavar="FILE", help="samples to write; those to check with go to FILE_check"
-    )
-    parser.add_argument(
-        "--tolerance", type=float, metavar="MM", help="end when the tip error is below this with 95 %% probability"
-    )
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
-    parser.add_argument(
-        "--best-first",
-        action="store_true",
-        help="choose the touch that lowers the tip error most, not the next on the planned way",
-    )
+    add(parser, "--plan FILE", "what casacal plan wrote", required=True)
+    add(parser, "--out FILE", "samples to write; those to check with go to FILE_check", required=True)
+    add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
+    add_where(parser)
+    add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
     add_clearance(parser)
-    parser.add_argument("--serial", metavar="PORT", help="where a gauge is connected, such as COM3 or /dev/ttyUSB0")
-    parser.add_argument("--gauge", default="plain", metavar="NAME", help="digimatic, sylvac or plain; default: plain")
-    parser.add_argument(
-        "--pattern", metavar="REGEX", help="what the gauge sends, with (?P<value>...) around the number"
-    )
-    parser.add_argument("--unit", metavar="UNIT", help="of readings that say none: mm, in or um; default: mm")
-    parser.add_argument(
-        "--ask", metavar="TEXT", help="text that makes the gauge send a reading, sent when you press Enter"
-    )
-    parser.add_argument("--baud", type=whole_number, default=9600, metavar="N", help="of the line; default: 9600")
-    parser.add_argument("--frame", default="8N1", metavar="8N1", help="bits, parity and stop bits; default: 8N1")
+    add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
+    add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
+    add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
+    add(parser, "--unit UNIT", "of readings that say none: mm, in or um; default: mm")
+    add(parser, "--ask TEXT", "text that makes the gauge send a reading, sent when you press Enter")
+    add(parser, "--baud N", "of the line; default: 9600", kind=whole_number, default=9600)
+    add(parser, "--frame 8N1", "bits, parity and stop bits; default: 8N1", default="8N1")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -89,7 +76,6 @@ def run(options: argparse.Namespace) -> int:
 
 def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
     """The session as it begins or goes on, and its file."""
-    from casacal.compensation.predict import read_joints
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
     from casacal.planning.route import read_route
@@ -100,8 +86,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
         source.problem,
         route,
         options.tolerance,
-        None if options.box is None else box_of(options.box),
-        None if options.targets is None else read_joints(options.targets, source).joints,
+        *where(options, source),
         source.cell,
         clearance_of(options, source.problem),
         options.best_first,
@@ -130,8 +115,7 @@ def _refuse_plan_of_another(path: str, name: str) -> None:
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
     """The session after its operator ended it, or it was at its end."""
-    from casacal.measuring.conversation import answered
-    from casacal.measuring.spoken import doubt, ended, posture
+    from casacal.measuring.conversation import answered, doubt, ended, posture
 
     for sentence in doubt(session):
         say_paragraph(sentence)
@@ -175,7 +159,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
 def _further(session: Session) -> bool:
     """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
-    from casacal.measuring.further import MOST
+    from casacal.measuring.linear import MOST
 
     beyond = sum(touch.number is None for touch in session.touches)
     if beyond % EVERY:

@@ -6,15 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_clearance, clearance_of, stds_of
-from casacal.cli.common import DONE, add_instrument, add_json, add_problem, box_of, of_instrument, spare, whole_number
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
+from casacal.cli.common import DONE, add, add_instrument, add_json, add_problem, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
     from casacal.planning.clearance import Clearance
     from casacal.planning.plan import Plan
-    from casacal.planning.setups import SetUp
+    from casacal.planning.set_ups import SetUp
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "plan which touches to make"
@@ -31,71 +31,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_problem(parser)
     add_instrument(parser, "for which one")
-    parser.add_argument("--out", required=True, metavar="FILE", help="plan to write, such as plan.csv")
-    parser.add_argument(
-        "--touches", type=whole_number, metavar="N", help=f"number of touches in all; default: {TOUCHES}"
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="MM",
-        help="instead of --touches: as many as this expected tip error takes",
-    )
-    _add_choice(parser)
-    _add_cell(parser)
-    _add_written(parser)
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="K", help="seed of random numbers; default: 0")
-    add_json(parser)
-
-
-def _add_choice(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--box", metavar="X0:X1,Y0:Y1,Z0:Z1", help="region where the tip will work, mm, base frame")
-    parser.add_argument("--targets", metavar="FILE", help="joint values where it will work, in place of a box")
-    parser.add_argument(
-        "--criterion",
+    add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
+    add(parser, "--touches N", f"number of touches in all; default: {TOUCHES}", kind=whole_number)
+    add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
+    add_where(parser)
+    add(
+        parser,
+        "--criterion NAME",
+        "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
         default="tip",
-        metavar="NAME",
-        help="tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)",
     )
-    parser.add_argument("--after", metavar="FILE", help="samples that were taken already; the plan adds to them")
-    parser.add_argument(
-        "--loose",
-        action="append",
-        default=[],
-        metavar="NAME=STD",
-        help="with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
+    add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
+    add(
+        parser,
+        "--loose NAME=STD ...",
+        "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor",
     )
-    parser.add_argument(
-        "--pool", type=whole_number, default=3000, metavar="N", help="number of candidates; default: 3000"
-    )
-    parser.add_argument("--check", type=float, default=0.15, metavar="F", help="part kept to verify; default: 0.15")
-    parser.add_argument(
-        "--again", type=float, default=0.05, metavar="F", help="part repeated at the end; default: 0.05"
-    )
-
-
-def _add_cell(parser: argparse.ArgumentParser) -> None:
+    add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
+    add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
+    add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
     add_clearance(parser)
-    parser.add_argument("--setups", action="store_true", help="also compare other set-ups of the cell")
-
-
-def _add_written(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sheet", metavar="FILE", help="write a sheet to print and fill in, such as sheet.html")
-    parser.add_argument(
-        "--program",
-        action="append",
-        default=[],
-        metavar="LANGUAGE",
-        help="also write a robot program: rapid, krl or urscript; may be repeated",
-    )
-    parser.add_argument(
-        "--retreat", type=float, default=20.0, metavar="MM", help="standoff of programs from the face; default: 20"
-    )
+    add(parser, "--setups", "also compare other set-ups of the cell")
+    add(parser, "--sheet FILE", "write a sheet to print and fill in, such as sheet.html")
+    add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
+    add(parser, "--retreat MM", "standoff of programs from the face; default: 20", kind=float, default=20.0)
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.planning.offers import rows_needed
+    from casacal.planning.route import rows_needed
+    from casacal.planning.set_ups import set_ups
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
@@ -109,11 +76,16 @@ def run(options: argparse.Namespace) -> int:
     clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
-    compared = _compared(source, options, found) if options.setups else ()
+    compared: tuple[SetUp, ...] = ()
+    if options.setups:
+        box, targets = where(options, source)
+        fitted = found.purposes.count("fit")
+        compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
     if options.json:
         say_json(document(found, compared, written, clearance))
         return DONE
-    for sentence in told(found, compared, where=_where(options), pool=options.pool, after=options.after is not None):
+    there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
+    for sentence in told(found, compared, where=there, pool=options.pool, after=options.after is not None):
         say_paragraph(sentence)
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraph(clearance.shapes.words)
@@ -129,11 +101,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
-    from casacal.compensation.predict import read_joints
     from casacal.planning.plan import plan, touches_for
 
-    box = None if options.box is None else box_of(options.box)
-    targets = None if options.targets is None else read_joints(options.targets, source).joints
+    box, targets = where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
     touches = TOUCHES if options.touches is None else options.touches
     loose = stds_of("--loose", options.loose)
@@ -164,8 +134,7 @@ def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Cleara
 def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
     """Write the plan and what was asked for beside it; all is made before anything is written."""
     from casacal.fieldwork.approaches import approaches
-    from casacal.fieldwork.programs import LANGUAGES, program_text
-    from casacal.fieldwork.sheet import sheet_page
+    from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
     from casacal.files import write_text
     from casacal.planning.written import plan_text
 
@@ -177,7 +146,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
         for language in dict.fromkeys(options.program):
             text = program_text(problem, found, ways, language, name)
-            texts[Path(options.out).with_suffix(LANGUAGES[language].ending)] = text
+            texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
         blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
         if blocked and not options.json:
             say_paragraph(
@@ -189,19 +158,3 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     for path, text in texts.items():
         write_text(path, text)
     return [path.as_posix() for path in texts]
-
-
-def _compared(source: ProblemFile, options: argparse.Namespace, found: Plan) -> tuple[SetUp, ...]:
-    from casacal.compensation.predict import read_joints
-    from casacal.planning.setups import set_ups
-
-    fitted = found.purposes.count("fit")
-    box = None if options.box is None else box_of(options.box)
-    targets = None if options.targets is None else read_joints(options.targets, source).joints
-    return set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
-
-
-def _where(options: argparse.Namespace) -> str:
-    if options.box is not None:
-        return "inside the box"
-    return "over the workspace" if options.targets is None else "at the targets"

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from casacal.cli.adjust import names_of
-from casacal.cli.common import DONE, FAILED, add_fresh_rows, add_json, made_from, spare
+from casacal.cli.common import DONE, FAILED, add, add_fresh_rows, add_json, fresh_rows, made_from, spare
 from casacal.cli.terminal import say_json, say_paragraph
 from casacal.errors import CasacalError
 
@@ -24,56 +24,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "calibration promised, or if the arm is not accepted by the tolerance."
     )
     add_fresh_rows(parser, "faces that have not been moved since the calibration and are not fitted again")
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="MM",
-        help="largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
+    add(
+        parser,
+        "--tolerance MM",
+        "largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)",
+        kind=float,
     )
-    parser.add_argument(
-        "--risk",
-        type=float,
-        metavar="P",
-        help="chance of a wrong decision for an arm at the tolerance; default: 0.05",
-    )
-    parser.add_argument("--report", metavar="FILE", help="write a self-contained HTML page")
-    parser.add_argument(
-        "--into-report",
-        action="store_true",
-        help="add it to the report.html beside RESULT, in place of an earlier one",
-    )
+    add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
+    add(parser, "--report FILE", "write a self-contained HTML page")
+    add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
-    from casacal.compensation.result_file import read_result
-    from casacal.compensation.seen_by import seen_by
     from casacal.files import write_text
-    from casacal.problem.problem_file import load_problem
     from casacal.verification.decision import RISK
-    from casacal.verification.opened import measured_by
     from casacal.verification.page import REPORT, with_section
     from casacal.verification.verify import verify
 
-    if not options.samples.strip():
-        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
     if options.risk is not None and options.tolerance is None:
         raise CasacalError("Got --risk without --tolerance", "Give the tolerance as well")
-    result = read_result(options.result)
-    other = None if options.problem is None else load_problem(options.problem)
+    result, other, named, rows = fresh_rows(options)
     if options.report is not None:
         files = () if other is None else (file.path for file in other.files)
         spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
         spare([options.report], *made_from(result), option="--report")
         _spare_calibration(options.report)
-    named = options.instrument
-    if other is None:
-        named = measured_by(result, options.samples, named)
-    problem = seen_by(result, named).source.problem if other is None else other.problem
     found = verify(
         result,
-        problem.read(options.samples, readings=options.readings, key=options.id),
+        rows,
         problem=other,
         instrument=named,
         standing=names_of("--standing", options.standing),

@@ -50,45 +50,62 @@ def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
     return {row["name"]: float(row["value"]) for row in said.get("unknowns", ()) if row["effect"] in keys}
 
 
+def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
+    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
+
+    By name, in the order of the covariance; None where a result says nothing of effects.
+    """
+    said = result.document.get("discrepancy") or {}
+    if "covariance" not in said:
+        return None
+    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
+    return np.array(rows), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+
+
+def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) of all that a result says of arm, cell and effects that move the tip, and their names."""
+    found = with_effects(result)
+    return named_covariance(result) if found is None else (found[0], list(found[1]))
+
+
 def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
-    """Covariance (n, n) of all that a result corrects and of its other unknowns, and their names.
+    """The same of all that a result corrects and of its other unknowns.
 
     Raises CasacalError where it holds none.
     """
-    said = result.document.get("discrepancy") or {}
-    if not corrections(result) or "covariance" not in said:
-        return named_covariance(result)
-    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
-    return np.array(rows), list(said["covariance_of"])
+    return all_motion(result) if corrections(result) else named_covariance(result)
 
 
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
-    problem, said = result.source.problem, result.document.get("discrepancy")
+    problem, found = result.source.problem, with_effects(result)
     covariance, columns = covariance_of(result)
-    if not said or "covariance" not in said:
+    if found is None:
         index = [j for _, j in columns]
-        found = covariance[np.ix_(index, index)]
         model, z = problem.model, local_coordinates(result, of=problem)
         elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
-        return Moved(model, z, [i for i, _ in columns], found, None, elsewhere, constants)
+        return Moved(model, z, [i for i, _ in columns], covariance[np.ix_(index, index)], None, elsewhere, constants)
     model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    values = {each["name"] for each in said["unknowns"]}
-    places = {name: j for j, name in enumerate(said["covariance_of"])}
-    lost = sorted(values - set(names))
+    lost = sorted({each["name"] for each in result.document["discrepancy"]["unknowns"]} - set(names))
     if lost:
         raise CasacalError(
             f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have",
             "Give the problem that it was calibrated with, or calibrate again",
         )
-    whole = local_coordinates(result, of=problem.with_kit)
+    whole, off = found
+    places = {name: j for j, name in enumerate(off)}
     at = [i for i, name in enumerate(names) if name in places]
     index = [places[names[i]] for i in at]
-    rows = [[np.inf if value is None else float(value) for value in row] for row in said["covariance"]]
     known = dict.fromkeys(model.names, 0.0)
     for effect in model.effects:
         known |= effect.away(site)
-    off = np.array([float(said["off"][j]) for j in index])
-    elsewhere, constants = np.array(list(known.values())), row_constants(result, problem.with_kit)
-    return Moved(model, whole, at, np.array(rows)[np.ix_(index, index)], off, elsewhere, constants)
+    return Moved(
+        model,
+        local_coordinates(result, of=problem.with_kit),
+        at,
+        whole[np.ix_(index, index)],
+        np.array([off[names[i]] for i in at]),
+        np.array(list(known.values())),
+        row_constants(result, problem.with_kit),
+    )

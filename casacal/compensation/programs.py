@@ -23,33 +23,45 @@ from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping
 
-LONGEST = 300
-"""Letters in a comment."""
+LONGEST = 300  # letters in a comment
 
 
 @dataclass(frozen=True)
 class Language:
-    """What a controller reads: its comment mark, how joint values are rounded, and the lines around the moves."""
+    """What a controller reads: comment mark, six joint values and their rounding, and the lines around the moves."""
 
     name: str
     comment: str
+    joints: str
     rounding: Rounding
     head: str
     begin: tuple[str, ...]
     move: str
     end: tuple[str, ...]
 
+    def refuse_others(self, robot: Robot, move: str, fix: str) -> None:
+        """Raise CasacalError for a robot whose joints the language does not hold."""
+        kinds = "".join(joint.kind[0].upper() for joint in robot.axes)
+        if kinds != "RRRRRR":
+            raise CasacalError(
+                f"'{robot.name}' has {len(kinds)} joints ({kinds}), and a {move} in {self.name} has six that turn", fix
+            )
+
+    def written(self, joints: Array, decimals: int) -> str:
+        """Joint values (6,; rad) as a move names them."""
+        factor = 180 / math.pi if self.rounding.degrees else 1.0
+        return self.joints.format(*(f"{value * factor:.{decimals}f}" for value in joints))
+
     def program(self, compensation: Compensation, notes: list[str]) -> str:
         """The whole program, the notes and each source row as comments."""
         said = [f"  {self.comment} {line}" for note in notes for line in in_comments(note)]
         lines = [self.head, *said, *self.begin]
-        factor = 180 / math.pi if self.rounding.degrees else 1.0
         for i, outcome in enumerate(compensation.outcomes):
             source = printable(compensation.targets.text[i])
             lines.append(f"  {self.comment} line {compensation.targets.lines[i]}: {source}")
             if outcome is Outcome.REACHED:
-                values = [f"{value:.{self.rounding.decimals}f}" for value in compensation.joints[i] * factor]
-                lines.append("  " + self.move.format(*values))
+                joints = self.written(compensation.joints[i], self.rounding.decimals)
+                lines.append(f"  {self.move.format(joints)}")
             else:
                 left = f"{compensation.residual_mm[i]:.3f} mm, {1e3 * compensation.residual_rad[i]:.3f} mrad remain"
                 left += f" at the {compensation.frame}"
@@ -61,28 +73,31 @@ class Language:
 RAPID = Language(
     "RAPID",
     "!",
+    "[[{},{},{},{},{},{}],[9E9,9E9,9E9,9E9,9E9,9E9]]",
     Rounding(decimals=5),
     "MODULE casacal_targets",
     ("PROC take_targets()",),
-    "MoveAbsJ [[{},{},{},{},{},{}],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs, v100, fine, tool0;",
+    "MoveAbsJ {}\\NoEOffs, v100, fine, tool0;",
     ("ENDPROC", "ENDMODULE"),
 )
 KRL = Language(
     "KRL",
     ";",
+    "{{A1 {}, A2 {}, A3 {}, A4 {}, A5 {}, A6 {}}}",
     Rounding(decimals=5),
     "DEF casacal_targets()",
     ("  BAS(#INITMOV, 0)",),
-    "PTP {{A1 {}, A2 {}, A3 {}, A4 {}, A5 {}, A6 {}}}",
+    "PTP {}",
     ("END",),
 )
 URSCRIPT = Language(
     "URScript",
     "#",
+    "[{}, {}, {}, {}, {}, {}]",
     Rounding(degrees=False, decimals=9),
     "def casacal_targets():",
     (),
-    "movej([{}, {}, {}, {}, {}, {}])",
+    "movej({})",
     ("end",),
 )
 LANGUAGES: Mapping[str, Language] = FrozenMapping({"rapid": RAPID, "krl": KRL, "urscript": URSCRIPT})
@@ -95,24 +110,16 @@ def rounding_of(form: str, robot: Robot) -> Rounding:
         return Rounding()
     if form not in LANGUAGES:
         raise UnknownNameError("form of targets", str(form), (CSV, *LANGUAGES))
-    language = LANGUAGES[form]
-    kinds = "".join(joint.kind[0].upper() for joint in robot.axes)
-    if kinds != "RRRRRR":
-        raise CasacalError(
-            f"'{robot.name}' has {len(kinds)} joints ({kinds}), and a joint move in {language.name} has six that turn",
-            "Use --format csv",
-        )
-    return language.rounding
+    LANGUAGES[form].refuse_others(robot, "joint move", "Use --format csv")
+    return LANGUAGES[form].rounding
 
 
 def text_of(compensation: Compensation, form: str, result: CalibratedArm) -> str:
     """The file: notes on what it is and what to expect, then one entry per target."""
     what = notes(compensation, result)
     if form == CSV:
-        return "".join(
-            f"{line}\n"
-            for line in [*(f"# {line}" for note in what for line in in_comments(note)), *_table(compensation, result)]
-        )
+        said = [f"# {line}" for note in what for line in in_comments(note)]
+        return "\n".join([*said, *_table(compensation, result)]) + "\n"
     return LANGUAGES[form].program(compensation, what)
 
 
@@ -122,17 +129,17 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     arm = result.source.problem.robot.parameters
     names = {name for key, unknown in arm.items() for name in unknown.names(key)}
-    held = [
-        row["name"] for row in result.document["parameters"] if row["identifiable"] == "no" and row["name"] in names
-    ]
+    unseen = [row["name"] for row in result.document["parameters"] if row["identifiable"] == "no"]
+    held = [name for name in unseen if name in names]
     lines = [
         f"casacal compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "
         f"{result.source.problem.robot.name}",
         "joint values are those that the problem's robot.pose takes",
         f"{len(targets)} targets: " + ", ".join(f"{count} {word}" for word, count in counts.items()),
     ]
-    verb = "removes" if denial(result) is None else "changes"
-    if (words := denial(result)) is not None:
+    words = denial(result)
+    verb = "removes" if words is None else "changes"
+    if words is not None:
         lines.append(f"WARNING, forced against the verdict: {words}")
     if (care := caution(result)) is not None:
         lines.append(f"the result's verdict: {care}")

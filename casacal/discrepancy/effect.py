@@ -83,11 +83,8 @@ class Survey:
         return (np.asarray(samples.lines, dtype=np.float64) - first) / max(last - first, 1)
 
 
-MANY = 2_000
-"""Rows that stand for all of them."""
-
-FEWEST = 3
-"""Touches that say where a face lies."""
+MANY = 2_000  # rows that stand for all of them
+FEWEST = 3  # touches that say where a face lies
 
 
 @dataclass(frozen=True)

@@ -9,32 +9,22 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.planning.choice import cell_of
+from casacal.planning.choice import cell_of, drawn_touch
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import Route
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.simulation.reach import Touch
-from casacal.simulation.true_arm import true_unknowns
 from casacal.values import Value
 
-RETREAT = 20.0
-"""How far the tip stands back before and after a touch, mm."""
-
+RETREAT = 20.0  # how far the tip stands back before and after a touch, mm
 HIGHER = (1.0, 2.0, 4.0, 8.0)
 """Times of that by which it is tried to stand back where the way between two touches is not clear."""
 
-MOST_PLACES = 40
-"""Places through which a way is tried."""
-
-ON_THE_WAY = 60
-"""Postures looked at between two touches."""
-
-FREE = 2.0
-"""How near the tip may come to a face between touches, mm."""
-
-ARRIVED = 0.05
-"""By how much a place above may be missed, mm."""
+MOST_PLACES = 40  # places through which a way is tried
+ON_THE_WAY = 60  # postures looked at between two touches
+FREE = 2.0  # how near the tip may come to a face between touches, mm
+ARRIVED = 0.05  # by how much a place above may be missed, mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +61,8 @@ def approaches(
             f"{type(problem.instrument).__name__} has no plunger that could be drawn back", "Use the plan's CSV"
         )
     still = cell_of(problem, cell)
-    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
-    arm = Touch.of(problem.robot, problem.instrument, probe, local)
     samples = route.samples
-    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
-    tips, axes = arm.place(arm.local, samples.joints, readings[:, None])
+    arm, readings, tips, axes = drawn_touch(problem, probe, samples)
     levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
     if not np.isfinite(levels[0]).all():
         k = int(np.flatnonzero(~np.isfinite(levels[0]).all(axis=1))[0])

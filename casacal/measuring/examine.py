@@ -7,45 +7,31 @@ rows under it, with the arm and the faces integrated out: a Gaussian, linear abo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.estimators.sckf import Belief
-from casacal.measuring.further import LinearRows
-from casacal.measuring.known import Known
-from casacal.measuring.slips import Slip
-from casacal.measuring.touch import Touch, rows_of
+from casacal.measuring.known import Known, Places, known_before, known_from, telling
+from casacal.measuring.linear import LinearRows, Told, innovations_at, length, log_density, square
+from casacal.measuring.touch import Slip, Touch, rows_of
+from casacal.planning.route import CHECK
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import chance
 from casacal.values import Value
 
-NEW = 3e-3
-"""Chance of a touch that comes below which it is looked into."""
-
-EARLIER = 1e-4
-"""Chance of one that came before, which every later one tries again."""
-
-CLOSER_LOOK = 0.01
-"""Chance below which an earlier touch is a suspect where a new one is off."""
-
-MOST = 4
-"""Earlier touches that are looked into at once."""
-
-STRAY = 60.0
-"""Range (mm) over which a touch lies anywhere that is off for no known reason."""
-
+NEW = 3e-3  # chance of a touch that comes below which it is looked into
+EARLIER = 1e-4  # chance of one that came before, which every later one tries again
+CLOSER_LOOK = 0.01  # chance below which an earlier touch is a suspect where a new one is off
+MOST = 4  # earlier touches that are looked into at once
+STRAY = 60.0  # range (mm) over which a touch lies anywhere that is off for no known reason
 STRAY_WEIGHT = -2.0
-AS_LIKELY = math.log(20.0)
-"""Logarithm of evidence by which explanations may differ that are both named."""
-
-ALONG = 0.02
-"""Noise of a touch over that of others below which its plunger lies along the face."""
-
-AS_GOOD = 4
-"""Explanations that are named at most."""
+AS_LIKELY = math.log(20.0)  # logarithm of evidence by which explanations may differ that are both named
+ALONG = 0.02  # noise of a touch over that of others below which its plunger lies along the face
+AS_GOOD = 4  # explanations that are named at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +56,12 @@ class Alarm(Value):
     std: float
     suspects: tuple[Suspected, ...]
 
+    @staticmethod
+    def of(rows: LinearRows, told: Told, k: int, suspects: tuple[Suspected, ...], number: int) -> Alarm:
+        """By row k, a touch of some number, where others tell something; of several numbers, their lengths."""
+        off, std = rows.off(told, k)
+        return Alarm(number, length(off), math.sqrt(float((std**2).sum())), suspects)
+
     @property
     def touch(self) -> int:
         """Which touch is the likeliest to be wrong."""
@@ -77,32 +69,42 @@ class Alarm(Value):
 
 
 def examined(
-    known: Known, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], *, others: Known | None
+    known: Known, touches: Mapping[int, Touch], slips: Callable[[int], list[Slip]], *, others: Known | None
 ) -> Alarm | None:
     """Look for a touch that the others contradict; None where all agree.
 
     Args:
         known: from all of these touches, in their order.
-        touches: those that were taken in.
+        touches: those that were taken in, by their numbers.
         slips: what may have been typed wrong in one of them.
         others: what all but the last tell, where that has just come; None where all have been there before.
 
     """
-    last = len(touches) - 1
-    fresh = others is not None and not touches[last].kept and _chance_alone(others, touches[last]) < NEW
+    numbers, last = list(touches), len(touches) - 1
+    new = touches[numbers[last]]
+    fresh = others is not None and not new.kept and _chance_alone(others, new) < NEW
     if fresh and others is not None:
         known = others  # about which all is linear: a gross one moves it far
-    before = known.belief
-    rows = LinearRows.of(known, before, touches)
-    chances = _left_out(rows, before.mean)
-    looked = [k for k in range(len(touches)) if not touches[k].kept and not (fresh and k == last)]
+    mean, rows = known.belief.mean, LinearRows.of(known, list(touches.values()))
+    chances = _chances(rows, mean)
+    looked = [k for k, number in enumerate(numbers) if not touches[number].kept and not (fresh and k == last)]
     off = [k for k in looked if chances[k] < EARLIER]
     if not fresh and not off:
         return None
     closer = sorted((k for k in looked if chances[k] < CLOSER_LOOK), key=chances.__getitem__)[:MOST]
     raised = last if fresh else min(off, key=chances.__getitem__)
-    suspects = _explained(known, before, rows, slips, [*([last] if fresh else []), *closer])
-    return Alarm(raised, *_off_by(rows, before, raised), suspects)
+    told = {numbers[k]: rows.without(k).told(mean) for k in dict.fromkeys([raised, *closer])}
+    suspects = _explained(known, told, slips, rows.noise[0], float(np.median(rows.noise)))
+    return Alarm.of(rows, told[numbers[raised]], raised, suspects, numbers[raised])
+
+
+def judged_alone(known: Known, touch: Touch, slips: Callable[[int], list[Slip]], number: int) -> Alarm | None:
+    """Look at a touch that is not taken in, by what is known; None where it agrees."""
+    if touch.kept or _chance_alone(known, touch) >= NEW:
+        return None
+    rows, told = LinearRows.of(known, [touch]), Told.by(known.belief)
+    usual = float(np.median(known.bound.block.noise))
+    return Alarm.of(rows, told, 0, _explained(known, {number: told}, slips, rows.noise[0], usual), number)
 
 
 def refuse_along(known: Known, touch: Touch) -> None:
@@ -118,118 +120,107 @@ def refuse_along(known: Known, touch: Touch) -> None:
 
 def _chance_alone(known: Known, touch: Touch) -> float:
     """Chance of a touch by what others tell."""
-    rows = LinearRows.of(known, known.belief, [touch])
-    value, spread = rows.residual[0], rows.slope[0] @ known.belief.root
-    square = float(value @ np.linalg.solve(np.eye(len(value)) + spread @ spread.T, value))
-    return chance(square, len(value))
+    rows = LinearRows.of(known, [touch])
+    return chance(square(*Told.by(known.belief).of(rows.residual[0], rows.slope[0])), rows.residual.shape[1])
 
 
-def judged_alone(known: Known, touch: Touch, slips: Callable[[], list[Slip]], number: int) -> Alarm | None:
-    """Look at a touch that is not taken in, by what is known; None where it agrees."""
-    rows = LinearRows.of(known, known.belief, [touch])
-    value, slope = rows.residual[0], rows.slope[0]
-    spread = slope @ known.belief.root
-    if touch.kept or _chance_alone(known, touch) >= NEW:
-        return None
-    others = slips()
-    scores: list[tuple[Slip | None, float]] = [(None, STRAY_WEIGHT - _stray(rows))]
-    found = LinearRows.of(known, known.belief, [slip.touch for slip in others]) if others else None
-    for k, slip in enumerate(others):
-        assert found is not None
-        if (found.noise[k] < ALONG * np.median(known.bound.block.noise)).any():
-            continue
-        scores.append((slip, slip.weight + _alone(found.residual[k], found.slope[k] @ known.belief.root)))
-    return Alarm(number, *_off_alone(rows, value, spread), _ranked([(number, *each) for each in scores]))
+def _chances(rows: LinearRows, mean: Array) -> Array:
+    """Chance of each touch (touches,) by all others."""
+    told, m = rows.told(mean), rows.residual.shape[1]
+    left = rows.residual + np.einsum("kin,n->ki", rows.slope, told.shift)
+    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, told.covariance, rows.slope)
+    some = np.einsum("kii->k", free) > 1e-9 * m  # of a face's only touches nobody can say anything
+    squares = np.zeros(len(left))
+    squares[some] = np.einsum("ki,ki->k", left[some], np.linalg.solve(free[some], left[some][..., None])[..., 0])
+    return np.array([chance(float(each), m) for each in squares])
 
 
 def _explained(
-    known: Known,
-    about: Belief,
-    rows: LinearRows,
-    slips: Callable[[int], list[Slip]],
-    looked: Sequence[int],
+    known: Known, told: Mapping[int, Told], slips: Callable[[int], list[Slip]], noise: Array, usual: float
 ) -> tuple[Suspected, ...]:
+    """What explains touches, by their numbers, of which others tell something, the likeliest first.
+
+    Of each touch and kind only the best is named; those that are far less likely are left out. noise: of a touch (m,),
+    mm; usual: that of most.
+    """
+    # range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2
+    stray = float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
     scores: list[tuple[int, Slip | None, float]] = []
-    for k in looked:
-        stray = rows.without(k).evidence(about.mean) + STRAY_WEIGHT - _stray(rows)
-        scores.append((k, None, stray))
-        others = slips(k)
-        if not others:
-            continue
-        changed = LinearRows.of(known, about, [slip.touch for slip in others])
-        rest = rows.without(k)
-        parts = zip(others, changed.residual, changed.slope, changed.noise, strict=True)
-        for slip, residual, slope, noise in parts:
-            if (noise < ALONG * np.median(rows.noise)).any():  # a plunger along the face touches nothing
-                continue
-            whole = LinearRows(
-                np.vstack([rest.residual, residual]),
-                np.vstack([rest.slope, slope[None]]),
-                np.vstack([rest.noise, noise]),
-            )
-            scores.append((k, slip, whole.evidence(about.mean) + slip.weight))
-    return _ranked(scores)
+    for number, rest in told.items():
+        scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
+        others: Sequence[Slip] = slips(number)
+        rows = LinearRows.of(known, [slip.touch for slip in others]) if others else None
+        for k, slip in enumerate(others):
+            assert rows is not None
+            if not (rows.noise[k] < ALONG * usual).any():  # a plunger along the face touches nothing
+                likely = log_density(*rest.of(rows.residual[k], rows.slope[k]))
+                scores.append((number, slip, rest.evidence + likely + slip.weight))
+    scores.sort(key=lambda each: -each[2])
+    best: dict[tuple[int, str | None], tuple[int, Slip | None, float]] = {}
+    for score in scores:
+        best.setdefault((score[0], None if score[1] is None else score[1].kind), score)
+    most = scores[0][2]
+    total = sum(math.exp(likely - most) for *_, likely in scores)
+    shown = [each for each in best.values() if each[2] > most - AS_LIKELY][:AS_GOOD]
+    return tuple(Suspected(number, slip, math.exp(likely - most) / total) for number, slip, likely in shown)
 
 
-def _ranked(scores: Sequence[tuple[int, Slip | None, float]]) -> tuple[Suspected, ...]:
-    """The likeliest first, of each touch and kind only the best; those that are far less likely left out."""
-    order = sorted(scores, key=lambda each: -each[2])
-    best = {(touch, None if slip is None else slip.kind): None for touch, slip, _ in order}
-    kept = []
-    for touch, slip, score in order:
-        key = touch, None if slip is None else slip.kind
-        if key in best:
-            del best[key]
-            kept.append((touch, slip, score))
-    most = order[0][2]
-    total = sum(math.exp(score - most) for *_, score in order)
-    shown = [each for each in kept if each[2] > most - AS_LIKELY][:AS_GOOD]
-    return tuple(Suspected(touch, slip, math.exp(score - most) / total) for touch, slip, score in shown)
+@dataclass(frozen=True, eq=False)
+class State(Value):
+    """What touches tell.
+
+    known: by all of them but one in doubt and those kept for checking; None before any. alarm: what is in doubt.
+    off, std: by how much the touch that has just come was off, and the standard deviation of that (m,), mm; None where
+    nothing could be said. waiting: touches of faces of which nobody knows yet where they stand.
+    """
+
+    known: Known | None = None
+    alarm: Alarm | None = None
+    off: Array | None = None
+    std: Array | None = None
+    waiting: tuple[int, ...] = ()
 
 
-def _left_out(rows: LinearRows, mean: Array) -> Array:
-    """Chance of each touch (touches,) by all others."""
-    flat, m = rows.slope.reshape(-1, mean.size), rows.residual.shape[1]
-    covariance = np.linalg.inv(np.eye(mean.size) + flat.T @ flat)
-    shift = -covariance @ (flat.T @ rows.residual.ravel() + mean)
-    left = rows.residual + np.einsum("kin,n->ki", rows.slope, shift)
-    free = np.eye(m) - np.einsum("kin,nl,kjl->kij", rows.slope, covariance, rows.slope)
-    told = np.einsum("kii->k", free) > 1e-9 * m  # of a face's only touches nobody can say anything
-    squares = np.zeros(len(left))
-    squares[told] = np.einsum("ki,ki->k", left[told], np.linalg.solve(free[told], left[told][..., None])[..., 0])
-    return np.array([chance(float(square), m) for square in squares])
+@dataclass(frozen=True, eq=False)
+class Setting(Value):
+    """What does not change from touch to touch: the problem, planned rows, and where faces are planned."""
 
+    problem: Problem
+    planned: Samples | None
+    places: Places
 
-def _alone(residual: Array, spread: Array) -> float:
-    covariance = np.eye(len(residual)) + spread @ spread.T
-    square = residual @ np.linalg.solve(covariance, residual)
-    return -float(square + np.linalg.slogdet(covariance)[1]) / 2
+    def known_by(self, touches: Sequence[Touch], before: Known | None) -> Known | None:
+        """What touches that are all usable tell; `before`: what was known a touch ago."""
+        return known_from(self.problem, touches, self.places, self.planned, before) if touches else None
 
+    def usable(self, touches: Sequence[Touch]) -> list[int]:
+        """Which touches tell something: those of faces that are planned or were touched often enough."""
+        return telling(self.problem, rows_of(touches), self.places) if touches else []
 
-def _stray(rows: LinearRows) -> float:
-    """Logarithm of the range of a stray touch in units of its noise, as the evidence counts rows: less ln(2 pi) / 2."""
-    noise = rows.noise[0]
-    return float(np.log(STRAY / np.minimum(noise, STRAY / 2)).sum() - len(noise) * math.log(2 * math.pi) / 2)
+    def state(
+        self, touches: Sequence[Touch], slips: Callable[[int], list[Slip]], before: Known | None, *, new: bool
+    ) -> State:
+        """What touches tell; `slips` says what may be wrong with one, `new` that the last has just come."""
+        fit = [k for k, touch in enumerate(touches) if touch.purpose != CHECK]
+        used = [fit[k] for k in self.usable([touches[k] for k in fit])]
+        waiting, last = tuple(k for k in fit if k not in set(used)), len(touches) - 1
+        known = self.known_by([touches[k] for k in used], before)
+        if known is None:
+            return State(waiting=waiting)
+        if new and touches[last].purpose == CHECK:
+            others: Known | None = known
+            alarm = judged_alone(known, touches[last], slips, last)
+        else:
+            others = self._others([touches[k] for k in used], before) if new and last in used else None
+            alarm = examined(known, {k: touches[k] for k in used}, slips, others=others)
+        off, std = (None, None) if others is None else (each[0] for each in innovations_at(others, [touches[last]]))
+        if alarm is not None and alarm.touch in used:
+            known = self.known_by([touches[k] for k in used if k != alarm.touch], before)
+        return State(known, alarm, off, std, waiting)
 
-
-def _off_by(rows: LinearRows, about: Belief, k: int) -> tuple[float, float]:
-    """By how much a touch is off by the others, and the standard deviation of that, mm; of several, their length."""
-    rest = rows.without(k)
-    flat = rest.slope.reshape(-1, about.mean.size)
-    covariance = np.linalg.inv(np.eye(about.mean.size) + flat.T @ flat)
-    shift = -covariance @ (flat.T @ rest.residual.ravel() + about.mean)
-    value = rows.residual[k] + rows.slope[k] @ shift
-    noise = rows.noise[k]
-    spread = np.eye(len(value)) + rows.slope[k] @ covariance @ rows.slope[k].T
-    std = math.sqrt(float((np.diagonal(spread) * noise**2).sum()))
-    return _signed(value * noise), std
-
-
-def _off_alone(rows: LinearRows, value: Array, spread: Array) -> tuple[float, float]:
-    noise = rows.noise[0]
-    std = math.sqrt(float(((1 + (spread**2).sum(axis=1)) * noise**2).sum()))
-    return _signed(value * noise), std
-
-
-def _signed(value: Array) -> float:
-    return float(value[0]) if len(value) == 1 else float(np.linalg.norm(value))
+    def _others(self, used: Sequence[Touch], before: Known | None) -> Known | None:
+        """What all touches but the last tell of its face too; None where they tell nothing of it."""
+        if len(used) == 1:
+            return known_before(self.problem, rows_of(used), self.places, self.planned)
+        others = self.known_by([used[k] for k in self.usable(used[:-1])], before)
+        return others if others is not None and others.knows(used[-1]) else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from casacal.errors import CasacalError, UnknownNameError
@@ -35,18 +35,18 @@ class Gauge:
     unit: str = "mm"
     asks: str = ""
 
-    def refuse_error(self, line: str) -> None:
-        """Raise CasacalError where a line says that there is no reading."""
-        text = _stripped(line)
+    def refuse_error(self, line: str) -> str:
+        """A line without its ends; raises CasacalError where it says that there is no reading."""
+        text = line.strip("\x00\r\n\t ")
         if re.fullmatch(self.errors, text, re.IGNORECASE):
             raise CasacalError(
                 f"The gauge says {text!r}, which is an error", "Check the gauge, and send the reading again"
             )
+        return text
 
     def reading(self, line: str) -> float:
         """The reading of a line, mm; raises CasacalError where there is none."""
-        self.refuse_error(line)
-        text = _stripped(line)
+        text = self.refuse_error(line)
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
             raise CasacalError(
@@ -90,18 +90,9 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
                 f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
             )
         known = Gauge("of this pattern", pattern)
-    return Gauge(
-        known.name, known.pattern, known.errors, unit or known.unit, known.asks if asks is None else _unescaped(asks)
-    )
-
-
-def _stripped(line: str) -> str:
-    return line.strip("\x00\r\n\t ")
-
-
-def _unescaped(text: str) -> str:
-    """Text in which the ends of lines were typed as a backslash and a letter."""
-    return text.replace("\\r", "\r").replace("\\n", "\n")
+    if asks is not None:  # the ends of lines are typed as a backslash and a letter
+        known = replace(known, asks=asks.replace("\\r", "\r").replace("\\n", "\n"))
+    return replace(known, unit=unit or known.unit)
 
 
 Parity = Literal["N", "E", "O"]

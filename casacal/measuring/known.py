@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.noise_scale import OTHERS
-from casacal.binding.slots import instances, make_slots
+from casacal.binding.slots import Slot, instances, make_slots
 from casacal.errors import ProblemError
 from casacal.estimators.sckf import Belief, begun, take_in
 from casacal.measuring.touch import Touch, rows_of
@@ -23,72 +24,57 @@ from casacal.values import Value, read_only
 Places = Mapping[str, Array]
 """Where things stand that were declared without a nominal value, by the full name of the unknown."""
 
-FACTORS = tuple(1.25**k for k in range(18))
-"""Noise over what was stated, among which the likeliest is looked for."""
-
-TELLING = 4.5
-"""Logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one."""
-
-NEAR, MOVES = 0.5, 5
-"""Part of what a filter starts with by which a face may be elsewhere; times that it is moved."""
-
-STEPS = 6
-"""Gauss-Newton steps at most; three are the rule."""
-
-FEWEST = 12
-"""Touches from which on their scatter is looked at."""
+FACTORS = tuple(1.25**k for k in range(1, 18))  # noise over what was stated, among which the likeliest is looked for
+TELLING = 4.5  # logarithm of likelihoods from which on stated noise is given up: e^4.5, 90 to one
+NEAR, MOVES = 0.5, 5  # part of what a filter starts with by which a face may be elsewhere; times that it is moved
+STEPS = 6  # Gauss-Newton steps at most; three are the rule
+FEWEST = 12  # touches from which on their scatter is looked at
 
 
 @dataclass(frozen=True, eq=False)
 class Known(Value):
     """What some touches tell.
 
-    bound: to their rows. belief: after the last, in units of `start_std` about x0. innovations, stds: of each residual
-    when it came (rows,), whitened. factor: noise over what was stated, one or more.
+    bound: to their rows. belief: after the last, in units of `start_std` about x0. factor: noise over what was stated,
+    one or more. proposed: names of what stands where touches say, not a plan.
     """
 
     bound: BoundProblem
     belief: Belief
-    innovations: Array
-    stds: Array
-    factor: float
-    proposed: frozenset[str]
+    factor: float = 1.0
+    proposed: frozenset[str] = frozenset()
 
     @property
     def x(self) -> Array:
         """The mean (n,), in mm and rad."""
         return np.asarray(self.bound.x0 + self.bound.start_std * self.belief.mean)
 
+    @property
+    def covariance(self) -> Array:
+        """Of the belief (n, n), in its units."""
+        return np.asarray(self.belief.root @ self.belief.root.T)
+
     def knows(self, touch: Touch) -> bool:
         """Whether there are unknowns for the face of a touch."""
-        return _covers(self.bound, self.bound.problem, {name: (label,) for name, label in touch.labels.items()})
+        return bool(covered(self.bound, rows_of([touch])).all())
 
 
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
     """Where faces and the like stand by planned rows; nothing of those that are planned too seldom to say."""
     told = telling(problem, samples, {})
-    if not told:
-        return {}
-    slots = bind(problem, samples.take(told)).slots
+    return _proposed(bind(problem, samples.take(told)).slots) if told else {}
+
+
+def _proposed(slots: Sequence[Slot]) -> dict[str, Array]:
     return {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
 
 
-def usable(problem: Problem, touches: Sequence[Touch], places: Places) -> list[int]:
-    """Which touches tell something: those of faces that are planned or were touched often enough."""
-    return telling(problem, rows_of(touches), places) if touches else []
-
-
 def telling(problem: Problem, samples: Samples, places: Places) -> list[int]:
-    """The same of rows."""
-    instrument, told = problem.instrument, np.ones(len(samples), dtype=bool)
-    enough = counts(problem, samples)
-    for key, unknown in instrument.unknowns.items():
-        if unknown.nominal is not None:
-            continue
-        for label, rows in instances(instrument, key, unknown, samples):
-            name = key if label is None else f"{key}.{label}"
-            if name not in places and not (enough[name] and _stands(problem, samples.take(rows), places)):
-                told[rows] = False
+    """Which rows tell something: those of faces that are planned or were touched often enough."""
+    told = np.ones(len(samples), dtype=bool)
+    for name, rows, enough in _proposing(problem, samples):
+        if name not in places and not (enough and _stands(problem, samples.take(rows), places)):
+            told[rows] = False
     return [int(k) for k in np.flatnonzero(told)]
 
 
@@ -114,55 +100,45 @@ def known_from(
     """
     samples = rows_of(touches)
     proposed = frozenset(name for name, enough in counts(problem, samples).items() if enough and name not in places)
-    labels = {name: column.names for name, column in samples.labels.items()}
-    if before is not None and before.proposed == proposed and _covers(before.bound, problem, labels):
+    if before is not None and before.proposed == proposed and covered(before.bound, samples).all():
         bound = before.bound.with_noise().on(samples)
     else:
         bound = _bound(problem, samples, places, planned, proposed)
-    plain = _filtered(bound)
+    belief, likelihood = _filtered(bound)
     for _ in range(MOVES):
-        if not _far(bound, plain[0]):
+        # some face is believed further from where it began than a filter starts with
+        if not (np.abs(belief.mean) > NEAR)[bound.datum].any():
             break
-        bound = _moved(bound, plain[0])
-        plain = _filtered(bound)
-    if len(touches) < FEWEST:
-        return Known(bound, *plain, 1.0, proposed)
-    others = [(factor, noisier := bound.with_noise({OTHERS: factor}), _filtered(noisier)) for factor in FACTORS[1:]]
-    best = max(others, key=lambda each: _likelihood(each[2], each[1]))
-    if _likelihood(best[2], best[1]) < _likelihood(plain, bound) + TELLING:
-        return Known(bound, *plain, 1.0, proposed)
-    return Known(best[1], *best[2], best[0], proposed)
+        bound = _moved(bound, belief)
+        belief, likelihood = _filtered(bound)
+    if len(touches) >= FEWEST:
+        noisier = [(factor, bound.with_noise({OTHERS: factor})) for factor in FACTORS]
+        filtered = [_filtered(each) for _, each in noisier]
+        best = max(range(len(FACTORS)), key=lambda k: filtered[k][1])
+        if filtered[best][1] >= likelihood + TELLING:
+            return Known(noisier[best][1], filtered[best][0], noisier[best][0], proposed)
+    return Known(bound, belief, 1.0, proposed)
 
 
 def known_before(problem: Problem, rows: Samples, places: Places, planned: Samples | None = None) -> Known:
     """What is known before any touch, bound to some rows of faces that are planned."""
     bound = _bound(problem, rows, places, planned, frozenset())
-    return Known(bound, begun(bound), np.zeros(0), np.zeros(0), 1.0, frozenset())
+    return Known(bound, begun(bound))
 
 
-def innovations_at(known: Known, touches: Sequence[Touch]) -> tuple[Array, Array]:
-    """What each touch would be off by if it came next, and the standard deviation of that, both (touches, m), mm."""
-    bound = known.bound.on(rows_of(touches))
-    found = [_next_alone(bound, known.belief, k) for k in range(bound.rows)]
-    noise = bound.block.noise.ravel()
-    off, stds = (np.array(each) * noise for each in zip(*found, strict=True))
-    return off.reshape(len(touches), -1), stds.reshape(len(touches), -1)
+def _filtered(bound: BoundProblem) -> tuple[Belief, float]:
+    """The belief after all rows, and the logarithm of their likelihood, less a constant.
 
-
-def _next_alone(bound: BoundProblem, belief: Belief, k: int) -> tuple[float, float]:
-    x = bound.x0 + bound.start_std * belief.mean
-    value, slope = bound.row_jacobian(k, x)
-    return value, math.hypot(1.0, float(np.linalg.norm((slope * bound.start_std) @ belief.root)))
-
-
-def _filtered(bound: BoundProblem) -> tuple[Belief, Array, Array]:
+    By innovations (Schweppe, IEEE Trans. Inf. Theory 11, 1965).
+    """
     belief, k, told = begun(bound), 0, list[tuple[Array, Array]]()
     while k < bound.rows:
         taken = take_in(bound, belief, k)
         belief, k = taken.belief, taken.stop
         told.append((taken.innovations, taken.stds))
     innovations, stds = (np.concatenate(each) for each in zip(*told, strict=True))
-    return _settled(bound, belief), innovations, stds
+    unlikely = (innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())
+    return _settled(bound, belief), -float(unlikely.sum())
 
 
 def _settled(bound: BoundProblem, belief: Belief) -> Belief:
@@ -185,17 +161,6 @@ def _settled(bound: BoundProblem, belief: Belief) -> Belief:
     return Belief(settled, np.linalg.cholesky(half.T @ half))
 
 
-def _likelihood(filtered: tuple[Belief, Array, Array], bound: BoundProblem) -> float:
-    """Logarithm of the likelihood, less a constant: by innovations (Schweppe, IEEE Trans. Inf. Theory 11, 1965)."""
-    _, innovations, stds = filtered
-    return -float(((innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())).sum())
-
-
-def _far(bound: BoundProblem, belief: Belief) -> bool:
-    """Whether some face is believed further from where it began than a filter starts with."""
-    return bool((np.abs(belief.mean) > NEAR)[bound.datum].any())
-
-
 def _moved(bound: BoundProblem, belief: Belief) -> BoundProblem:
     """The same rows with faces where they are believed to stand."""
     x = bound.x0 + bound.start_std * belief.mean
@@ -216,26 +181,32 @@ def _bound(
     except ProblemError:  # touches on a line say of no face where it stands
         slots = make_slots(problem, (samples,), places)
     if planned is not None:
-        found = {slot.name: slot.nominal for slot in slots if slot.unknown.nominal is None}
-        slots = make_slots(problem, (joined(samples, planned),), {**places, **found})
+        slots = make_slots(problem, (joined(samples, planned),), {**places, **_proposed(slots)})
     return BoundProblem(problem, slots, (samples,))
 
 
 def counts(problem: Problem, samples: Samples) -> dict[str, bool]:
     """Whether rows are enough to say where each thing stands that was declared without a nominal value, by name."""
-    found = {}
+    return {name: enough for name, _, enough in _proposing(problem, samples)}
+
+
+def _proposing(problem: Problem, samples: Samples) -> Iterator[tuple[str, NDArray[np.intp], bool]]:
+    """Each such thing by name, its rows, and whether they are enough."""
     for key, unknown in problem.instrument.unknowns.items():
         if unknown.nominal is None:
             flat = int((~np.isfinite(unknown.prior_stds)).sum())
             for label, rows in instances(problem.instrument, key, unknown, samples):
                 enough = len(rows) * problem.models[0].components > flat
-                found[key if label is None else f"{key}.{label}"] = enough
+                yield key if label is None else f"{key}.{label}", rows, enough
+
+
+def covered(bound: BoundProblem, samples: Samples) -> NDArray[np.bool_]:
+    """Which rows (N,) have their unknowns among those that are bound: whose face is known, and the like."""
+    have, instrument = {slot.name for slot in bound.slots}, bound.problem.instrument
+    found = np.ones(len(samples), dtype=bool)
+    for key, unknown in instrument.unknowns.items():
+        if unknown.per is not None:
+            labels = samples.labels[unknown.per]
+            named = [f"{key}.{instrument.instance(key, name)}" in have for name in labels.names]
+            found &= np.array(named)[labels.codes]
     return found
-
-
-def _covers(bound: BoundProblem, problem: Problem, labels: Mapping[str, Sequence[str]]) -> bool:
-    """Whether there are unknowns for all labels."""
-    have = {slot.name for slot in bound.slots}
-    keys = [(key, unknown.per) for key, unknown in problem.instrument.unknowns.items() if unknown.per is not None]
-    instance = problem.instrument.instance
-    return all(f"{key}.{instance(key, name)}" in have for key, per in keys for name in labels.get(per, ()))

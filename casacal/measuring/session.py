@@ -9,7 +9,6 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.measuring.examine import Alarm, Suspected, refuse_along
 from casacal.measuring.standing import Standing
-from casacal.measuring.state import state_of
 from casacal.measuring.touch import Touch, columns_of, joints_of, labels_of
 from casacal.planning.route import FIT
 
@@ -65,7 +64,9 @@ class Session(Standing):
             number,
             FIT if planned is None else planned.purpose,
         )
-        self._refuse_unplanned(touch)
+        for column, known in () if self.plan is None else self.plan.samples.labels.items():
+            if touch.labels[column] not in known.names:
+                raise UnknownNameError(f"{column} of the plan", touch.labels[column], known.names)
         if self.known is not None and self.known.knows(touch):
             refuse_along(self.known, touch)
         return self._after((*self.touches, touch), new=True)
@@ -106,22 +107,11 @@ class Session(Standing):
 
     def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
         """The session with these touches; `new` says that the last one has just come."""
-        state = state_of(self._setting, touches, lambda k: self._slips(touches, k), self.state.known, new=new)
+        state = self._setting.state(touches, lambda k: self._slips(touches, k), self.state.known, new=new)
         after = replace(self, touches=touches, state=state)
-        for name in ("_setting", "_all_planned", "_could"):
-            if name in self.__dict__:
-                after.__dict__[name] = self.__dict__[name]
-        if "field" in self.__dict__ and after.names == self.names:
-            after.__dict__["field"] = self.field
+        same = ("_setting", "_all_planned", "_could", *(("field",) if after.names == self.names else ()))
+        after.__dict__.update({name: self.__dict__[name] for name in same if name in self.__dict__})
         return after
-
-    def _refuse_unplanned(self, touch: Touch) -> None:
-        """Raise UnknownNameError for a label that the plan does not know."""
-        if self.plan is None:
-            return
-        for column, label in touch.labels.items():
-            if label not in (known := self.plan.samples.labels[column].names):
-                raise UnknownNameError(f"{column} of the plan", label, known)
 
     def _with(self, k: int, touch: Touch) -> tuple[Touch, ...]:
         return (*self.touches[:k], touch, *self.touches[k + 1 :])

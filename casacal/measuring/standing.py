@@ -9,13 +9,11 @@ from functools import cached_property
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
 from casacal.estimators.sckf import Belief
-from casacal.measuring.examine import Alarm
-from casacal.measuring.further import Pool, could_be, error_below, expected_error, spectrum, wanted_field
-from casacal.measuring.known import Known, counts, innovations_at, known_before, places_of, telling
-from casacal.measuring.slips import Slip, slips_of
-from casacal.measuring.state import Setting, State
-from casacal.measuring.touch import Touch, planned_touches, rows_of
-from casacal.planning.choice import wanted_joints
+from casacal.measuring.examine import Alarm, Setting, State
+from casacal.measuring.known import Known, counts, known_before, places_of, telling
+from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum
+from casacal.measuring.touch import Slip, Touch, planned_touches, rows_of, slips_of
+from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
 from casacal.problem.cell import Disturbances
@@ -42,15 +40,7 @@ class Standing(Value):
     skipped: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
-        if not isinstance(self.problem, Problem):
-            raise CasacalError(
-                f"Got {came(self.problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
-            )
-        if len(self.problem.instruments) > 1:
-            names = ", ".join(self.problem.names)
-            raise CasacalError(
-                f"A session uses one instrument, but the problem has {names}", "Give problem.measured_by(name)"
-            )
+        refuse_several(self.problem, "A session uses one instrument", "Give")
         if self.plan is not None and not isinstance(self.plan, Route):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
@@ -79,7 +69,11 @@ class Standing(Value):
         if self.done:
             return None
         if left:
-            return self._most_telling(left) if self.best_first else left[0]
+            # those to fit by what they tell, then the others in order
+            told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
+            if not self.best_first or known is None or self.field is None or not told:
+                return left[0]
+            return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
         return self._pool.best(known, self.field)
@@ -175,28 +169,20 @@ class Standing(Value):
         if self.state.known is None:
             return None
         bound = self.state.known.bound
-        return wanted_field(bound, wanted_joints(bound, self.box, self.targets))
+        return wanted_field(bound, bound.x0, wanted_joints(bound, self.box, self.targets))
 
     @cached_property
     def weights(self) -> Array | None:
         """Of the squared tip error as a sum of squares of unit normals, mm^2."""
         known = self.state.known
-        return None if known is None or self.field is None else spectrum(known.belief, self.field)
-
-    def _most_telling(self, left: Sequence[Touch]) -> Touch:
-        """Which of these planned touches to make next: those to fit by what they tell, then the others in order."""
-        known = self.state.known
-        told = [touch for touch in left if touch.purpose == FIT and known is not None and known.knows(touch)]
-        if known is None or self.field is None or not told:
-            return left[0]
-        return told[Pool.of(known, rows_of(told)).most_telling(known, self.field)]
+        return None if known is None or self.field is None else spectrum(known.belief.root, self.field)
 
     def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
-        known: dict[str, list[str]] = {}
+        known: dict[str, dict[str, None]] = {}
         for each in (*touches, *self._all_planned):
             for column, label in each.labels.items():
-                known.setdefault(column, []).append(label)
-        labels = {column: tuple(dict.fromkeys(names)) for column, names in known.items()}
+                known.setdefault(column, {})[label] = None
+        labels = {column: tuple(names) for column, names in known.items()}
         return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
 
     @cached_property
@@ -206,7 +192,7 @@ class Standing(Value):
 
     @cached_property
     def _could(self) -> Samples:
-        return could_be(self.problem, self.cell, self.clearance)
+        return pool_of(self.problem, self.cell, POOL, 7, self.clearance)
 
     @cached_property
     def _setting(self) -> Setting:

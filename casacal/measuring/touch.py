@@ -1,16 +1,18 @@
-"""One measurement as somebody made it, and rows of several, checked against what the problem asks for."""
+"""One measurement as somebody made it, rows of several, and what may have been mistyped in one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.planning.route import FIT, Route
+from casacal.problem.problem import Problem
 from casacal.samples.layout import LARGEST, Layout
 from casacal.samples.samples import Samples
 from casacal.values import FrozenMapping, Value, is_real, read_only
@@ -36,6 +38,13 @@ class Touch(Value):
         object.__setattr__(self, "columns", FrozenMapping({k: float(v) for k, v in self.columns.items()}))
         object.__setattr__(self, "labels", FrozenMapping(self.labels))
 
+    @staticmethod
+    def of(samples: Samples, k: int, number: int | None = None, purpose: str = FIT, *, kept: bool = False) -> Touch:
+        """A row of samples."""
+        columns = {name: float(values[k]) for name, values in samples.columns.items()}
+        labels = {name: labels[k] for name, labels in samples.labels.items()}
+        return Touch(samples.joints[k], columns, labels, number, purpose, kept)
+
 
 def rows_of(touches: Sequence[Touch]) -> Samples:
     """The touches as rows, in their order; one or more."""
@@ -53,17 +62,7 @@ def rows_of(touches: Sequence[Touch]) -> Samples:
 
 def planned_touches(plan: Route) -> tuple[Touch, ...]:
     """The touches of a plan, numbered from 1, with the readings to expect."""
-    samples = plan.samples
-    return tuple(
-        Touch(
-            samples.joints[k],
-            {name: float(values[k]) for name, values in samples.columns.items()},
-            {name: labels[k] for name, labels in samples.labels.items()},
-            k + 1,
-            plan.purposes[k],
-        )
-        for k in range(len(plan))
-    )
+    return tuple(Touch.of(plan.samples, k, k + 1, purpose) for k, purpose in enumerate(plan.purposes))
 
 
 def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
@@ -86,10 +85,13 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
 def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> dict[str, float]:
     """What the instrument read by column; raises CasacalError where it does not fit."""
     asked = list(layout.columns)
-    given = reading if isinstance(reading, Mapping) else {} if reading is None else dict.fromkeys(asked[:1], reading)
     wanted = ", ".join(asked) or "no reading at all"
-    if isinstance(reading, Mapping) is False and reading is not None and len(asked) != 1:
+    if reading is None or isinstance(reading, Mapping):
+        given: Mapping[str, float] = reading or {}
+    elif len(asked) != 1:
         raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
+    else:
+        given = {asked[0]: reading}
     for name in given:
         if name not in asked:
             raise UnknownNameError("column of a touch", name, asked)
@@ -117,3 +119,97 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
         if not isinstance(label, str) or not label:
             raise CasacalError(f"The touch has no {name}", "Name it")
     return found
+
+
+SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm
+MOST_TURNS = 2  # turns of a pointer that may be forgotten
+
+
+@dataclass(frozen=True, eq=False)
+class Slip(Value):
+    """A mistake: its kind, words, what the touch was without it, and how likely it is beside others (a logarithm)."""
+
+    kind: str
+    words: str
+    touch: Touch
+    weight: float
+
+
+def slips_of(problem: Problem, touch: Touch, planned: Touch | None, labels: Mapping[str, Sequence[str]]) -> list[Slip]:
+    """What may have been typed wrong in a touch.
+
+    planned: what was to be done there, or None. labels: by column, what there is to choose from.
+    """
+    found = [*_of_labels(touch, labels), *_of_readings(problem, touch), *_of_joints(problem, touch, planned)]
+    return [slip for slip in found if np.isfinite(slip.touch.joints).all()]
+
+
+def _of_labels(touch: Touch, labels: Mapping[str, Sequence[str]]) -> Iterator[Slip]:
+    for column, names in labels.items():
+        for name in names:
+            if name != touch.labels[column]:
+                words = f"the {column} was '{name}', not '{touch.labels[column]}'"
+                yield Slip("label", words, replace(touch, labels={**touch.labels, column: name}), -1.0)
+
+
+def _of_readings(problem: Problem, touch: Touch) -> Iterator[Slip]:
+    probe = problem.instrument.probe
+    for name, dimension in problem.layout().columns.items():
+        value = touch.columns[name]
+
+        def slip(kind: str, words: str, said: float, weight: float, name: str = name) -> Slip:
+            return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
+
+        unit = {"length": "mm", "angle": "rad"}.get(dimension, "")
+        yield slip("sign", f"the sign of the {name}", -value, -1.0)
+        if probe is not None and name == probe.column and probe.turn:
+            for turns in (1, -1, 2, -2)[: 2 * MOST_TURNS]:
+                said = value + turns * probe.turn
+                many = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
+                way = "forgotten" if turns > 0 else "too many"
+                yield slip("revolution", f"{many} of the pointer {way}: {said:.{SHOWN}f} {unit}", said, -abs(turns))
+        if dimension == "length":
+            for factor, words in ((25.4, "inches, not mm"), (1 / 25.4, "mm, not inches")):
+                yield slip("unit", f"the {name} in {words}", value * factor, -4.0)
+        for said, weight in _mistyped(value):
+            yield slip("digit", f"a digit of the {name}: {said:.{SHOWN}f} {unit}", said, weight)
+
+
+def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterator[Slip]:
+    turns, joints = problem.robot.revolute, touch.joints
+    factor = np.where(turns, 180 / math.pi, 1.0)
+    unit = np.where(turns, "degrees", "mm")
+
+    def slip(kind: str, words: str, changed: Mapping[int, float], weight: float) -> Slip:
+        other = joints.copy()
+        for i, value in changed.items():
+            other[i] = value
+        return Slip(kind, words, replace(touch, joints=other), weight)
+
+    for i, value in enumerate(joints):
+        if planned is not None and abs(planned.joints[i] - value) > 1e-9:
+            as_planned = float(planned.joints[i])
+            words = f"joint {i + 1} as planned: {as_planned * factor[i]:.{SHOWN}f} {unit[i]}"
+            yield slip("joint", words, {i: as_planned}, -1.0)
+        yield slip("joint sign", f"the sign of joint {i + 1}", {i: -float(value)}, -3.0)
+        for said, weight in _mistyped(float(value * factor[i])):
+            words = f"a digit of joint {i + 1}: {said:.{SHOWN}f} {unit[i]}"
+            yield slip("joint", words, {i: said / float(factor[i])}, weight - 2.0)
+        for k in range(i):
+            if turns[i] == turns[k]:
+                words = f"joints {k + 1} and {i + 1} in each other's place"
+                yield slip("joints swapped", words, {i: float(joints[k]), k: float(value)}, -4.0)
+
+
+def _mistyped(value: float) -> list[tuple[float, float]]:
+    """Numbers that were meant where this one was typed: one digit wrong, two exchanged, the point misplaced."""
+    text = f"{abs(value):.{SHOWN}f}"
+    places = [k for k, letter in enumerate(text) if letter.isdigit()]
+    wrong = {f"{text[:k]}{digit}{text[k + 1 :]}": -math.log(9 * len(places)) for k in places for digit in "0123456789"}
+    for k, after in pairwise(places):
+        letters = list(text)
+        letters[k], letters[after] = letters[after], letters[k]
+        wrong["".join(letters)] = -math.log(len(places)) - 0.5
+    found = [(float(other), weight) for other, weight in wrong.items() if other != text]
+    found += [(abs(value) * times, -2.0) for times in (10.0, 0.1) if value]
+    return [(math.copysign(other, value), weight) for other, weight in found]

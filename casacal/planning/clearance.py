@@ -24,8 +24,7 @@ from casacal.robots.robot import Robot
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value, is_real
 
-ALONG = 12
-"""Points looked at on every rod, its ends among them."""
+ALONG = 12  # points looked at on every rod, its ends among them
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ from casacal.binding.marginal import Seen, seen
 from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
+from casacal.planning.estimate import Estimate
 from casacal.planning.extra_touches import Touches
-from casacal.planning.known import Known
-from casacal.planning.offers import EXTRA_TOUCHES, Offer, offers
+from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, offers
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -29,47 +29,45 @@ from casacal.uncertainty.identifiability import NullDirection, WeakDirection, pr
 from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
 from casacal.wording import listed
 
-GAIN = 0.95
-"""Expected tip error over that without a cure, above which it is not worth recommending."""
-TOOL_STD = 0.2
-"""Standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge."""
-SETTLES = 0.5
-"""Part of a direction's standard deviation below which a cure settles it."""
-LOWERS = 0.95
-"""The same below which a cure helps at all."""
-MOST_TILT = math.radians(85.0)
-"""Tilt of a plunger that hardly touches a face: such an arm is not understood."""
+GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending
+TOOL_STD = 0.2  # standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge
+SETTLES = 0.5  # part of a direction's standard deviation below which a cure settles it
+LOWERS = 0.95  # the same below which a cure helps at all
+MOST_TILT = math.radians(85.0)  # tilt of a plunger that hardly touches a face: such an arm is not understood
 NO_CURE = "none of those tried helps; rely on the prior"
 
 
 @dataclass(frozen=True, eq=False)
 class Cure:
-    """Something to do next, and the tip error to expect after it."""
+    """Something to do next, and the tip error to expect after it.
+
+    expected_rms_mm: over the workspace, apart from the position of the base. recommended: whether it gains more than a
+    few per cent, over as many touches of the same kind too. covariance: of the unknowns that the samples share (s, s),
+    after it.
+    """
 
     words: str
     touches: int
     expected_rms_mm: float
-    """Over the workspace, apart from the position of the base."""
     recommended: bool
-    """Whether it gains more than a few per cent, over as many touches of the same kind too."""
     covariance: Array
-    """Of the unknowns that the samples share (s, s), after it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What there would be after a cure."""
+    """What there would be after a cure.
+
+    information: all there would be (m, m); the first unknowns are those that the samples share. rows: the touches that
+    were chosen, where they were. problem: whose rows these are, with a new face or step.
+    """
 
     kind: str
     words: str
     touches: int
     information: Array
-    """All there would be (m, m); of the first unknowns, those that the samples share."""
     prior_std: Array
     rows: Samples | None = None
-    """The touches that were chosen, where they were."""
     problem: Problem | None = None
-    """Whose rows these are: the problem, with a new face or step."""
 
 
 def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, ...]:
@@ -96,16 +94,10 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
                 found[outcome.kind] = error, covariance, outcome
     now, _ = judged(told, arm.prior_std)
     same = min(now, found["same"][0]) if "same" in found else now
-    made = [
-        Cure(
-            outcome.words,
-            outcome.touches,
-            error,
-            error < GAIN * (now if kind in ("same", "tool") else same),
-            covariance,
-        )
-        for kind, (error, covariance, outcome) in found.items()
-    ]
+    made = []
+    for kind, (error, covariance, outcome) in found.items():
+        gains = error < GAIN * (now if kind in ("same", "tool") else same)
+        made.append(Cure(outcome.words, outcome.touches, error, gains, covariance))
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
@@ -135,7 +127,10 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
         return "none needed"
     along = along / prior_scale(bound)
     before = _spread(now, along)
-    left = [(cure, _ratio(_spread(cure.covariance, along), before)) for cure in found]
+    left = []
+    for cure in found:
+        after = _spread(cure.covariance, along)
+        left.append((cure, 1.0 if not np.isfinite(after) or before == 0 else after / before))
     for cure, part in sorted(left, key=lambda each: not each[0].recommended):
         if part < SETTLES:
             return cure.words
@@ -152,14 +147,12 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
         yield from _more_of_each(bound, x, told)
         return
     if touches is None:
-        for kind, how, weight in (
-            ("same", "more samples of the same kind", 1),
-            ("noise", "samples at half the noise", 4),
-        ):
+        ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
+        for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    known, field = Known.of(bound, x, told, touches.labels), _field(arm, at)
+    known, field = Estimate.of(bound, x, told, touches.labels), _field(arm, at)
     pools: dict[Cell, Samples | None] = {}
     for offer in offers(bound, touches):
         if offer.cell not in pools:
@@ -173,21 +166,14 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
             continue
 
 
-def _planned(known: Known, offer: Offer, pool: Samples, field: Array) -> Outcome:
+def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> Outcome:
     """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
     extra, x, told = known.with_rows(offer.problem, offer.cell, pool, offer.noise)
     choice = Choice.on_top(extra, x, told, field)
     best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
-    rows = extra.take(best)
-    return Outcome(
-        offer.kind,
-        offer.words,
-        offer.touches,
-        told + rows.information(x),
-        extra.prior_std,
-        pool.take(best),
-        offer.problem,
-    )
+    after = told + extra.take(best).information(x)
+    kept = pool.take(best)
+    return Outcome(offer.kind, offer.words, offer.touches, after, extra.prior_std, kept, offer.problem)
 
 
 def _field(arm: Seen, at: Array) -> Array:
@@ -223,7 +209,3 @@ def _spread(covariance: Array, along: Array) -> float:
         return float("inf")
     held = np.where(np.isfinite(covariance), covariance, 0.0)
     return math.sqrt(max(float(along @ held @ along), 0.0))
-
-
-def _ratio(after: float, before: float) -> float:
-    return 1.0 if not np.isfinite(after) or before == 0 else after / before

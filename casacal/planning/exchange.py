@@ -9,7 +9,6 @@ on one face for ever: the first rows on another one tell of that face alone, and
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -18,11 +17,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 
-SWEEPS = 10
-"""Times that every row of a plan is tried against all others."""
-
-BETTER = 1e-7
-"""Part of the error by which an exchange must lower it."""
+SWEEPS = 10  # times that every row of a plan is tried against all others
+BETTER = 1e-7  # part of the error by which an exchange must lower it
 
 Chosen = NDArray[np.intp]
 
@@ -53,7 +49,6 @@ def exchange(
     *,
     criterion: Criterion = Criterion.TIP,
     barred: NDArray[np.bool_] | None = None,
-    progress: Callable[[float], None] | None = None,
 ) -> Exchanged:
     """Improve a plan until no single exchange does.
 
@@ -64,7 +59,6 @@ def exchange(
         start: the plan to begin with (k,), no row twice.
         criterion: what is made small.
         barred: which measurements (N,) must not be taken.
-        progress: called with the error after each sweep.
 
     """
     plan, free = start.copy(), np.ones(len(rows), dtype=bool)
@@ -84,8 +78,6 @@ def exchange(
             if others[best] > present + BETTER * left:
                 free[plan[place]], free[best] = barred is None or not barred[plan[place]], False
                 plan[place], changed = best, True
-        if progress is not None:
-            progress(error_of(rows[plan], known, weight))
         if not changed:
             break
     error = error_of(rows[plan], known, weight)

@@ -20,40 +20,34 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels
 
-POOL = 240
-"""Touches that are drawn on the faces of a cell, to choose among."""
-ENOUGH_OF_THEM = 0.8
-"""Part of these that has to be found, where it can be: the last ones are the hardest to reach."""
-FEWEST = 120
-"""Touches without which there is nothing to choose among."""
-STARTS = 50
-"""Random poses among which each of them finds its start."""
-MOST_FACES = 8
-"""Faces, those with most rows, on which extra touches are made."""
-SMALLEST = 50.0
-"""Least side of a face that is touched, mm."""
-TRIES = 2
-"""Rounds of tries after which a face that was never reached is out of reach."""
+POOL = 240  # touches that are drawn on the faces of a cell, to choose among
+ENOUGH_OF_THEM = 0.8  # part of these that has to be found, where it can be: the last ones are the hardest to reach
+FEWEST = 120  # touches without which there is nothing to choose among
+STARTS = 50  # random poses among which each of them finds its start
+MOST_FACES = 8  # faces, those with most rows, on which extra touches are made
+SMALLEST = 50.0  # least side of a face that is touched, mm
+TRIES = 2  # rounds of tries after which a face that was never reached is out of reach
 
 
 @dataclass(frozen=True)
 class Touches:
-    """An arm as calibrated before its faces as they were found."""
+    """An arm as calibrated before its faces as they were found.
+
+    problem: with a face for each label. faces: rectangles around what was touched, their normals towards the tool;
+    those with most rows first. senses: whether each face's plane has that normal, or its opposite: +1, -1. tilt:
+    largest angle (rad) between plunger and normal in the samples there are. other: a row as those that there are mostly
+    look: what is neither joints nor a reading nor a face stays like that. held: whether it is known where the faces
+    are, so that a new one makes no sense.
+    """
 
     problem: Problem
-    """With a face for each label."""
     probe: Probe
     touch: Touch
     faces: tuple[Face, ...]
-    """Rectangles around what was touched, their normals towards the tool; those with most rows first."""
     senses: tuple[int, ...]
-    """Whether each face's plane has that normal, or its opposite: +1, -1."""
     tilt: float
-    """Largest angle (rad) between plunger and normal in the samples there are."""
     other: Samples
-    """A row as those that there are mostly look: what is neither joints nor a reading nor a face stays like that."""
     held: bool
-    """Whether it is known where the faces are, so that a new one makes no sense."""
 
     @staticmethod
     def of(bound: BoundProblem, x: Array) -> Touches | None:
@@ -152,12 +146,10 @@ def _usual(samples: Samples) -> Samples:
     return replace(row, columns=columns, labels=labels, extra={})
 
 
-STEP = 100.0
-"""Height of a gauge block, mm."""
+STEP = 100.0  # height of a gauge block, mm
 
 
-BLOCK = (35.0, 35.0)
-"""Its top, mm."""
+BLOCK = (35.0, 35.0)  # its top, mm
 
 
 def raised(face: Face, by: float, label: str) -> Face:

@@ -21,11 +21,8 @@ from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.values import Value
 
-SIDES = 8
-"""Sides of the prism around a cylinder."""
-
-SHORT = 1e-9
-"""Length of a direction below which it is none: edges that are parallel."""
+SIDES = 8  # sides of the prism around a cylinder
+SHORT = 1e-9  # length of a direction below which it is none: edges that are parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +86,10 @@ def gap(one: Body, other: Body) -> Array:
     return np.asarray(apart.max(axis=1) - one.radius - other.radius)
 
 
-FREE = 5.0
-"""Distance that shapes keep, mm: arms err by some, and drawings of their shapes by more."""
-
-THICK = 40.0
-"""Thickness of what carries a face, mm."""
-
-TOOL = 20.0
-"""Distance from the tip, mm, within which a shape is the tool's, which may come near a face."""
-
-POSTURES = 400
-"""Random postures; two shapes that meet in all of them are drawn too large, or belong together."""
+FREE = 5.0  # distance that shapes keep, mm: arms err by some, and drawings of their shapes by more
+THICK = 40.0  # thickness of what carries a face, mm
+TOOL = 20.0  # distance from the tip, mm, within which a shape is the tool's, which may come near a face
+POSTURES = 400  # random postures; two shapes that meet in all of them are drawn too large, or belong together
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +157,8 @@ class LinkShapes(Value):
         """Each shape in postures (N, n; rad, mm), in the base frame."""
         flat = np.array(self._motions.map(len(joints))(joints.T))  # (4, 4 n N): of each posture, of each link
         motions = flat.reshape(4, len(joints), -1, 4).transpose(1, 2, 0, 3)
-        bodies = [_body(shape) for shape in self.shapes]
-        return [
-            body if shape.carrier < 0 else body.moved(motions[:, shape.carrier])
-            for shape, body in zip(self.shapes, bodies, strict=True)
-        ]
+        bodies = [(shape.carrier, _body(shape)) for shape in self.shapes]
+        return [body if carrier < 0 else body.moved(motions[:, carrier]) for carrier, body in bodies]
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:

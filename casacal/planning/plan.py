@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, UnknownNameError, came
-from casacal.planning.choice import Choice, pool_of, wanted_joints
+from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
-from casacal.planning.offers import seldom
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
 from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
@@ -24,14 +23,9 @@ from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box
 from casacal.values import FrozenMapping, is_real
 
-DRAWS = 8
-"""Random plans of as many touches, for comparison; draws of what is lost."""
-
-LOST = 0.1
-"""Part of the fitted touches of which it is said what losing them costs."""
-
-ARMS = 5
-"""Arms that the prior allows, over which an error is averaged."""
+DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost
+LOST = 0.1  # part of the fitted touches of which it is said what losing them costs
+ARMS = 5  # arms that the prior allows, over which an error is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +97,11 @@ def plan(
 
     """
     _check(problem, touches, pool, starts, again, check, box, targets)
-    wanted = _criterion(criterion)
+    if criterion not in (names := [each.value for each in Criterion]):
+        raise UnknownNameError("criterion", str(criterion), names)
+    wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
-    bound = bind(problem, reachable if after is None else joined(reachable, _made(problem, after)))
-    _refuse_unknown(bound, loose)
+    bound = _bound(problem, reachable, after, loose)
     joints = wanted_joints(bound, box, targets)
     choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
@@ -150,8 +145,7 @@ def touches_for(
     if not (is_real(tolerance) and 0 < tolerance < math.inf):
         raise CasacalError(f"Got {came(tolerance)} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, 1000, 0)
-    bound = bind(problem, pool if after is None else joined(pool, _made(problem, after)))
-    _refuse_unknown(bound, loose)
+    bound = _bound(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
     count, rng = 3 if after is not None else 12, np.random.default_rng(0)
     while count < most:
@@ -204,37 +198,24 @@ def _over_arms(
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _refuse_unknown(bound: BoundProblem, loose: Mapping[str, float] | None) -> None:
+def _bound(problem: Problem, pool: Samples, after: Samples | None, loose: Mapping[str, float] | None) -> BoundProblem:
+    """A pool and after it touches that were made; raises SamplesError for those of another problem."""
+    if after is not None:
+        if not isinstance(after, Samples):
+            raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
+        after.check(problem.layout())
+        pool = joined(pool, after)
+    bound = bind(problem, pool)
     for name in loose or {}:
         if name not in bound.names:
             raise UnknownNameError("unknown", name, bound.names)
-
-
-def _made(problem: Problem, after: Samples) -> Samples:
-    """Touches that were made; raises SamplesError for those of another problem."""
-    if not isinstance(after, Samples):
-        raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
-    after.check(problem.layout())
-    return after
-
-
-def _criterion(name: str) -> Criterion:
-    names = [each.value for each in Criterion]
-    if name not in names:
-        raise UnknownNameError("criterion", str(name), names)
-    return Criterion(name)
+    return bound
 
 
 def _check(
     problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
 ) -> None:
-    if not isinstance(problem, Problem):
-        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
-    if len(problem.instruments) > 1:
-        names = ", ".join(problem.names)
-        raise CasacalError(
-            f"A plan is for one instrument, but the problem has {names}", "Plan for problem.measured_by(name)"
-        )
+    refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
             raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from {least} on")

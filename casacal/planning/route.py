@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,19 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.binding.slots import instances
 from casacal.errors import SamplesError
+from casacal.problem.problem import Problem
 from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
+from casacal.samples.write import WRITTEN, samples_text
 from casacal.tables.read import read_columns
 from casacal.values import Value
 
 FIT, AGAIN, CHECK = "fit", "again", "check"
+PURPOSES = (FIT, AGAIN, CHECK)
 """What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
 
-EXPECTED = "expected_"
-"""What the names of readings begin with that nobody has made yet."""
+EXPECTED = "expected_"  # what the names of readings begin with that nobody has made yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +46,38 @@ class Route(Value):
         return f"<Route of {len(self)} touches>"
 
 
+PLANNED_DECIMALS = 4  # of joint values in degrees and mm: what controllers take, and a few micrometres at the tip
+
+
+def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
+    """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
+    before = {"touch": [str(k) for k in range(1, len(purposes) + 1)], "purpose": list(purposes)}
+    return samples_text(layout, samples, notes, before=before, joint_decimals=PLANNED_DECIMALS, prefix=EXPECTED)
+
+
+def joints_shown(joints: Array, layout: Layout) -> list[str]:
+    """Joint values (n,; rad, mm) as a plan has them, in degrees and mm."""
+    pairs = zip(joints, layout.joints, strict=True)
+    return [f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}" for value, kind in pairs]
+
+
+def rows_needed(problem: Problem, route: Route) -> tuple[int, int]:
+    """How many touches a plan has to fit, and how many `calibrate` takes at least for all unknowns of arm and faces."""
+    fitted = np.flatnonzero([purpose == FIT for purpose in route.purposes])
+    own = sum(
+        u.size * len(instances(problem.instrument, key, u, route.samples.take(fitted)))
+        for key, u in problem.instrument.unknowns.items()
+    )
+    total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
+    return len(fitted), -(-total // problem.models[0].components)
+
+
 def read_route(path: str | Path, layout: Layout) -> Route:
     """Read what `write_plan` wrote, or a file of the same form; rows may be left out, moved and added by hand.
 
     layout: of the problem's samples. Raises SamplesError.
     """
-    expected = _expected(layout)
+    expected = Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
     columns = read_columns(path, lambda header: numeric_columns(header, expected), layout.labels)
     measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
     if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
@@ -56,20 +86,14 @@ def read_route(path: str | Path, layout: Layout) -> Route:
     read = Samples.from_columns(columns, expected)
     purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):
-        if purpose not in (FIT, AGAIN, CHECK):
+        if purpose not in PURPOSES:
             fix = f"Write {FIT}, {AGAIN} or {CHECK}"
             raise SamplesError(read.file, f"'{purpose}' is no purpose", fix, line=line, column="purpose")
     readings = {name.removeprefix(EXPECTED): values for name, values in read.columns.items()}
     return Route(replace(read, columns=readings, extra={}), purposes)
 
 
-def _expected(layout: Layout) -> Layout:
-    """The same with readings that are to be expected."""
-    return Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
-
-
-SWEEPS = 40
-"""Times that all pairs of steps are looked at."""
+SWEEPS = 40  # times that all pairs of steps are looked at
 
 
 def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
@@ -91,12 +115,6 @@ def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
         order.append(int(here[apart[order[-1], here].argmin()]))
         left.remove(order[-1])
     return _uncrossed(np.array(order), apart)
-
-
-def length_of(robot: Robot, joints: Array) -> float:
-    """How far the joint that has furthest to go goes from posture to posture (N, n), all steps together, rad."""
-    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
-    return float(np.abs(np.diff(places, axis=0)).max(axis=1).sum())
 
 
 def _uncrossed(order: NDArray[np.intp], apart: Array) -> NDArray[np.intp]:

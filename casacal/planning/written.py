@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,13 +11,11 @@ from typing import Any
 from casacal.files import write_text
 from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
-from casacal.planning.route import AGAIN, CHECK, EXPECTED, FIT
-from casacal.planning.setups import SetUp
+from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
+from casacal.planning.set_ups import SetUp
 from casacal.samples.layout import Layout
-from casacal.samples.samples import WRITTEN, Samples
 
-FLAT = 0.93
-"""Error over that of fewer touches above which more bring little."""
+FLAT = 0.93  # error over that of fewer touches above which more bring little
 
 
 def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool) -> list[str]:
@@ -30,6 +26,8 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
     left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
+    flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
+    left += f"; more than {flat[0]} gain little" if flat else ""
     said = [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
@@ -37,7 +35,7 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
         f"{plan.at_random:.3g} mm; all {pool} candidates: {plan.best:.3g} mm. On arms that differ from the drawing as "
         f"the priors allow: "
         f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
-        f"Number of fitted touches and expected tip error, mm: {left}{_flat(plan)}",
+        f"Number of fitted touches and expected tip error, mm: {left}",
     ]
     if compared:
         said.append(f"Other set-ups, each with {fitted} fitted touches:")
@@ -74,61 +72,24 @@ def document(
     return found
 
 
-def _flat(plan: Plan) -> str:
-    """Where the curve flattens, in words."""
-    for few, many in pairwise(sorted(plan.curve)):
-        if plan.curve[many] > FLAT * plan.curve[few]:
-            return f"; more than {few} gain little"
-    return ""
-
-
-PLANNED_DECIMALS = 4
-"""Of joint values in degrees and mm: what controllers take, and a few micrometres at the tip."""
-
-
 def plan_text(plan: Plan, layout: Layout, name: str) -> str:
     """The plan as CSV: number, purpose, joints (degrees, mm), readings to expect, labels.
 
     layout: of the problem's samples. name: of the problem. Readings have other names than in samples, so that a plan
     cannot be taken for a measurement.
     """
-    return postures_text(plan.samples, plan.purposes, layout, _notes(plan, name))
-
-
-def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
-    """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
-    joints = enumerate(zip(layout.joints, samples.joints.T, strict=True), 1)
-    quantities = [(f"q{i}", kind, values) for i, (kind, values) in joints]
-    quantities += [(EXPECTED + column, kind, samples.columns[column]) for column, kind in layout.columns.items()]
-    header, columns = ["touch", "purpose"], [[str(k) for k in range(1, len(purposes) + 1)], list(purposes)]
-    for what, kind, values in quantities:
-        ending, factor, decimals = WRITTEN[kind]
-        decimals = decimals if what.startswith(EXPECTED) else PLANNED_DECIMALS
-        header.append(what + ending)
-        columns.append([f"{value * factor:.{decimals}f}" for value in values])
-    header += list(samples.labels)
-    columns += [list(labels) for labels in samples.labels.values()]
-    text = io.StringIO()
-    text.writelines(f"# {line}\n" for line in notes)
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(zip(*columns, strict=True))
-    return text.getvalue()
-
-
-def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
-    """Write `plan_text` to a file, whole or not at all."""
-    write_text(path, plan_text(plan, layout, name))
-
-
-def _notes(plan: Plan, name: str) -> list[str]:
-    return [
+    notes = [
         f"planned by casacal for {name}: not a measurement",
         f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
-        f"are "
-        f"right; of as many at random {plan.at_random:.4g} mm",
+        f"are right; of as many at random {plan.at_random:.4g} mm",
         "bring the arm to each posture; if the dial is at the end of its travel, move along the plunger until it "
         "reads about what is expected (readings that differ determine the size of the arm); write down the joint "
         "values that the controller shows, and the reading",
         "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
     ]
+    return postures_text(plan.samples, plan.purposes, layout, notes)
+
+
+def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
+    """Write `plan_text` to a file, whole or not at all."""
+    write_text(path, plan_text(plan, layout, name))

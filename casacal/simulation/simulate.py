@@ -173,8 +173,7 @@ def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None
     return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
 
 
-MOST_SAMPLES = 1_000_000
-"""Rows beyond which drawing postures takes hours."""
+MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 
 def simulate(

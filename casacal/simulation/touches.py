@@ -19,14 +19,12 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
 from casacal.unknowns.unknown import tangent_basis
 
-EDGE = 0.05
-"""Readings stay this part of the travel away from its ends."""
+EDGE = 0.05  # readings stay this part of the travel away from its ends
 
 STARTS = 200
 """Random poses among which each target finds its start: its own, so that targets near one another differ in posture."""
 
-ROUNDS = 60
-"""Fresh targets tried for a touch before the face counts as out of reach."""
+ROUNDS = 60  # fresh targets tried for a touch before the face counts as out of reach
 
 
 def find_touches(
@@ -122,10 +120,8 @@ def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
     return np.asarray(np.einsum("ka,kax->kx", parts, axes))
 
 
-SLOPE = math.radians(15.0)
-"""Inclination of facets against the plunger of an arm that cannot tilt it."""
-ENOUGH = 0.1
-"""Part of the touches of the worst face that must succeed."""
+SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
+ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
 def default_cell(problem: Problem) -> Cell:

@@ -16,8 +16,7 @@ from casacal.problem.problem import Problem
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
 
-LABELS = ("1", "2", "3")
-"""Labels of simulated rows where neither the instrument nor a cell names any."""
+LABELS = ("1", "2", "3")  # labels of simulated rows where neither the instrument nor a cell names any
 
 
 def own_noise(problem: Problem) -> Array | float:

@@ -18,20 +18,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc, gammaincc, ndtri
 
 from casacal.array_types import Array
 from casacal.least_squares.linalg import inverse_triangle
-from casacal.values import Value, frozen
 
-CHANCE = 1e-4
-"""Chance that rows which are as expected have any that is called gross (Bonferroni)."""
-
-MOST_GROSS = 0.05
-"""Beyond this fraction of the rows (and three of them) it is not single rows that are off."""
-
+CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
+MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off
 SEEN = 0.1
 """Whitened length of a plausible change below which its direction is not looked for: rows could never show it."""
 
@@ -39,27 +36,126 @@ ROUNDING = 16 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Expected(Value):
-    """What was found of fresh rows, and what was expected of them; everything whitened.
+class FreshRows:
+    """Rows linear about what a fit found, everything whitened.
 
-    left: residuals (m,) with their own unknowns fitted. std: standard deviation (m,) that is expected of each.
-    deleted: residuals (m,) where all other rows predict them, standard normal. chi_square, freedom: of all.
+    residual: r (m,). spread: B (m, k), the derivative by what the fit found times a root of its covariance. own: O
+    (m, o), the derivative by the unknowns that these rows alone know.
     """
 
-    left: Array
-    std: Array
-    deleted: Array
-    chi_square: float
-    freedom: int
+    residual: Array
+    spread: Array
+    own: Array
 
-    def __post_init__(self) -> None:
-        frozen((self.left, self.std, self.deleted))
+    def take(self, rows: NDArray[np.intp]) -> FreshRows:
+        """Some of the rows."""
+        return FreshRows(self.residual[rows], self.spread[rows], self.own[rows])
+
+    @cached_property
+    def basis(self) -> Array:
+        """Orthonormal basis (m, rank) of what the own unknowns absorb."""
+        return spanned(self.own)
+
+    def beside(self, columns: Array) -> Array:
+        """N times columns (m,) or (m, c): what the own unknowns leave of them."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    @cached_property
+    def left(self) -> Array:
+        """Residuals (m,) with the own unknowns fitted."""
+        return self.beside(self.residual)
+
+    @cached_property
+    def across(self) -> Array:
+        """N B (m, k)."""
+        return self.beside(self.spread)
+
+    @cached_property
+    def half(self) -> Array:
+        """Lower triangular H (k, k) with H'H = (I + B'NB)^-1."""
+        across = self.across
+        return inverse_triangle(np.asarray(np.linalg.cholesky(np.eye(across.shape[1]) + across.T @ across)))
+
+    @cached_property
+    def _pulls(self) -> Array:
+        return np.asarray(self.across @ self.half.T)
+
+    @property
+    def chi_square(self) -> float:
+        """r'P r."""
+        toward = self._pulls.T @ self.left
+        return float(self.left @ self.left - toward @ toward)
+
+    @property
+    def freedom(self) -> int:
+        """Rows less what their own unknowns absorb."""
+        return int(len(self.residual) - self.basis.shape[1])
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation (m,) that is expected of each residual, own unknowns fitted."""
+        return np.asarray(np.sqrt(np.maximum(1.0 - (self.basis**2).sum(axis=1) + (self.across**2).sum(axis=1), 0.0)))
+
+    @property
+    def deleted(self) -> Array:
+        """Residuals (m,) where all other rows predict them, standard normal."""
+        free = np.maximum(1.0 - (self.basis**2).sum(axis=1) - (self._pulls**2).sum(axis=1), 0.0)
+        told = free > 1e-9  # a row that its own unknowns follow wherever it is has nothing to be judged by
+        off = self.left - self._pulls @ (self._pulls.T @ self.left)
+        return np.where(told, off / np.sqrt(np.where(told, free, 1.0)), 0.0)
+
+    def gross(self) -> NDArray[np.intp]:
+        """Rows that the others do not expect where they are, worst first; none where more than single ones are off.
+
+        One at a time, each judged by the rest; the rest's own scatter, where it is larger than expected, is the
+        measure.
+        """
+        limit = -float(ndtri(CHANCE / (2 * max(len(self.residual), 1))))
+        most, kept, found = max(3, int(MOST_GROSS * len(self.residual))), np.arange(len(self.residual)), []
+        while kept.size:
+            size = np.abs(self.take(kept).deleted)
+            worst = int(size.argmax())
+            if size[worst] <= limit * max(1.4826 * float(np.median(size)), 1.0):
+                break
+            found.append(int(kept[worst]))
+            if len(found) > most:
+                return np.zeros(0, dtype=np.intp)
+            kept = np.delete(kept, worst)
+        return np.array(found, dtype=np.intp)
+
+    def toward(self, scaled: Array) -> tuple[float, int]:
+        """Chi-square in the directions of the arm that fresh rows see, and how many these are.
+
+        An arm that has changed since shows there and nowhere else, so this notices what drowns in the noise of all
+        rows. Seen are directions that the rows know better than the prior: whitened singular values of one or more. The
+        size of the arm would without that be among them: where faces hold no length, a change of it moves the residuals
+        in proportion to themselves. scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
+        """
+        directions, sizes, _ = np.linalg.svd(self.beside(scaled), full_matrices=False)
+        seen = directions[:, sizes >= 1.0]
+        along, left = seen.T @ self.spread, seen.T @ self.residual
+        return float(left @ np.linalg.solve(np.eye(len(left)) + along @ along.T, left)), len(left)
+
+    @cached_property
+    def directions(self) -> tuple[Array, Array]:
+        """U (m, d) and the diagonal of S (d,): where the fit may err, and by how much of the noise."""
+        found, sizes, _ = np.linalg.svd(self.across, full_matrices=False)
+        return found, sizes
+
+    def whitened(self, columns: Array) -> Array:
+        """L times columns (m, c)."""
+        beside, (directions, sizes) = self.beside(columns), self.directions
+        shrink = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+        return np.asarray(beside - directions @ (shrink[:, None] * (directions.T @ beside)))
+
+    @cached_property
+    def white(self) -> Array:
+        """L r (m,)."""
+        return self.whitened(self.residual[:, None])[:, 0]
 
 
 def chances(chi_square: Array, freedom: Array | float, noise_freedom: float = math.inf) -> Array:
     """Chance of so much or more, element by element: chi-square, or F where the noise was itself found."""
-    from scipy.special import fdtrc, gammaincc  # without the half second that importing scipy.stats takes
-
     freedom = np.asarray(freedom, dtype=np.float64)
     some = np.maximum(freedom, 1.0)
     if math.isfinite(noise_freedom):
@@ -97,117 +193,11 @@ def spanned(columns: Array) -> Array:
     return np.asarray(left[:, values > ROUNDING * max(scaled.shape) * values.max(initial=0.0)])
 
 
-def expected(residual: Array, spread: Array, own: Array) -> Expected:
-    """Judge fresh rows.
-
-    Args:
-        residual: whitened (m,).
-        spread: B (m, k), the whitened derivative by what the fit found times a root of its covariance.
-        own: whitened derivative (m, o) by the unknowns that these rows alone know.
-
-    """
-    basis = spanned(own)
-    left, across = residual - basis @ (basis.T @ residual), spread - basis @ (basis.T @ spread)
-    pulls = across @ _inverse_half(across).T
-    toward = pulls.T @ left
-    beside = 1.0 - (basis**2).sum(axis=1)
-    free = np.maximum(beside - (pulls**2).sum(axis=1), 0.0)
-    # a row that its own unknowns follow wherever it is has nothing to be judged by
-    told = free > 1e-9
-    deleted = np.where(told, (left - pulls @ toward) / np.sqrt(np.where(told, free, 1.0)), 0.0)
-    std = np.sqrt(np.maximum(beside + (across**2).sum(axis=1), 0.0))
-    return Expected(left, std, deleted, float(left @ left - toward @ toward), len(residual) - basis.shape[1])
-
-
-def gross(residual: Array, spread: Array, own: Array) -> NDArray[np.intp]:
-    """Rows that the others do not expect where they are, worst first; none where more than single ones are off.
-
-    One at a time, each judged by the rest; the rest's own scatter, where it is larger than expected, is the measure.
-    """
-    from scipy.special import ndtri
-
-    limit = -float(ndtri(CHANCE / (2 * max(len(residual), 1))))
-    most, kept, found = max(3, int(MOST_GROSS * len(residual))), np.arange(len(residual)), []
-    while kept.size:
-        size = np.abs(expected(residual[kept], spread[kept], own[kept]).deleted)
-        worst = int(size.argmax())
-        if size[worst] <= limit * max(1.4826 * float(np.median(size)), 1.0):
-            break
-        found.append(int(kept[worst]))
-        if len(found) > most:
-            return np.zeros(0, dtype=np.intp)
-        kept = np.delete(kept, worst)
-    return np.array(found, dtype=np.intp)
-
-
-def toward(residual: Array, spread: Array, own: Array, scaled: Array) -> tuple[float, int]:
-    """Chi-square in the directions of the arm that fresh rows see, and how many these are.
-
-    An arm that has changed since shows there and nowhere else, so this notices what drowns in the noise of all rows.
-    Seen are directions that the rows know better than the prior: whitened singular values of one or more. The size of
-    the arm would without that be among them: where faces hold no length, a change of it moves the residuals in
-    proportion to themselves.
-
-    Args:
-        residual, spread, own: as for `expected`.
-        scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
-
-    """
-    basis = spanned(own)
-    directions, sizes, _ = np.linalg.svd(scaled - basis @ (basis.T @ scaled), full_matrices=False)
-    seen = directions[:, sizes >= 1.0]
-    along, left = seen.T @ spread, seen.T @ residual
-    weighed = np.linalg.solve(np.eye(len(left)) + along @ along.T, left)
-    return float(left @ weighed), len(left)
-
-
 def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
     """Covariance (n, n) that would remain of what the fit found, had it seen these rows as well."""
-    root, basis = covariance_root(covariance), spanned(own)
-    spread = jacobian @ root
-    spread = spread - basis @ (basis.T @ spread)
-    left = root @ _inverse_half(spread).T
+    root = covariance_root(covariance)
+    left = root @ FreshRows(np.zeros(len(own)), jacobian @ root, own).half.T
     return np.asarray(left @ left.T)
-
-
-def _inverse_half(spread: Array) -> Array:
-    """Lower triangular H (k, k) with H'H = (I + B'B)^-1 for B (m, k)."""
-    return inverse_triangle(np.asarray(np.linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread)))
-
-
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """Residual (m,) with unit covariance in the space beside the rows' own unknowns, and the way to it."""
-
-    residual: Array
-    own: Array
-    left: Array
-    shrink: Array
-
-    @staticmethod
-    def of(residual: Array, spread: Array, own: Array) -> Whitened:
-        """Of whitened residuals (m,), spread B (m, k) and own columns (m, o), as `expected` takes them."""
-        basis = spanned(own)
-        across = spread - basis @ (basis.T @ spread)
-        left, sizes, _ = np.linalg.svd(across, full_matrices=False)
-        shrink = 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
-        bare = Whitened(residual, basis, left, shrink)
-        return Whitened(bare.of_columns(residual[:, None])[:, 0], basis, left, shrink)
-
-    def of_columns(self, columns: Array) -> Array:
-        """L times columns (m, k)."""
-        beside = columns - self.own @ (self.own.T @ columns)
-        return np.asarray(beside - self.left @ (self.shrink[:, None] * (self.left.T @ beside)))
-
-    @property
-    def freedom(self) -> int:
-        """Dimension of the space in which the residual lies."""
-        return int(len(self.residual) - self.own.shape[1])
-
-    @property
-    def chi_square(self) -> float:
-        """r'P r."""
-        return float(self.residual @ self.residual)
 
 
 def seen_basis(columns: Array, sizes: Array) -> Array:

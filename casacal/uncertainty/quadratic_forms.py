@@ -6,27 +6,19 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import fdtrc, gammainc, gammaincc, ndtr
 
 from casacal.array_types import Array
 
-BEYOND = 36.0
-"""Largest weight times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance."""
-
+BEYOND = 36.0  # largest weight times this lies beyond what any such sum reaches: exp(-BEYOND / 2) of the chance
 MOST_TERMS = 1 << 14
 
-EQUAL = 1e-12
-"""Part of the largest weight by which weights differ that are the same but for rounding."""
-
-VANISHED = 1e-14
-"""Size of a characteristic function from which on it adds nothing."""
-
+EQUAL = 1e-12  # part of the largest weight by which weights differ that are the same but for rounding
+VANISHED = 1e-14  # size of a characteristic function from which on it adds nothing
 SMALLEST = 1e-300
 
-LARGEST = 0.99
-"""Chance above which one test of several does not speak against the others any more."""
-
-TAIL = 1e-8
-"""Chance below which the sum of a series is mostly rounding, and a saddle point is nearer."""
+LARGEST = 0.99  # chance above which one test of several does not speak against the others any more
+TAIL = 1e-8  # chance below which the sum of a series is mostly rounding, and a saddle point is nearer
 
 
 def chance_beyond(weights: Array, squares: Array, rest: float, freedom: float) -> float:
@@ -44,8 +36,6 @@ def chance_beyond(weights: Array, squares: Array, rest: float, freedom: float) -
         freedom: its degrees of freedom, one or more.
 
     """
-    from scipy.special import fdtrc  # scipy.stats takes half a second to import
-
     total = float(squares.sum()) + rest
     if not total > 0:
         return 1.0
@@ -71,8 +61,6 @@ def chance_of_ratio(traces: Sequence[float], observed: float, freedom: float) ->
         freedom: dimension of that space.
 
     """
-    from scipy.special import gammainc, gammaincc, ndtr
-
     one, two, three = traces[0], 2 * traces[1], 8 * traces[2]
     first = one / freedom
     second = (two + one**2) / (freedom * (freedom + 2))
@@ -129,8 +117,6 @@ def _inverted(sizes: Array, counts: Array) -> float:
 
 def _saddle_point(sizes: Array, counts: Array) -> float:
     """The same far out in the upper tail, to a few hundredths of itself."""
-    from scipy.special import ndtr
-
     sizes = sizes / sizes.max()
     low, high = 0.0, 0.5
     for _ in range(200):

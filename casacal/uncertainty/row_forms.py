@@ -23,8 +23,7 @@ from casacal.binding.all_rows import AllRows
 from casacal.uncertainty.quadratic_forms import chance_of_ratio
 from casacal.uncertainty.scores import Ground
 
-NEIGHBOURS = 4
-"""Nearest places on its face with which a touch is compared."""
+NEIGHBOURS = 4  # nearest places on its face with which a touch is compared
 
 
 @dataclass(frozen=True)

@@ -16,28 +16,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.uncertainty.fresh_rows import spanned
 from casacal.verification.decision import Scatter
-from casacal.verification.fresh import Fresh
+from casacal.verification.figures import ErrorInterval, PartError
+from casacal.verification.fresh import Fresh, guesses
 
 USUAL, AS_ROWS = 5.0, 20.0
 """Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that
 counts as. It is 2 of a normal distribution; of four arms calibrated from planes half had 2 to 4, a few over 10."""
 
-SURE = 0.01
-"""Chance below which residuals are too small for the noise that was stated."""
-
-ALONE = 0.3
-"""Standard deviation of the arm's error over that of noise below which a direction holds noise alone."""
-
-TENTH = 0.9
-"""Found over stated noise below which the calibration's rows say so."""
+SURE = 0.01  # chance below which residuals are too small for the noise that was stated
+ALONE = 0.3  # standard deviation of the arm's error over that of noise below which a direction holds noise alone
+TENTH = 0.9  # found over stated noise below which the calibration's rows say so
+BEYOND = 0.025  # chance that the error lies beyond either end of its interval
+FEWEST = 12  # rows of a part that are told with an interval of their own
+NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
+ROUND = 10.0  # multiple of mm at which the volume is divided
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +57,8 @@ class Seen:
     @cached_property
     def basis(self) -> Array:
         """Orthonormal basis (k + g, o) of what the own unknowns absorb, whitened; g guesses of them beforehand."""
-        bound, free = self.fresh.bound, ~self.fresh.known
-        firm = np.flatnonzero(free & np.isfinite(bound.prior_std))
-        guesses = np.zeros((firm.size, bound.unknowns))
-        guesses[np.arange(firm.size), firm] = 1.0 / bound.prior_std[firm]
-        return spanned(np.vstack([self.fresh.jacobian[self.kept], guesses])[:, free])
+        _, held = guesses(self.fresh.bound, self.fresh.known)
+        return spanned(np.vstack([self.fresh.jacobian[self.kept], held])[:, ~self.fresh.known])
 
     @cached_property
     def used(self) -> Array:
@@ -127,27 +126,21 @@ class Seen:
             return None
         squares = np.bincount(which, residual[counts] ** 2)
         noise, most = (float(each[counts].sum()) / given for each in (self.noise, self.most))
-        total = float(squares.sum()) / given
         again = np.unique(self.fresh.bound.repeats.codes[places], return_counts=True)[1]
         alike = float((again**2).sum()) / places.size  # touches in one posture are one of its kind
         mean = float(squares.mean())
         found = max(float(squares.var()) / mean**2 if mean > 0 else 0.0, 2 / parts)
         uneven = (places.size * found + AS_ROWS * USUAL / parts) / (places.size + AS_ROWS)
-        return Scatter(total, min(noise, most), most, 2 * given / (uneven * alike))
+        return Scatter(float(squares.sum()) / given, min(noise, most), most, 2 * given / (uneven * alike))
 
     def _counted(self, rows: NDArray[np.intp] | None) -> NDArray[np.bool_]:
         """Which residuals (k,) are of some rows, or of all, and in mm."""
-        if rows is None:
-            return self.leading
-        asked = np.zeros(int(self.sample_of.max(initial=0)) + 1, dtype=bool)
-        asked[rows[rows < asked.size]] = True
-        return self.leading & asked[self.sample_of]
+        return self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
 
-    def given_rows(self, rows: NDArray[np.intp] | None = None) -> float:
+    def given_rows(self) -> float:
         """Rows less what their own unknowns absorbed of them."""
-        counts = self._counted(rows)
-        parts = int(counts.sum()) / max(np.unique(self.sample_of[counts]).size, 1)
-        return float(self.given[counts].sum()) / max(parts, 1.0)
+        parts = int(self.leading.sum()) / max(np.unique(self.sample_of[self.leading]).size, 1)
+        return float(self.given[self.leading].sum()) / max(parts, 1.0)
 
     def noises_mm(self) -> tuple[float, float, float]:
         """Noise of a row, RMS: what is taken off, the most that it may be, and as it was stated."""
@@ -160,14 +153,11 @@ class Seen:
     @cached_property
     def promised(self) -> Array:
         """Mean square (k,) that the calibration expects of the arm's error, mm^2."""
-        residual, spread, own = self.fresh.likelihood()
-        kept = np.concatenate([self.kept, np.arange(self.fresh.bound.rows, len(residual))])
-        basis = spanned(own[kept])
-        across = spread[kept] - basis @ (basis.T @ spread[kept])
-        return np.asarray(self.used**2 * (across[: len(self.kept)] ** 2).sum(axis=1))
+        across = self.fresh.some(self.kept).across[: len(self.kept)]
+        return np.asarray(self.used**2 * (across**2).sum(axis=1))
 
-    def promised_mm(self, rows: NDArray[np.intp] | None = None) -> float:
-        """Error that the calibration expects of all or some rows, RMS."""
+    def promised_mm(self, rows: NDArray[np.intp]) -> float:
+        """Error that the calibration expects of some rows, RMS."""
         counts = self._counted(rows)
         places = np.unique(self.sample_of[counts]).size
         given = float(self.given[counts].sum()) * places / max(int(counts.sum()), 1)
@@ -175,37 +165,70 @@ class Seen:
 
 
 def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> Seen:
-    """What fresh rows see of the arm's error, all of them or without some residuals."""
-    everything = np.arange(fresh.bound.rows)
-    kept = everything if without is None else np.setdiff1d(everything, without)
-    return Seen(fresh, kept, quieter=_quieter(arm, fresh))
+    """What fresh rows see of the arm's error, all of them or without some residuals.
 
-
-def _quieter(arm: CalibratedArm, fresh: Fresh) -> float:
-    """Part of the stated noise that may be taken off: less than one where it was surely stated too large.
-
-    That would hide the arm's error. The calibration says so by what it found over what was stated, and the fresh rows
-    by residuals that are too small where nothing but noise is expected; then the lower end of either is what counts.
+    Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
+    large. The calibration says so by what it found over what was stated, and the fresh rows by residuals that are too
+    small where nothing but noise is expected; then the lower end of either is what counts.
     """
-    from scipy.special import gammaincinv
-
     noise = arm.document.get("noise") or {}
     low, high = noise.get("low"), noise.get("high")
-    least = float(low) if low and high and high < TENTH and not fresh.other else 1.0
-    square, freedom = _noise_alone(fresh)
-    if freedom and square < 2 * float(gammaincinv(freedom / 2, SURE)):
-        least = min(least, math.sqrt(square / (2 * float(gammaincinv(freedom / 2, 1 - SURE)))))
-    return least
-
-
-def _noise_alone(fresh: Fresh) -> tuple[float, int]:
-    """Sum of squares over those of stated noise where only noise is expected, and how many directions these are."""
-    residual, spread, own = fresh.likelihood()
-    basis = spanned(own)
-    left, across = (each - basis @ (basis.T @ each) for each in (residual, spread))
-    directions, sizes, _ = np.linalg.svd(across, full_matrices=False)
+    quieter = float(low) if low and high and high < TENTH and not fresh.other else 1.0
+    bound, rows, (directions, sizes) = fresh.bound, fresh.linear, fresh.linear.directions
     expected = directions[:, sizes > ALONE]
-    square = float(left @ left) - float(((expected.T @ left) ** 2).sum())
-    bound = fresh.bound
     louder = float(np.median((bound.noise / bound.with_noise().noise) ** 2))  # as used over as stated
-    return louder * max(square, 0.0), len(residual) - basis.shape[1] - expected.shape[1]
+    square = louder * max(float(rows.left @ rows.left) - float(((expected.T @ rows.left) ** 2).sum()), 0.0)
+    half = (rows.freedom - expected.shape[1]) / 2
+    if half and square < 2 * float(gammaincinv(half, SURE)):
+        quieter = min(quieter, math.sqrt(square / (2 * float(gammaincinv(half, 1 - SURE)))))
+    return Seen(fresh, np.setdiff1d(np.arange(bound.rows), [] if without is None else without), quieter)
+
+
+def errors_by_part(seen: Seen, drawn: Array) -> tuple[PartError, ...]:
+    """Errors of all rows, then of faces and of regions where there are several with rows enough.
+
+    Args:
+        seen: what the rows see.
+        drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.
+
+    """
+    bound, x = seen.fresh.bound, seen.fresh.x
+    pair = seen.residual(drawn), seen.residual(x)
+    faces = bound.block.samples.faces(bound.problem.instrument.groups)
+    everything: NDArray[np.intp] = np.arange(len(faces))
+    asked = [("all", "all rows", everything)]
+    if len(faces.names) > 1:
+        asked += [("face", label, rows) for label, rows in faces.rows().items() if len(rows) >= FEWEST]
+    asked += [("region", label, rows) for label, rows in blocks(bound.tips(x, bound.block.samples.joints)).items()]
+    found = []
+    for kind, label, rows in asked:
+        before, after = (seen.scatter(residual, rows) for residual in pair)
+        if before is not None and after is not None:
+            drawn_as, as_calibrated = (
+                ErrorInterval(each.measured_mm, each.lower_mm(BEYOND), each.upper_mm(BEYOND))
+                for each in (before, after)
+            )
+            found.append(PartError(kind, label, len(rows), drawn_as, as_calibrated, seen.promised_mm(rows)))
+    return tuple(found)
+
+
+def blocks(tips: Array) -> dict[str, NDArray[np.intp]]:
+    """Rows of each block of the volume of some tips (N, 3; mm in the base frame), by its name.
+
+    The two longest sides are halved at a round number near the median, or the longest alone; nothing where a half has
+    too few rows.
+    """
+    sides = np.quantile(tips, 0.95, axis=0) - np.quantile(tips, 0.05, axis=0)
+    longest = [int(k) for k in np.argsort(-sides, kind="stable")[:2] if sides[k] > max(NARROW * sides.max(), ROUND)]
+    for axes in (longest, longest[:1]):
+        at = {k: ROUND * round(float(np.median(tips[:, k])) / ROUND) for k in axes}
+        found = {}
+        for halves in product((False, True), repeat=len(axes)):
+            inside = np.all([(tips[:, k] > at[k]) == far for k, far in zip(axes, halves, strict=True)], axis=0)
+            words = [
+                f"{'xyz'[k]} {'above' if far else 'up to'} {at[k]:.0f} mm" for k, far in zip(at, halves, strict=True)
+            ]
+            found[", ".join(words)] = np.flatnonzero(np.broadcast_to(inside, len(tips)))
+        if len(found) > 1 and all(len(rows) >= FEWEST for rows in found.values()):
+            return found
+    return {}

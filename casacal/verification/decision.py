@@ -16,17 +16,13 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+from scipy.special import gammainc, gammainccinv, gammaincinv
+
 Verdict: TypeAlias = Literal["accept", "reject", "undecided"]
 
-RISK = 0.05
-"""Chance of a wrong decision of an arm at the tolerance, unless another is asked for."""
-
-POWER = 0.8
-"""Chance with which so many more rows as are named settle it."""
-
-MOST_TIMES = 50.0
-"""Times as many rows beyond which nobody takes them."""
-
+RISK = 0.05  # chance of a wrong decision of an arm at the tolerance, unless another is asked for
+POWER = 0.8  # chance with which so many more rows as are named settle it
+MOST_TIMES = 50.0  # times as many rows beyond which nobody takes them
 SMALLEST = 1e-300
 
 
@@ -48,28 +44,28 @@ class Scatter:
         """The arm's error, RMS; zero where the rows scatter no more than noise."""
         return math.sqrt(max(self.square - self.noise, 0.0))
 
+    @property
+    def half(self) -> float:
+        """Half the freedom: the shape of the gamma distribution that the mean square has."""
+        return self.freedom / 2
+
+    def below(self, mean: float) -> float:
+        """Chance of a mean square so small where its mean is another."""
+        return 1.0 if mean <= 0 else float(gammainc(self.half, max(self.half * self.square / mean, SMALLEST)))
+
     def upper_mm(self, chance: float) -> float:
         """Error of which so little or less would be seen with this chance."""
-        from scipy.special import gammaincinv
-
-        half = self.freedom / 2
-        below = chance * _share_below(half, self.square, self.noise)
-        quantile = float(gammaincinv(half, below)) / half
+        quantile = float(gammaincinv(self.half, chance * self.below(self.noise))) / self.half
         return math.inf if quantile <= SMALLEST else math.sqrt(max(self.square / quantile - self.noise, 0.0))
 
     def lower_mm(self, chance: float) -> float:
         """Error of which so much or more would be seen with this chance; as much as may be noise is taken for it."""
-        from scipy.special import gammainccinv
-
-        half = self.freedom / 2
-        quantile = float(gammainccinv(half, chance)) / half
+        quantile = float(gammainccinv(self.half, chance)) / self.half
         return math.sqrt(max(self.square / quantile - self.most, 0.0))
 
     def conformance(self, tolerance: float) -> float:
         """Probability that the error is within a tolerance (mm)."""
-        half = self.freedom / 2
-        beyond = _share_below(half, self.square, tolerance**2 + self.noise)
-        return 1.0 - min(beyond / max(_share_below(half, self.square, self.noise), SMALLEST), 1.0)
+        return 1.0 - min(self.below(tolerance**2 + self.noise) / max(self.below(self.noise), SMALLEST), 1.0)
 
     def accept_below_mm(self, tolerance: float, risk: float) -> float:
         """Largest measured error that is accepted; nan where none is, since noise alone could hide as much."""
@@ -83,10 +79,7 @@ class Scatter:
 
     def reject_above_mm(self, tolerance: float, risk: float) -> float:
         """Smallest measured error that is rejected."""
-        from scipy.special import gammainccinv
-
-        half = self.freedom / 2
-        square = (tolerance**2 + self.most) * float(gammainccinv(half, risk)) / half
+        square = (tolerance**2 + self.most) * float(gammainccinv(self.half, risk)) / self.half
         return math.sqrt(square - self.noise)
 
 
@@ -137,19 +130,11 @@ def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Dec
     measured = scatter.measured_mm
     verdict: Verdict = "accept" if measured <= accept else "reject" if measured >= reject else "undecided"
     further = _further(scatter, given, tolerance, risk) if verdict == "undecided" else None
-    probability, rests = scatter.conformance(tolerance), False
-    if verdict == "accept":
-        rests = replace(scatter, noise=0.0).upper_mm(risk) > tolerance
+    rests = verdict == "accept" and replace(scatter, noise=0.0).upper_mm(risk) > tolerance
+    within = scatter.conformance(tolerance)
     return Decision(
-        verdict, tolerance, risk, measured, probability, accept, reject, further_rows=further, rests_on_noise=rests
+        verdict, tolerance, risk, measured, within, accept, reject, further_rows=further, rests_on_noise=rests
     )
-
-
-def _share_below(half: float, square: float, mean: float) -> float:
-    """Chance of a mean square so small where its mean is another."""
-    from scipy.special import gammainc
-
-    return 1.0 if mean <= 0 else float(gammainc(half, max(half * square / mean, SMALLEST)))
 
 
 def _further(scatter: Scatter, given: float, tolerance: float, risk: float) -> int | None:
@@ -165,13 +150,10 @@ def _further(scatter: Scatter, given: float, tolerance: float, risk: float) -> i
 
 def _settles(scatter: Scatter, times: float, tolerance: float, risk: float) -> bool:
     """Whether so many times the rows settle it, if the error is as measured."""
-    from scipy.special import gammainccinv
-
     measured = scatter.measured_mm
     more = replace(scatter, freedom=scatter.freedom * times)
-    half = more.freedom / 2
     within = measured < tolerance
-    at = float(gammainccinv(half, 1 - POWER if within else POWER)) / half
+    at = float(gammainccinv(more.half, 1 - POWER if within else POWER)) / more.half
     seen = math.sqrt(max((measured**2 + scatter.noise) * at - scatter.noise, 0.0))
     if within:
         return replace(more, square=seen**2 + scatter.noise).upper_mm(risk) <= tolerance

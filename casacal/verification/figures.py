@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
+from casacal.files import jsonable
 from casacal.values import Value
 from casacal.verification.decision import Decision
 from casacal.wording import counted
@@ -14,11 +17,57 @@ LEVEL = 0.05
 Two tests share it, of all residuals and of what they say of the arm alone.
 """
 
-QUANTILE = 0.95
-"""Part of the rows within whose largest residual is told."""
 
-INTERVAL = 0.95
-"""Chance with which an interval of an error holds it."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Judged(Value):
+    """Fresh rows and the calibration that they are held against.
+
+    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
+    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
+    standing: what was said to stand where it was calibrated. copied_lines, fitted_lines: rows that were left out:
+    copies of others among them, and those that the arm was calibrated from.
+    """
+
+    robot: str
+    result: str
+    verdict: tuple[str, str]
+    samples: str
+    sha256: str
+    rows: int
+    own: tuple[str, ...]
+    standing: tuple[str, ...]
+    copied_lines: tuple[int, ...] = field(default=(), kw_only=True)
+    fitted_lines: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def said(self) -> str:
+        """The rows in a sentence."""
+        return f"{counted(self.rows, 'fresh row')} of {self.samples}"
+
+    @property
+    def own_verdict(self) -> list[str]:
+        """What the result says of itself, where that is not the best; a sentence, or none."""
+        level, words = self.verdict
+        return [] if level in ("", "calibrated") else [f"The result's own verdict: {words}"]
+
+    def left_out(self, copied: str, fitted: str) -> list[str]:
+        """Rows that do not count, a sentence for each reason: `copied`, `fitted`, with {} for the rows' file."""
+        found = ((self.copied_lines, copied), (self.fitted_lines, fitted))
+        return [f"{counted(len(lines))} {why.format(self.samples)}." for lines, why in found if lines]
+
+    def fitted_words(self, names: str = "") -> str:
+        """What was fitted to these rows and what was taken to stand, as clauses; `names` of what was fitted."""
+        own = f"{counted(len(self.own), 'unknown')} fitted to these rows{names}"
+        still = f"; assumed not to have moved: {', '.join(self.standing)}" if self.standing else ""
+        return (own if self.own else "nothing fitted to these rows") + still
+
+    def document(self, first: Mapping[str, Any], instead: Mapping[str, Any]) -> dict[str, Any]:
+        """All figures in JSON's own types, after what comes first, some of them in another form."""
+        level, words = self.verdict
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        last = {name: found.pop(name) for name in ("copied_lines", "fitted_lines")}
+        found |= {"verdict": {"level": level, "words": words} if level else None, **instead}
+        return dict(jsonable({**first, **found, **last}))
 
 
 @dataclass(frozen=True)
@@ -61,14 +110,12 @@ class PartError:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Figures(Value):
+class Figures(Judged):
     """Fresh rows against a calibration that has not seen them.
 
     A row's residual is its distance from the face, mm, or the length of its error where a row has several residuals.
 
-    robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
-    samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
-    standing: what was said to stand where it was calibrated.
+    robot, result, verdict, samples, sha256, rows, own, standing, copied_lines, fitted_lines: see `Judged`.
     before_mm, after_mm, predicted_mm: residuals, RMS, with the arm as drawn, as calibrated, and as it was predicted.
     chi_square, freedom, p: of all residuals against their predicted covariance, and the chance of so much or more.
     seen, arm_chi_square, arm_p: the same in those directions of the arm alone that these rows know better than the
@@ -83,20 +130,10 @@ class Figures(Value):
     promised_tip_mm, hidden_tip_mm: tip error that the calibration expects, RMS over the workspace apart from where the
     base stands and how another instrument is mounted, and the part of it that rows like these would leave; infinite
     where nothing bounds it.
-    copied_lines, fitted_lines: rows that were left out: copies of others among them, and those that the arm was
-    calibrated from.
     accuracy: whether residuals are errors of the tip itself. things: what was measured, as in "planes". sees: what the
     residual is, as in "distance from the planes". unit: of it all.
     """
 
-    robot: str
-    result: str
-    verdict: tuple[str, str]
-    samples: str
-    sha256: str
-    rows: int
-    own: tuple[str, ...]
-    standing: tuple[str, ...]
     before_mm: float
     after_mm: float
     predicted_mm: float
@@ -122,20 +159,6 @@ class Figures(Value):
     things: str
     sees: str
     unit: str
-    copied_lines: tuple[int, ...] = ()
-    fitted_lines: tuple[int, ...] = ()
-
-    @property
-    def left_out(self) -> list[str]:
-        """Rows that were not judged, a sentence for each reason."""
-        said = []
-        for lines, why in (
-            (self.copied_lines, "of {} repeat others to the last digit and count once"),
-            (self.fitted_lines, "of {} are among those that the arm was calibrated from and do not count"),
-        ):
-            if lines:
-                said.append(f"{counted(len(lines), 'row')} {why.format(self.samples)}.")
-        return said
 
     @property
     def kept(self) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
-from casacal.binding.slots import Slot, make_slots
+from casacal.binding.slots import make_slots
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.motion import corrected_values, known_motion, sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
@@ -21,13 +21,12 @@ from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.uncertainty.fresh_rows import covariance_root
+from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
 from casacal.uncertainty.identifiability import prior_scale
 from casacal.unknowns import Unknown
 from casacal.wording import counted
 
-MOST = 30_000_000
-"""Elements of a Jacobian that is held as a whole."""
+MOST = 30_000_000  # elements of a Jacobian that is held as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +50,11 @@ class Fresh:
         return ~np.isfinite(np.diagonal(self.covariance))
 
     @property
-    def arm(self) -> NDArray[np.bool_]:
-        """Which of the known (k,) are the arm's."""
+    def of_arm(self) -> NDArray[np.intp]:
+        """Positions in x of what is known of the arm."""
         keys = self.bound.problem.robot.parameters
-        of_arm = [slot.key in keys for slot in self.bound.slots for _ in slot.columns]
-        return np.array(of_arm, dtype=bool)[self.known]
+        of_arm = np.array([slot.key in keys for slot in self.bound.slots for _ in slot.columns], dtype=bool)
+        return np.flatnonzero(of_arm & self.known)
 
     @property
     def own_names(self) -> tuple[str, ...]:
@@ -77,30 +76,37 @@ class Fresh:
         """Whitened (m, n) at x."""
         return self.bound.jacobian(self.x)
 
-    def likelihood(self, rows: NDArray[np.intp] | None = None) -> tuple[Array, Array, Array]:
-        """Residual, spread and own columns, as `expected` takes them, of all or some residuals.
+    @cached_property
+    def linear(self) -> FreshRows:
+        """All residuals, linear about x, and after them a row for each prior of what these rows alone know.
 
-        After them a row for each prior of what these rows alone know: a guess beforehand counts like a reading.
+        A guess beforehand counts like a reading.
         """
-        bound, slopes = self.bound, self.jacobian
-        rows = np.arange(bound.rows) if rows is None else rows
-        firm = np.flatnonzero(~self.known & np.isfinite(bound.prior_std))
-        held = np.zeros((firm.size, bound.unknowns))
-        held[np.arange(firm.size), firm] = 1.0 / bound.prior_std[firm]
-        slopes = np.vstack([slopes[rows], held])
-        residual = np.concatenate(
-            [bound.residual(self.x)[rows], (self.x[firm] - bound.x0[firm]) / bound.prior_std[firm]]
-        )
+        bound, lost = self.bound, self.lost
+        firm, held = guesses(bound, self.known)
+        slopes = np.vstack([self.jacobian, held])
+        off = (self.x[firm] - bound.x0[firm]) / bound.prior_std[firm]
         free = ~self.known
-        free[np.flatnonzero(self.known)[self.lost]] = True
-        there = ~self.lost
-        return residual, slopes[:, ~free] @ covariance_root(self.covariance[np.ix_(there, there)]), slopes[:, free]
+        free[np.flatnonzero(self.known)[lost]] = True
+        spread = slopes[:, ~free] @ covariance_root(self.covariance[np.ix_(~lost, ~lost)])
+        return FreshRows(np.concatenate([bound.residual(self.x), off]), spread, slopes[:, free])
+
+    def some(self, rows: NDArray[np.intp]) -> FreshRows:
+        """The same of some residuals alone, with all priors."""
+        return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
 
     def scaled_arm(self) -> Array:
-        """Derivative of the same residuals by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
-        columns = np.flatnonzero(self.known)[self.arm]
-        firm = int((~self.known & np.isfinite(self.bound.prior_std)).sum())
-        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((firm, columns.size))])
+        """Derivative of the same rows by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
+        columns, more = self.of_arm, len(self.linear.residual) - self.bound.rows
+        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((more, columns.size))])
+
+
+def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+    """Unknowns (g,) that rows alone know and that have a prior, and the whitened rows (g, n) that these priors are."""
+    firm = np.flatnonzero(~known & np.isfinite(bound.prior_std))
+    held = np.zeros((firm.size, bound.unknowns))
+    held[np.arange(firm.size), firm] = 1.0 / bound.prior_std[firm]
+    return firm, held
 
 
 def fresh_rows(
@@ -119,17 +125,10 @@ def fresh_rows(
 
     """
     kept = _kept(result, problem, samples, standing)
-    slots = make_slots(problem, [samples], kept)
-    _refuse_held(slots, kept)
-    bound = BoundProblem(problem, slots, (samples,))
-    if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
-        bound = bound.under(problem.with_kit).with_sizes(times)
-    factors = _noise_used(result, bound, other=other)
-    bound = bound.with_noise(factors) if factors else bound
-    if bound.rows * bound.unknowns > MOST:
-        most = MOST // bound.unknowns
-        raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
-    values, (covariance, names) = _values(result), known_motion(result)
+    bound = _bound(result, problem, samples, kept, other=other)
+    rows, (covariance, names) = result.document["parameters"], known_motion(result)
+    values = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
+    values |= {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
     places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
     known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
     for slot in bound.slots:
@@ -138,7 +137,8 @@ def fresh_rows(
             at[slot.columns] = [corrected.get(bound.names[j], 0.0) for j in slot.columns]
             continue
         of_arm = slot.key in problem.robot.parameters
-        if not (of_arm or slot.name in kept or (not other and _remains(slot))):
+        remains = not (other or slot.datum) and slot.unknown.nominal is not None  # as a tool does, unlike a face
+        if not (of_arm or slot.name in kept or remains):
             continue
         for j, name in zip(slot.columns, slot.unknown.names(slot.name), strict=True):
             if name in places and name in values:
@@ -153,28 +153,34 @@ def fresh_rows(
             f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
             "Take more rows, or name with --standing what has not moved since the calibration",
         )
-    return Fresh(bound, known, at, _spread(bound, known, covariance, places, corrected), other)
-
-
-def _spread(
-    bound: BoundProblem,
-    known: NDArray[np.bool_],
-    covariance: Array,
-    places: Mapping[str, int],
-    corrected: Collection[str],
-) -> Array:
-    """Covariance (k, k) of what is known: geometry and corrections by the result, other effects by their sizes."""
-    found = np.diag(bound.prior_std[known] ** 2)
-    columns = np.flatnonzero(known)
+    # geometry and corrections are known as the result says, other effects by their sizes
+    found, columns = np.diag(bound.prior_std[known] ** 2), np.flatnonzero(known)
     said = np.flatnonzero([not bound.beside[j] or bound.names[j] in corrected for j in columns])
     index = [places[bound.names[j]] for j in columns[said]]
     found[np.ix_(said, said)] = covariance[np.ix_(index, index)]
-    return found
+    return Fresh(bound, known, at, found, other)
 
 
-def _remains(slot: Slot) -> bool:
-    """Whether an unknown of the calibration's own instrument goes with it, as a tool does, unlike a face."""
-    return not slot.datum and slot.unknown.nominal is not None
+def _bound(
+    result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
+) -> BoundProblem:
+    """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    slots = make_slots(problem, [samples], kept)
+    for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
+        if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
+            raise CasacalError(
+                f"'{slot.name}' was held in the calibration, and its position now is not known",
+                "Calibrate without --fix, or name it with --standing if it has not moved",
+            )
+    bound = BoundProblem(problem, slots, (samples,))
+    if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
+        bound = bound.under(problem.with_kit).with_sizes(times)
+    factors = _noise_used(result, bound, other=other)
+    bound = bound.with_noise(factors) if factors else bound
+    if bound.rows * bound.unknowns > MOST:
+        most = MOST // bound.unknowns
+        raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
+    return bound
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
@@ -204,23 +210,6 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
                 )
             kept[name] = np.array(proposed[name]) if nominal is None else nominal
     return kept
-
-
-def _refuse_held(slots: list[Slot], kept: Mapping[str, Array]) -> None:
-    """Refuse to hold what the drawn arm proposes from fresh rows: that is neither known nor estimated."""
-    for slot in slots:
-        if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
-            raise CasacalError(
-                f"'{slot.name}' was held in the calibration, and its position now is not known",
-                "Calibrate without --fix, or name it with --standing if it has not moved",
-            )
-
-
-def _values(result: CalibratedArm) -> dict[str, float]:
-    """Local coordinates of the result's unknowns, by name."""
-    rows = result.document["parameters"]
-    known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
-    return known | {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
 
 
 def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casacal.calibration.given import samples_of
 from casacal.calibration.saved import AsArm
@@ -24,16 +24,10 @@ from casacal.robots.robot import Robot
 from casacal.samples.repeats import copies, fitted_among
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
-from casacal.verification.judged import noise_freedom
 
-SAME = 1e-6
-"""Difference (mm; of a rotation's elements) of two poses below which arms are one."""
-
-COMPARED = 8
-"""Random joint values at which they are compared."""
-
-SPENT = 0.5
-"""Part of the rows that are those of the calibration, from which on they verify nothing."""
+SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +54,32 @@ class Opened:
 
     @property
     def noise_freedom(self) -> float:
-        """Degrees of freedom of the noise where the calibration found it itself, infinite where it was stated."""
-        return noise_freedom(self.arm.document)
+        """Degrees of freedom of the noise where the calibration found it itself, infinite where it was stated.
+
+        The logarithm of a standard deviation from nu degrees of freedom has the variance 1 / (2 nu).
+        """
+        noise = self.arm.document.get("noise") or {}
+        used = any(face["used_mm"] > face["stated_mm"] for face in (noise.get("by_face") or {}).values())
+        low, high = noise.get("low"), noise.get("high")
+        if not used or not low or not high or not high > low:
+            return math.inf
+        return 0.5 / (math.log(high / low) / (2 * 1.96)) ** 2
+
+    def about(self, fresh: Fresh, standing: tuple[str, ...]) -> dict[str, Any]:
+        """The fields of `Judged`."""
+        verdict = self.arm.document.get("verdict") or {}
+        return {
+            "robot": self.source.problem.robot.name,
+            "result": self.arm.file,
+            "verdict": (str(verdict.get("level", "")), str(verdict.get("words", ""))),
+            "samples": self.rows.file,
+            "sha256": self.rows.sha256,
+            "rows": len(self.rows),
+            "own": fresh.own_names,
+            "standing": standing,
+            "copied_lines": self.copied,
+            "fitted_lines": self.fitted,
+        }
 
 
 def opened(
@@ -75,12 +93,15 @@ def opened(
     """Read what is judged and by what; raises CasacalError as `verify` does."""
     if isinstance(standing, str):
         raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
-    arm = _arm(result)
-    arm = seen_by(arm, instrument if problem is not None else measured_by(arm, samples, instrument))
+    if isinstance(result, (str, Path)):
+        result = read_result(result)
+    elif isinstance(result, AsArm):
+        result = result.arm
+    if not isinstance(result, CalibratedArm):
+        raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
+    arm = seen_by(result, instrument if problem is not None else measured_by(result, samples, instrument))
     source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
-    rows = samples_of(samples, source, 0)
-    rows, copied, fitted = _fresh_among(arm, rows, source.problem)
-    return Opened(arm, source, rows, copied, fitted, problem is not None)
+    return _fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
 
 
 def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
@@ -108,16 +129,6 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
         fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
         raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
     raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
-
-
-def _arm(result: Any) -> CalibratedArm:
-    if isinstance(result, CalibratedArm):
-        return result
-    if isinstance(result, AsArm):
-        return result.arm
-    if isinstance(result, (str, Path)):
-        return read_result(result)
-    raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
 
 
 def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
@@ -162,10 +173,8 @@ def _same_arm(one: Robot, two: Robot) -> bool:
     return True
 
 
-def _fresh_among(
-    arm: CalibratedArm, rows: Samples, problem: Problem
-) -> tuple[Samples, tuple[int, ...], tuple[int, ...]]:
-    """Rows that count, and the lines of those that do not: copies of others, and rows that the arm was calibrated from.
+def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
+    """Without copies of others, and without rows that the arm was calibrated from.
 
     Raises SamplesError where half of the rows or more are those that were fitted.
     """
@@ -173,7 +182,7 @@ def _fresh_among(
     once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
     seen, part = np.zeros(len(once), dtype=bool), 0.0
     if data.get("fitted_rows") is not None:
-        seen, part = fitted_among(once, problem.layout(), data["fitted_rows"])
+        seen, part = fitted_among(once, source.problem.layout(), data["fitted_rows"])
     elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:
@@ -183,8 +192,8 @@ def _fresh_among(
             f"{said} that the arm was calibrated from, which verifies nothing",
             "Take fresh rows, in other postures",
         )
-    return once.take(np.flatnonzero(~seen)), _lines(rows, again), _lines(once, seen)
-
-
-def _lines(rows: Samples, which: NDArray[np.bool_]) -> tuple[int, ...]:
-    return tuple(int(rows.lines[k]) for k in np.flatnonzero(which).tolist())
+    copied, fitted = (
+        tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
+        for some, which in ((rows, again), (once, seen))
+    )
+    return Opened(arm, source, once.take(np.flatnonzero(~seen)), copied, fitted, other)

@@ -1,4 +1,4 @@
-"""The page of a verification, by itself or as a section of the calibration's own report."""
+"""The page of a verification, by itself or as a section of the calibration's own report, with its picture."""
 
 from __future__ import annotations
 
@@ -11,21 +11,17 @@ from typing import Any
 from markupsafe import Markup
 
 from casacal.errors import CasacalError
+from casacal.pages.drawing import Panel, figure, number, picture, tag
 from casacal.pages.render import fixed, mm, rendered, shortened
-from casacal.verification.error_picture import NAMES, error_picture
-from casacal.verification.figures import ErrorInterval, Figures, PartError
-from casacal.verification.words import told
-from casacal.verification.words_of_error import decision_told, measurand
+from casacal.verification.figures import ErrorInterval, Figures
+from casacal.verification.sentences import decision_told, measurand, told
 
-LONGEST = 60
-"""Characters of a label in a table."""
-
-BEFORE = '<section id="measured"'
-"""Where the section is put."""
-
+LONGEST = 60  # characters of a label in a table
+BEFORE = '<section id="measured"'  # where the section is put
 STANDING = re.compile(r'<section id="verified".*?</section>\n*', re.DOTALL)
 
 REPORT = "report.html"
+NAMES = {"all": "", "face": "face ", "region": "tip at "}
 
 
 def verification_page(found: Figures) -> str:
@@ -60,12 +56,23 @@ def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str
 
 def _context(found: Figures) -> dict[str, Any]:
     """What the templates show."""
+    undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
+    errors = []
+    for part in found.errors:
+        each = [cell for error in (part.before, part.after) for cell in (fixed(error.mm), _between(error))]
+        label = shortened(NAMES[part.kind] + part.label, LONGEST)
+        errors.append([label, f"{part.rows:,}", *each, fixed(part.promised_mm)])
+    faces = []
+    for face in found.faces:
+        sizes = map(fixed, (face.before_mm, face.after_mm, face.predicted_mm))
+        faces.append([shortened(face.label, LONGEST), f"{face.rows:,}", *sizes, f"{face.p:.2g}"])
     return {
         "found": found,
         "told": told(found),
         "decision": decision_told(found),
         "measurand": measurand(found),
-        "look": _look(found),
+        # a result whose own verdict denies it looks no better for rows that agree with it
+        "look": "bad" if found.denied else "good" if found.passed else "care" if undecided else "bad",
         "rows": [
             ("Fresh rows", f"{found.samples}: {found.rows:,}"),
             ("SHA-256 of the rows", Markup("<code>{}</code>").format(found.sha256)),
@@ -73,24 +80,10 @@ def _context(found: Figures) -> dict[str, Any]:
             ("Assumed not to have moved", ", ".join(found.standing) or "nothing"),
         ],
         "overall": _boxes(found),
-        "picture": None if found.overall is None else error_picture(found),
-        "errors": [_error(part) for part in found.errors],
-        "faces": [
-            [
-                shortened(face.label, LONGEST),
-                f"{face.rows:,}",
-                *map(fixed, (face.before_mm, face.after_mm, face.predicted_mm)),
-                f"{face.p:.2g}",
-            ]
-            for face in found.faces
-        ],
+        "picture": None if found.overall is None else _picture(found),
+        "errors": errors,
+        "faces": faces,
     }
-
-
-def _look(found: Figures) -> str:
-    """A result whose own verdict denies it looks no better for rows that agree with it."""
-    undecided = found.kept and found.decision is not None and found.decision.verdict == "undecided"
-    return "bad" if found.denied else "good" if found.passed else "care" if undecided else "bad"
 
 
 def _boxes(found: Figures) -> list[tuple[str, str, str]]:
@@ -114,6 +107,73 @@ def _between(error: ErrorInterval) -> str:
     return f"{fixed(error.low_mm)} to {fixed(error.high_mm)}"
 
 
-def _error(part: PartError) -> list[str]:
-    each = [cell for error in (part.before, part.after) for cell in (fixed(error.mm), _between(error))]
-    return [shortened(NAMES[part.kind] + part.label, LONGEST), f"{part.rows:,}", *each, fixed(part.promised_mm)]
+MOST = 16  # parts that have a place in the picture
+EACH, TOP, BOTTOM = 40.0, 26.0, 44.0  # height of a part, and of what stands above and below all of them
+DECADES = 5  # powers of ten that the axis spans at most
+GREY, BLUE, ORANGE, INK = "#8b949f", "#1d5f9e", "#c2560c", "#1b2330"
+
+
+def _picture(found: Figures) -> Markup:
+    """Error before and after: two intervals for each part, what was promised, and the tolerance, logarithmically."""
+    parts = found.errors[:MOST]
+    height = TOP + BOTTOM + EACH * len(parts)
+    panel = Panel(_span(found), (0.0, 1.0), height, left=24.0, right=24.0, top=TOP, bottom=BOTTOM)
+    drawn = [_axis(panel)]
+    for k, part in enumerate(parts):
+        y = TOP + EACH * k
+        label = shortened(f"{NAMES[part.kind]}{part.label} ({part.rows:,})", 52)
+        drawn.append(tag("text", label, at={"x": number(panel.left), "y": number(y + 12)}))
+        drawn += [_interval(panel, part.before, y + 20, GREY), _interval(panel, part.after, y + 30, BLUE)]
+        if part.promised_mm > 0 and math.isfinite(part.promised_mm):
+            drawn.append(_upright(panel, part.promised_mm, y + 25, y + 35, INK))
+    if found.decision is not None:
+        drawn.append(_upright(panel, found.decision.tolerance_mm, TOP, height - BOTTOM, ORANGE))
+    says = "; ".join(f"{part.label}: {part.before.mm:.4f} before, {part.after.mm:.4f} after" for part in parts)
+    more = "" if len(found.errors) <= MOST else f" {len(found.errors) - MOST} more stand in the table."
+    tolerance = "" if found.decision is None else " The orange line is the tolerance."
+    return figure(
+        "Error of the arm as drawn (grey) and as calibrated (blue), RMS, with intervals of 95 %; one that reaches the "
+        f"left edge reaches zero. Dark strokes are what the calibration promised.{tolerance}{more}",
+        picture("errors-picture", "Error before and after, with intervals", f"In mm: {says}.", height, *drawn),
+    )
+
+
+def _span(found: Figures) -> tuple[float, float]:
+    """Powers of ten between which all lie that can be shown."""
+    errors = [error for part in found.errors for error in (part.before, part.after)]
+    values = [value for error in errors for value in (error.mm, error.low_mm, error.high_mm)]
+    values += [part.promised_mm for part in found.errors]
+    values += [] if found.decision is None else [found.decision.tolerance_mm]
+    shown = [value for value in values if 0 < value < math.inf] or [1.0]
+    high = math.ceil(math.log10(max(shown)) + 1e-9)
+    low = max(math.floor(math.log10(min(shown)) - 1e-9), high - DECADES)
+    return float(min(low, high - 1)), float(high)
+
+
+def _axis(panel: Panel) -> Markup:
+    foot, parts = panel.height - panel.bottom, []
+    for power in range(round(panel.x[0]), round(panel.x[1]) + 1):
+        x = number(float(panel.across(power)))
+        parts.append(tag("path", at={"d": f"M{x} {number(panel.top)}V{number(foot)}", "class": "grid"}))
+        parts.append(tag("text", f"{10.0**power:g}", at={"x": x, "y": number(foot + 18), "class": "middle"}))
+    parts.append(tag("text", "error, mm RMS", at={"x": "200", "y": number(panel.height - 6), "class": "middle title"}))
+    parts.append(tag("text", "Before and after, with intervals of 95 %", at={"x": "4", "y": "14", "class": "title"}))
+    return tag("g", *parts)
+
+
+def _place(panel: Panel, value: float) -> str:
+    """Picture units of a value; what is beyond the axis stands at its end."""
+    power = math.log10(value) if 0 < value < math.inf else (math.inf if value > 0 else -math.inf)
+    return number(float(panel.across(min(max(power, panel.x[0]), panel.x[1]))))
+
+
+def _interval(panel: Panel, error: ErrorInterval, y: float, colour: str) -> Markup:
+    a, b, at = (_place(panel, value) for value in (error.low_mm, error.high_mm, error.mm))
+    bar = tag("path", at={"d": f"M{a} {number(y)}H{b}", "stroke": colour, "stroke-width": "2.5", "fill": "none"})
+    dot = tag("path", at={"d": f"M{at} {number(y)}h.1", "class": "spot", "stroke": colour})
+    return tag("g", bar, dot)
+
+
+def _upright(panel: Panel, value: float, top: float, foot: float, colour: str) -> Markup:
+    path = f"M{_place(panel, value)} {number(top)}V{number(foot)}"
+    return tag("path", at={"d": path, "stroke": colour, "stroke-width": "1.75", "fill": "none"})
