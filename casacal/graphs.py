@@ -14,11 +14,8 @@ import casadi as ca
 
 from casacal.errors import CasacalError
 
-MOST = 1_000_000
-"""Operations beyond which a graph is no arm's."""
-
-MOST_PARTS = 500
-"""Arguments and results beyond which it is none either."""
+MOST = 1_000_000  # operations beyond which a graph is no arm's
+MOST_PARTS = 500  # arguments and results beyond which it is none either
 
 UNARY = (
     *("assign", "neg", "exp", "log", "sqrt", "sq", "twice", "sin", "cos", "tan", "asin", "acos", "atan", "not"),

@@ -21,8 +21,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import combinations, rows_by_code
 
-TOGETHER = 16_384
-"""Rows looked at together, so that a million are never copied at once."""
+TOGETHER = 16_384  # rows looked at together, so that a million are never copied at once
 
 
 @dataclass(frozen=True)

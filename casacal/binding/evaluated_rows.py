@@ -20,14 +20,9 @@ from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 
-COMPACT = 50_000
-"""Rows beyond which no whole Jacobian is held."""
-
-MOST_SUMS = 4_000_000
-"""Numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone."""
-
-MANY = 300
-"""Unknowns from which those of one label alone are taken out, one label after the other."""
+COMPACT = 50_000  # rows beyond which no whole Jacobian is held
+MOST_SUMS = 4_000_000  # numbers that the sums of all pieces may take: beyond, each piece sums what it sees alone
+MANY = 300  # unknowns from which those of one label alone are taken out, one label after the other
 
 
 class EvaluatedRows(AllRows, LeastSquares):

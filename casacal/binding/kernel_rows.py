@@ -15,16 +15,12 @@ from casacal.kernels.rows import Piece
 from casacal.least_squares.losses import Loss
 from casacal.threads import shared_out
 
-FEW = 8_192
-"""Rows below which all stay together: threads would spend more on one another than they save."""
+FEW = 8_192  # rows below which all stay together: threads would spend more on one another than they save
 MOST_PIECES = 16
 LARGEST_PIECE = 16_384
-MANY_LANES = 50_000
-"""Candidates times rows from which candidates are shared out."""
-PIECES = 1024
-"""Pieces whose sums are held at a time."""
-STATES = 32
-"""Candidates evaluated together, when there are many."""
+MANY_LANES = 50_000  # candidates times rows from which candidates are shared out
+PIECES = 1024  # pieces whose sums are held at a time
+STATES = 32  # candidates evaluated together, when there are many
 
 
 class KernelRows:

@@ -11,8 +11,7 @@ from casacal.array_types import Array
 from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import Block
 
-OTHERS = ""
-"""Stands for every face that is not named."""
+OTHERS = ""  # stands for every face that is not named
 
 SHARED = "\0shared"
 """Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""

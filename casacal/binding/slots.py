@@ -57,8 +57,7 @@ def _check_rows(
     )
 
 
-ENOUGH = 20_000
-"""Rows of a face that propose where it is."""
+ENOUGH = 20_000  # rows of a face that propose where it is
 
 
 @dataclass(frozen=True, eq=False)

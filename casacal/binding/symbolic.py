@@ -33,8 +33,7 @@ from casacal.kinematics import Expression
 from casacal.least_squares.objective import LeastSquares
 from casacal.problem.compile import RowModel
 
-PIECE = 256
-"""Rows mapped together: what derivatives hold at a time."""
+PIECE = 256  # rows mapped together: what derivatives hold at a time
 
 
 @dataclass(frozen=True, eq=False)

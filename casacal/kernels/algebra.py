@@ -22,8 +22,7 @@ TRIGONOMETRIC = (ca.OP_SIN, ca.OP_COS)
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
 
-FEW = 3
-"""Values that an output may be the sum of, times factors, to be written as that sum."""
+FEW = 3  # values that an output may be the sum of, times factors, to be written as that sum
 
 
 class Signed(NamedTuple):

@@ -19,8 +19,7 @@ from casacal.kernels.rows import Kernels
 BACKENDS = ("auto", "c", "blocks")
 VARIABLE = "CASACAL_BACKEND"
 
-MOST_PROGRAMS = 32
-"""Programs that a process keeps, the last used ones."""
+MOST_PROGRAMS = 32  # programs that a process keeps, the last used ones
 
 
 def row_kernels(slopes: ca.Function, backend: str | None = None) -> Kernels:

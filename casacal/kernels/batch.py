@@ -12,8 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.kernels.program import Program
 
-BLOCK = 256
-"""Rows that a map evaluates in one call; larger ones cost memory and time to build."""
+BLOCK = 256  # rows that a map evaluates in one call; larger ones cost memory and time to build
 
 
 class Buffered:

@@ -16,13 +16,10 @@ from casacal.kernels.program import Program, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
 from casacal.threads import shared_out
 
-WIDTHS = {64: 64, 512: 128}
-"""Samples up to which blocks have another width than the widest: for a face, for few rows."""
+WIDTHS = {64: 64, 512: 128}  # samples up to which blocks have another width than the widest: for a face, for few rows
 WIDEST = 512
-FEW = 4096
-"""Rows below which a plain map is sooner done than columns are built."""
-TOGETHER = 16
-"""Blocks of second derivatives that one thread sums up at a time."""
+FEW = 4096  # rows below which a plain map is sooner done than columns are built
+TOGETHER = 16  # blocks of second derivatives that one thread sums up at a time
 
 
 def blocked(columns: Array, *, repeat: bool = False) -> Array:

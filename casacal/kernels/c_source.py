@@ -24,8 +24,7 @@ KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)
 Definitions: TypeAlias = dict[str, int | Sequence[str]]
 """Numbers and statements by the names that C has for them."""
-PROGRAM = "program.h"
-"""The example, which a source has no need of."""
+PROGRAM = "program.h"  # the example, which a source has no need of
 
 
 def rows_of_normal(unknowns: int) -> int:

@@ -17,10 +17,8 @@ from casacal.kernels.program import Program
 from casacal.kernels.rows import Kernels, Lanes, Piece
 from casacal.threads import shared_out
 
-PAD = 8
-"""Lanes are padded to a multiple of this, so that loops over them need no tail."""
-LARGE = 1 << 20
-"""Bytes of a Jacobian beyond which it is written around the caches, straight to memory."""
+PAD = 8  # lanes are padded to a multiple of this, so that loops over them need no tail
+LARGE = 1 << 20  # bytes of a Jacobian beyond which it is written around the caches, straight to memory
 FUNCTIONS = ("residual", "slopes", "costs", "normal", "accumulate", "damped_step", "extended_pass")
 """What the C source of a row model defines."""
 

@@ -74,8 +74,7 @@ def grouped(columns: Sequence[Index], own: NDArray[np.bool_]) -> Groups:
     return Groups(np.flatnonzero(~own), tuple(np.array(each) for _, each in sorted(by_size.items())))
 
 
-MOST_UNKNOWNS = 3_000
-"""Unknowns whose matrices, of which a calibration holds about ten, fit into a gigabyte."""
+MOST_UNKNOWNS = 3_000  # unknowns whose matrices, of which a calibration holds about ten, fit into a gigabyte
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from casacal.array_types import Array
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.linalg import revealed_solution
 
-TOGETHER = 4096
-"""Rows stacked before a triangle takes their place."""
+TOGETHER = 4096  # rows stacked before a triangle takes their place
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,8 @@ from casacal.least_squares.linalg import damped_solution, information_of, unit_s
 
 Information: TypeAlias = Array | Arrow
 
-UNSEEN = 1e-8
-"""Part of an unknown, squared, in directions that nothing holds, from which it counts as not held."""
-
-ROUNDING = 16 * float(np.finfo(float).eps)
-"""Part of a unit diagonal that rounding leaves where groups are taken out."""
+UNSEEN = 1e-8  # part of an unknown, squared, in directions that nothing holds, from which it counts as not held
+ROUNDING = 16 * float(np.finfo(float).eps)  # part of a unit diagonal that rounding leaves where groups are taken out
 
 
 def with_diagonal(information: Information, scale: Array, diagonal: Array) -> Information:

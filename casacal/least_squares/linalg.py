@@ -7,8 +7,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from casacal.array_types import Array
 
-LEAST_LEFT = 1e-10
-"""Fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
+LEAST_LEFT = 1e-10  # fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used
 
 LEAST_PIVOT = 1e-12
 """Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""

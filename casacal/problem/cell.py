@@ -19,8 +19,7 @@ AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {
 }  # fmt: skip
 """Numbers of a cell that are zero or positive, and the most that they mean something for."""
 
-STEEPEST = 0.5
-"""Slope (order times amplitude) from which a gear wave is none: the joint would hardly follow its motor."""
+STEEPEST = 0.5  # slope (order times amplitude) from which a gear wave is none: the joint would hardly follow its motor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,8 +178,7 @@ OF_FACES = tuple(field.name for field in fields(Cell)[len(fields(Disturbances)) 
 OF_TOUCHES = tuple(name for name in OF_FACES if name not in ("tilt", "travel"))
 """What means nothing where no face is touched, and is refused there."""
 
-OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")
-"""What only a reading shows."""
+OF_DIALS = ("dial_gain", "dial_cycle", "hysteresis", "drift")  # what only a reading shows
 
 
 def plate(

@@ -15,8 +15,7 @@ from casacal.problem.problem import Problem
 from casacal.user_code import BESIDE, run_file
 from casacal.values import Value
 
-LARGEST_KEPT = 2_000_000
-"""Bytes beyond which the text of a file is not kept with its hash."""
+LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from casacal.errors import CasacalError
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.joints import Conventions, Joint
 
-FILL_IN = "TO FILL IN"
-"""What marks a line that nobody has looked at yet."""
+FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
 
 
 DIAL = """# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a
@@ -87,8 +86,7 @@ class Given:
         return [words for name, words in assumed.items() if getattr(self, name) is None]
 
 
-WIDTH = 120
-"""Longest line of a problem file."""
+WIDTH = 120  # longest line of a problem file
 
 
 def conventions(said: Conventions, joints: Sequence[Joint]) -> str:

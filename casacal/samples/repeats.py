@@ -18,11 +18,8 @@ from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
-SAME = 1e-4
-"""Joint values (rad, mm) that round to the same multiple of this are those of one posture."""
-
-MIX = np.int64(0x2545F4914F6CDD1D)
-"""An odd number of 64 bits whose products look random (Vigna, xorshift*, 2016)."""
+SAME = 1e-4  # joint values (rad, mm) that round to the same multiple of this are those of one posture
+MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products look random (Vigna, xorshift*, 2016)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +87,7 @@ def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]
 
 WHOLE = re.compile("-?[0-9]{1,17}")
 
-MOST = 2000
-"""Rows that are listed; of more, so many evenly spread ones."""
+MOST = 2000  # rows that are listed; of more, so many evenly spread ones
 
 GRID: Mapping[Dimension, float] = {"angle": 1e-6, "length": 1e-3, "number": 1e-3}
 """Steps (rad, mm) to which listed values are rounded."""
@@ -99,11 +95,8 @@ GRID: Mapping[Dimension, float] = {"angle": 1e-6, "length": 1e-3, "number": 1e-3
 NEAR_JOINT: Mapping[Dimension, float] = {"angle": math.radians(0.02), "length": 0.02, "number": 0.02}
 """Joint values (rad, mm) nearer than this are those of one posture: decimals cut, another unit, a pendant read off."""
 
-LARGEST = 2.0**53
-"""Steps beyond which numbers are no whole ones."""
-
-NEAR_READING = 2
-"""Steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise."""
+LARGEST = 2.0**53  # steps beyond which numbers are no whole ones
+NEAR_READING = 2  # steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise
 
 
 def listing(samples: Samples, layout: Layout) -> dict[str, Any]:

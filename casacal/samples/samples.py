@@ -19,8 +19,7 @@ from casacal.tables.read import columns_of_frame, read_columns
 from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value, short
 
-MANY = 100_000
-"""Rows from which lines are numbers in an array rather than Python objects."""
+MANY = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,8 @@ from casacal.tables.grammar import check_names
 
 ARRAYS = (".npy", ".npz")
 MOST_MEMBERS = 10_000
-UNPACKED = 1 << 26
-"""Bytes that any archive may unpack to."""
-GROWTH = 20
-"""A larger archive may unpack to so many times its size; measurements seldom shrink to a half."""
+UNPACKED = 1 << 26  # bytes that any archive may unpack to
+GROWTH = 20  # a larger archive may unpack to so many times its size; measurements seldom shrink to a half
 PIECE = 1 << 20
 
 

@@ -15,21 +15,16 @@ from pathlib import Path
 from casacal.errors import SamplesError
 from casacal.wording import counted
 
-MOST_COLUMNS = 16_384
-"""What a sheet of a spreadsheet holds."""
-LONGEST_NAME = 200
-"""Of a column, in characters."""
-
-NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""Of delimiters."""
+MOST_COLUMNS = 16_384  # what a sheet of a spreadsheet holds
+LONGEST_NAME = 200  # of a column, in characters
+NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # of delimiters
 Comments = list[tuple[int, list[str]]]
 """Cells of lines that begin with #, each with its number."""
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
-UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
-"""What would tear a sentence apart."""
+UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # what would tear a sentence apart
 
 
 def decode(data: bytes, file: str) -> str:

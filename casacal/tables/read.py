@@ -18,8 +18,7 @@ from casacal.tables.large import read_large
 from casacal.tables.text import Table, read_table
 from casacal.tables.workbooks import WORKBOOKS, read_workbook
 
-LARGE_FILE = 1 << 21
-"""Bytes from which a CSV file is worth the time it takes to import pandas."""
+LARGE_FILE = 1 << 21  # bytes from which a CSV file is worth the time it takes to import pandas
 
 
 def read_columns(

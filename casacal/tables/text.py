@@ -29,8 +29,7 @@ from casacal.tables.grammar import (
     rows_set_aside,
 )
 
-KEY = "pose"
-"""Column by which readings find their pose, unless another one is named."""
+KEY = "pose"  # column by which readings find their pose, unless another one is named
 
 
 @dataclass(frozen=True)
