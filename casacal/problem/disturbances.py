@@ -11,7 +11,6 @@ import numpy as np
 from casacal.errors import SimulationError, came
 
 AMOUNTS = {
-    "travel": math.inf,
     "repeatability": math.inf,
     "resolution": math.inf,
     "joint_std": math.inf,
