@@ -228,9 +228,7 @@ def with_setting(instrument: Instrument, name: str, value: float | tuple[float, 
         raise UnknownNameError(f"number of {type(instrument).__name__}", name, [*numbers, *instrument.ranges])
     if isinstance(value, tuple):
         if name not in instrument.ranges:
-            raise ProblemError(
-                f"{name} of {type(instrument).__name__} is no range, and {value} came", "Give one number"
-            )
+            raise ProblemError(f"{name} of {type(instrument).__name__} is one number, not {value}", "Give one")
         return dataclasses.replace(instrument, **{name: value})  # type: ignore[type-var]
     whole = isinstance(present[name], int) and float(value).is_integer()
     changed: Instrument = dataclasses.replace(instrument, **{name: int(value) if whole else float(value)})  # type: ignore[type-var]
