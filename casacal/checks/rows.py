@@ -76,12 +76,12 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
 
 def _declared(least: float, most: float, low: float) -> str:
     """What to do about readings from least to most (mm) where the smallest should be `low`."""
-    ends = f"{math.floor(least):g}:{math.ceil(most):g}"
+    ends = f"{math.floor(min(least, low)):g}:{math.ceil(most):g}"
     if least >= low:
         longer = f"{math.ceil(most)}" if low == 0 else ends
         return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})"
     middle = f"If the dial was set to zero within its travel, declare it (--set travel={ends})"
-    if most < 0:
+    if most < 0 <= low:
         return f"{middle}. If the sign of the column is reversed, write the readings without the minus"
     return f"{middle}; otherwise check these rows and the unit of the column"
 
