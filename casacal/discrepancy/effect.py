@@ -55,7 +55,7 @@ class Survey:
     faces: Mapping[str, FaceFrame]
     """By label; of those that were touched three times or more."""
     lines: tuple[int, ...]
-    """Lines of the rows in order, or of some, evenly over all: what comes after what is a matter of rows, not of lines."""
+    """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
     samples: Samples
     """The rows themselves, or, of very many, some of them."""
 
