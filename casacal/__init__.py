@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from casacal.instruments import Words as Words
     from casacal.instruments import dial_cycle as dial_cycle
     from casacal.instruments import dial_gain as dial_gain
+    from casacal.instruments import dial_zero as dial_zero
     from casacal.instruments import tool_point as tool_point
     from casacal.kinematics import chain as chain
     from casacal.kinematics import deg as deg
@@ -174,6 +175,7 @@ _HOMES = {
         "Words",
         "dial_cycle",
         "dial_gain",
+        "dial_zero",
         "tool_point",
     ),
     "casacal.kinematics": ("chain", "deg", "dh", "modified_dh"),

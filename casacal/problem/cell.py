@@ -11,9 +11,11 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError, came
+from casacal.instruments.description import Travel, readings_within
 from casacal.unknowns.unknown import tangent_basis, unit_vector
+from casacal.values import plain
 
-UNBOUNDED = "travel repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
+UNBOUNDED = "repeatability resolution joint_std backlash flatness compliance hysteresis drift error_scale"
 AMOUNTS = dict.fromkeys(UNBOUNDED.split(), math.inf) | {
     "encoder_step": 0.1, "flatness_reach": 10.0, "thermal": 0.01, "dial_gain": 0.1, "dial_cycle": 0.1,
 }  # fmt: skip
@@ -117,7 +119,7 @@ class Cell(Disturbances):
     Args:
         faces: what is touched, in turn.
         tilt: largest angle between plunger and face normal; tilts are uniform over that cone.
-        travel: range of the dial; None takes the instrument's.
+        travel: range of the dial, as the instrument declares it; None takes the instrument's.
         flatness: peak-to-valley height of a smooth form error of each face; see `flatness_din_876`.
         flatness_reach: distance, in half widths of a face, over which heights are alike: the length of a Gaussian
             process of squared exponential covariance, without its plane. 0 for waves of first and second order.
@@ -141,7 +143,7 @@ class Cell(Disturbances):
 
     faces: tuple[Face, ...]
     tilt: float = math.radians(30.0)
-    travel: float | None = None
+    travel: Travel | None = None
     flatness: float = 0.0
     flatness_reach: float = 0.0
     compliance: float = 0.0
@@ -163,6 +165,11 @@ class Cell(Disturbances):
             _ = face.axes
             if min(face.size) <= 0:
                 raise SimulationError(f"Face '{face.label}' has the size {face.size}", "Give two positive lengths")
+        object.__setattr__(self, "travel", plain(self.travel))
+        low, high = readings_within(0.0 if self.travel is None else self.travel)
+        if not -math.inf < low <= high < math.inf:
+            fix = "Give zero or a positive number, or the smallest and the largest reading"
+            raise SimulationError(f"travel of the cell is {self.travel!r}", fix)
         if not 0 <= self.tilt < math.pi / 2:
             raise SimulationError(f"The tilt is {math.degrees(self.tilt):g} degrees", "Give 0 to less than 90")
         if isinstance(self.repeats, bool) or not isinstance(self.repeats, (int, np.integer)) or self.repeats < 1:

@@ -160,8 +160,8 @@ class Problem(MeasuredArm):
         vars(changed).update({key: problem.with_prior(stds) for key, problem in made.items()})
         return changed
 
-    def with_settings(self, values: Mapping[str, float]) -> Problem:
-        """Copy with other numbers of its instrument, such as {"sign": -1} or {"noise_std": 0.02}.
+    def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
+        """Copy with other numbers of its instrument, such as {"sign": -1}, {"noise_std": 0.02}, {"travel": (-5, 5)}.
 
         Of several instruments after its name: {"dial.sign": -1}. Raises UnknownNameError for what is none of its
         numbers, ProblemError for a value that it refuses.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
-from casacal.instruments.description import Probe
+from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
 from casacal.problem.cell import Cell, Disturbances, Face, corner
 from casacal.problem.problem import Problem
@@ -81,8 +81,8 @@ def try_touches(
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
     half = np.array([face.size for face in cell.faces])[which] / 2
-    travel = probe.travel if cell.travel is None else cell.travel
-    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if probe.column is not None else np.zeros(count)
+    low, high = readings_within(probe.travel if cell.travel is None else cell.travel)
+    readings = low + rng.uniform(EDGE, 1 - EDGE, count) * (high - low) if probe.column is not None else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
     directions = _tilted(axes, cell.tilt, rng)

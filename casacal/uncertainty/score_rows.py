@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
 from casacal.discrepancy import TransmissionError
-from casacal.instruments.dial_on_plane import dial_cycle, dial_gain
+from casacal.instruments.dial_parts import dial_cycle, dial_gain
 from casacal.problem.problem import Problem
 from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
 
