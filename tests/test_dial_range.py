@@ -17,6 +17,7 @@ from casacal.tables.columns import Labels
 
 HSR = ROOT / "problems" / "hsr_jr680"
 MIDDLE = (-5.0, 5.0)
+ARM = "# convention: standard\nalpha_deg,a_mm,d_mm,theta_deg\n-90,0,300,0\n0,400,0,0\n90,0,0,0\n"
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +136,22 @@ def test_certified_faces_take_it_as_well():
     assert body.probe.travel == MIDDLE
     with pytest.raises(ProblemError, match="without a dial"):
         DialOnPlane(noise_std=0.01, reading=False, zero_shift=dial_zero())
+
+
+@pytest.mark.parametrize(("said", "travel"), [("-5:5", (-5.0, 5.0)), ("12.5", 12.5), (None, 10.0)])
+def test_a_new_problem_knows_the_range_that_was_said(said, travel, tmp_path):
+    (tmp_path / "arm.csv").write_text(ARM)
+    given = [] if said is None else [f"--travel={said}"]
+    assert main(["new", "mine", "--dh", str(tmp_path / "arm.csv"), *given, "--out", str(tmp_path)]) == 0
+    assert casacal.load_problem(tmp_path / "mine").problem.instruments[0].travel == travel
+
+
+@pytest.mark.parametrize("said", ["5:-5", "0", "nan", "3:3"])
+def test_a_range_that_is_none_makes_no_folder(said, tmp_path, capsys):
+    (tmp_path / "arm.csv").write_text(ARM)
+    try:
+        assert main(["new", "mine", "--dh", str(tmp_path / "arm.csv"), f"--travel={said}", "--out", str(tmp_path)]) == 2
+    except SystemExit as stopped:
+        assert stopped.code == 2
+    assert "travel" in capsys.readouterr().err
+    assert not (tmp_path / "mine").exists()

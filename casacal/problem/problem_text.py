@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from casacal.errors import CasacalError
+from casacal.instruments.description import Travel, readings_within
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.joints import Conventions, Joint
 
@@ -23,7 +24,7 @@ tool = tool_point({tool}, prior_std=1.0)
 # reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
 # A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
 # of planes cannot tell.
-dial = DialOnPlane(noise_std=0.01, sign={sign}, tool=tool, gain=dial_gain(0.15))
+dial = DialOnPlane(noise_std=0.01, sign={sign}, {travel}tool=tool, gain=dial_gain(0.15))
 
 {problem}
 """
@@ -48,6 +49,7 @@ class Given:
 
     tool: tuple[float, float, float] | None = None
     sign: int | None = None
+    travel: Travel | None = None
     accuracy: float | None = None
 
     def __post_init__(self) -> None:
@@ -55,6 +57,9 @@ class Given:
             raise CasacalError(f"The tool is {self.tool!r}", "Give three numbers of mm, such as 0,0,120")
         if self.sign not in (None, 1, -1):
             raise CasacalError(f"The dial's sign is {self.sign!r}", "Give 1 or -1")
+        low, high = readings_within(10.0 if self.travel is None else self.travel)
+        if not -math.inf < low < high < math.inf:
+            raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
         if self.accuracy is not None and not 0 < self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", "Give a positive number of mm")
 
@@ -71,6 +76,7 @@ class Given:
         return DIAL.format(
             tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             sign="+1" if self.sign == 1 else "-1",
+            travel="" if self.travel is None else f"travel={_ends(self.travel)}, ",
             todo=todo,
             problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
         )
@@ -84,6 +90,11 @@ class Given:
             "accuracy": "the maker's accuracy: errors of 0.7 mm and 1 mrad are assumed for every parameter",
         }
         return [words for name, words in assumed.items() if getattr(self, name) is None]
+
+
+def _ends(travel: Travel) -> str:
+    """A dial's travel as Python reads it."""
+    return f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel)
 
 
 WIDTH = 120  # longest line of a problem file
