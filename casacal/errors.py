@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-LONGEST = 1000
-"""Letters of a refusal that anybody reads."""
+LONGEST = 1000  # letters of a refusal that anybody reads
 
 
 def came(value: object) -> str:

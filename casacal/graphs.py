@@ -7,17 +7,15 @@ on values counted by line from 0, such as "sin 4" and "mul 4 5".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
 from casacal.errors import CasacalError
 
-MOST = 1_000_000
-"""Operations beyond which a graph is no arm's."""
-
-MOST_PARTS = 500
-"""Arguments and results beyond which it is none either."""
+MOST = 1_000_000  # operations beyond which a graph is no arm's
+MOST_PARTS = 500  # arguments and results beyond which it is none either
 
 UNARY = (
     *("assign", "neg", "exp", "log", "sqrt", "sq", "twice", "sin", "cos", "tan", "asin", "acos", "atan", "not"),
@@ -33,33 +31,56 @@ OPERATIONS: Mapping[str, int] = {name: op for op, name in NAMES.items()}
 ARITY = {(name, 1) for name in UNARY} | {(name, 2) for name in BINARY}
 
 
+@dataclass(frozen=True)
+class Operation:
+    """One value: an operation on earlier values, a constant, or an element of an argument."""
+
+    op: int
+    args: tuple[int, ...] = ()
+    constant: float = 0.0
+    element: tuple[int, int] = (-1, -1)
+    """Argument of the function and position in it, for OP_INPUT."""
+
+
+def operations_of(function: ca.Function) -> tuple[list[Operation], list[list[int]]]:
+    """The operations of an SX function, and the value of each element of each result; raises RuntimeError for MX."""
+    operations: list[Operation] = []
+    work: dict[int, int] = {}
+    results = [[0] * function.numel_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        op, read, written = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            results[written[0]][written[1]] = work[read[0]]
+            continue
+        if op == ca.OP_CONST:
+            operations.append(Operation(op, constant=float(function.instruction_constant(k))))
+        elif op == ca.OP_INPUT:
+            operations.append(Operation(op, element=(read[0], read[1])))
+        else:
+            operations.append(Operation(op, tuple(work[i] for i in read)))
+        work[written[0]] = len(operations) - 1
+    return operations, results
+
+
 def graph_data(function: ca.Function) -> dict[str, Any]:
     """An SX function of dense arguments and results: its name, their names and shapes, its operations, its results.
 
     Raises CasacalError for a function that is no graph of elementary operations.
     """
     try:
-        count = function.n_instructions()
+        operations, results = operations_of(function)
     except RuntimeError as error:
         raise CasacalError(f"'{function.name()}' is no graph of operations", "Build it of SX symbols") from error
     lines: list[str] = []
-    work: dict[int, int] = {}
-    results = [[0] * function.numel_out(i) for i in range(function.n_out())]
-    for k in range(count):
-        op, read, written = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
-        if op == ca.OP_OUTPUT:
-            results[written[0]][written[1]] = work[read[0]]
-            continue
-        if op == ca.OP_CONST:
-            line = f"const {function.instruction_constant(k)!r}"
-        elif op == ca.OP_INPUT:
-            line = f"input {read[0]} {read[1]}"
-        elif op in NAMES:
-            line = " ".join((NAMES[op], *(str(work[i]) for i in read)))
+    for each in operations:
+        if each.op == ca.OP_CONST:
+            lines.append(f"const {each.constant!r}")
+        elif each.op == ca.OP_INPUT:
+            lines.append(f"input {each.element[0]} {each.element[1]}")
+        elif each.op in NAMES:
+            lines.append(" ".join((NAMES[each.op], *map(str, each.args))))
         else:
             raise CasacalError(f"'{function.name()}' uses an operation that is not elementary", "Use elementary ones")
-        work[written[0]] = len(lines)
-        lines.append(line)
     return {
         "name": function.name(),
         "arguments": [[function.name_in(i), *function.size_in(i)] for i in range(function.n_in())],

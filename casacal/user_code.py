@@ -15,8 +15,7 @@ from typing import Any
 
 from casacal.errors import CasacalError
 
-BESIDE = "__casacal_beside__"
-"""Under which a module that `run_file` made holds the files beside it that it imported."""
+BESIDE = "__casacal_beside__"  # under which a module that `run_file` made holds the files beside it that it imported
 
 _IMPORTING = threading.RLock()
 """The import system is one for all threads: one file runs at a time, and those that it loads itself."""

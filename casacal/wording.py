@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-LEAST_CHANCE = 1e-6
-"""Chance below which nobody asks how small it is."""
-
-METRE = 1000.0
-"""Millimetres from which an error is no figure any more: it says that nothing holds the tip."""
+LEAST_CHANCE = 1e-6  # chance below which nobody asks how small it is
+METRE = 1000.0  # millimetres from which an error is no figure any more: it says that nothing holds the tip
 
 SMALL_UNITS = {"mm": ("um", 1e3), "rad": ("urad", 1e6), "1": ("parts per million", 1e6)}
 

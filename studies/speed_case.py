@@ -102,9 +102,10 @@ def aligned(values: np.ndarray) -> np.ndarray:
 
 def kernels(bound: BoundProblem) -> tuple[object, np.ndarray, object]:
     """The kernels of a bound problem, its parameters at x0, and all its rows as lanes."""
-    (groups,), (block,) = bound._groups, bound.blocks
+    (block,) = bound.blocks
     p = np.concatenate([bound.x0[block.columns[0]], block.constants[0]])
-    return groups._rows.kernels, p, groups._rows.lanes([block.rows(slice(None))], block.noise)
+    found = block.model.rows(bound.backend)
+    return found, p, found.lanes(block.rows(slice(None)), block.noise)
 
 
 class ByHand:

@@ -37,7 +37,7 @@ def fit(file):
     samples = problem.read(file)
     bound = bind(problem, samples, backend=sys.argv[3])
     lm(bound).covariance
-    lanes = sum(p.lanes.d.nbytes + p.lanes.w.nbytes for g in bound._groups for p in g.pieces)
+    lanes = sum(p.lanes.d.nbytes + p.lanes.w.nbytes for p in bound._rows.pieces)
     return (samples.joints.nbytes + lanes) / 2**20
 fit(sys.argv[1])
 before = peak()

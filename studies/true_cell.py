@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal import Problem, Route, Samples, bind
+from casacal.instruments.description import readings_within
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class World:
         self.x = rng.normal(size=prior.size) * np.where(np.isfinite(prior), prior, units)
         samples, self.column = route.samples, next(iter(route.samples.columns), None)
         self.joints = samples.joints.copy()
-        travel = problem.instrument.probe.travel
+        low, high = readings_within(problem.instrument.probe.travel)
         scatter = rng.normal(size=len(samples)) * noise * problem.instrument.noise_std
         if self.column is None:  # a touch without a dial: the arm itself comes to the face, nearly
             for _ in range(8):
@@ -42,7 +43,7 @@ class World:
         expected = readings = samples.columns[self.column].copy()
         for _ in range(8):
             wanted = self._answered(samples, readings)
-            far = (wanted < 0.02 * travel) | (wanted > 0.98 * travel)
+            far = np.abs(wanted - (low + high) / 2) > 0.48 * (high - low)
             readings = np.where(far, expected, wanted)
             if not far.any():
                 break

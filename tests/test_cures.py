@@ -27,7 +27,7 @@ from casacal import (
     plate,
     simulate,
 )
-from casacal.binding import sums
+from casacal.binding import evaluated_rows
 from casacal.calibration.brief import best_cure, brief, fall, nothing_helps
 from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
@@ -222,7 +222,7 @@ def test_many_faces_give_the_same_figures(hsr, monkeypatch):
     samples = simulate(hsr.problem, cell, seed=1).samples
     whole = bind(hsr.problem, samples)
     x, plain = lm(whole).x, by_kind(cures(whole, lm(whole).x))
-    monkeypatch.setattr(sums, "MANY", 40)
+    monkeypatch.setattr(evaluated_rows, "MANY", 40)
     parted = bind(hsr.problem, samples)
     assert parted.groups is not None
     assert by_kind(cures(parted, x)) == pytest.approx(plain, rel=1e-6)
@@ -361,7 +361,7 @@ def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
     kinds = by_kind(cures(whole, x))
     assert kinds.keys() == {"step", "same", "many", "noise", "face"}
     assert kinds["step"] == pytest.approx(planned_accuracy(together)[1], rel=0.05)
-    monkeypatch.setattr(sums, "MANY", 40)
+    monkeypatch.setattr(evaluated_rows, "MANY", 40)
     parted = bind(problem, samples, backend="blocks")
     assert parted.groups is not None
     assert by_kind(cures(parted, x)).keys() == kinds.keys()

@@ -12,6 +12,7 @@ from conftest import ROOT
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
 from casacal.checks.rows import odd_labels, outside
 from casacal.checks.setup import tells_a_wrong_sign
+from casacal.cli.adjust import number_or_range
 from casacal.cli.main import main
 from casacal.samples.write import write_samples
 from casacal.tables.columns import Labels
@@ -257,17 +258,18 @@ def test_what_check_advises_on_outliers_works(hsr, corner_simulation, tmp_path, 
 @pytest.mark.parametrize(
     ("low", "high", "travel", "says", "not_said"),
     [
-        (-0.12, 7.84, 7.0, ["the dial was zeroed elsewhere", "--set travel=8)"], "minus"),
-        (-0.12, 7.84, 8.0, ["the dial was zeroed elsewhere", "add the same 0.12 mm"], "travel"),
-        (-0.12, 7.84, 7.9, ["add the same 0.12 mm", "--set travel=8)"], "minus"),
-        (-7.84, -0.12, 10.0, ["the sign of the column is reversed", "without the minus"], "travel"),
+        (-0.12, 7.84, 7.0, ["set to zero within its travel", "--set travel=-1:8)"], "minus"),
+        (-4.6, 4.2, 10.0, ["set to zero within its travel", "--set travel=-5:5)"], "minus"),
+        (-7.84, -0.12, 10.0, ["--set travel=-8:0)", "sign of the column is reversed", "without the minus"], "add"),
         (0.0, 12.3, 10.0, ["--set travel=13"], "minus"),
+        (-6.0, 7.2, (-5.0, 5.0), ["--set travel=-6:8)"], "minus"),
+        (-4.0, 7.2, (-5.0, 5.0), ["--set travel=-5:8)"], "minus"),
     ],
 )
 def test_what_is_advised_on_readings_outside_travel_brings_them_inside(
     hsr, corner_simulation, low, high, travel, says, not_said
 ):
-    """No travel helps against readings below zero; what is advised, followed to the letter, ends the error."""
+    """What is advised, followed to the letter, ends the error."""
     samples = corner_simulation.samples
     reading = np.linspace(low, high, len(samples))
     problem = hsr.problem.with_settings({"travel": travel})
@@ -275,11 +277,9 @@ def test_what_is_advised_on_readings_outside_travel_brings_them_inside(
     assert all(words in finding.fix for words in says)
     assert not_said not in finding.fix
     if "minus" in finding.fix:
-        reading = -reading
-    elif found := re.search(r"add the same ([\d.]+) mm", finding.fix):
-        reading = reading + float(found[1])
-    if found := re.search(r"--set travel=(\d+)", finding.fix):
-        problem = problem.with_settings({"travel": float(found[1])})
+        assert outside(problem, with_reading(samples, -reading)) == []
+    found = re.search(r"--set travel=([-\d:]+)", finding.fix)
+    problem = problem.with_settings({"travel": number_or_range(found[1])})
     assert outside(problem, with_reading(samples, reading)) == []
 
 

@@ -15,11 +15,8 @@ from test_kernels import HAS_COMPILER
 from casacal import chain, dh
 from casacal.kernels import c_source
 from casacal.kernels.algebra import Builder
-from casacal.kernels.batch import Columnwise
-from casacal.kernels.block_rows import BlockKernels
-from casacal.kernels.curvature import CurvatureKernel
-from casacal.kernels.operations import evaluate
-from casacal.kernels.reading import _Work, read_program
+from casacal.kernels.block_rows import BlockKernels, Columnwise, CurvatureKernel
+from casacal.kernels.program import Work, evaluate, read_program
 from casacal.kinematics import transform_point
 
 C_FILES = sorted(each.name for each in (resources.files("casacal.kernels") / "c").iterdir())
@@ -181,13 +178,13 @@ def test_sums_that_share_sums_are_taken_apart_once(monkeypatch):
 def test_work_is_counted_as_values_come_and_go():
     """Against a walk over all that some roots depend on, for roots that are taken and dropped at random."""
     program, rng = read_program(arm(3), ("once", "once", "lane")), np.random.default_rng(0)
-    work, held = _Work(program.operations, program.kinds), []
+    work, held = Work(program.operations, program.kinds), []
     for _ in range(300):
         if held and rng.random() < 0.45:
-            work.drop(held.pop(int(rng.integers(len(held)))))
+            work.use(held.pop(int(rng.integers(len(held)))), -1)
         else:
             held.append(int(rng.integers(len(program.operations))))
-            work.take(held[-1])
+            work.use(held[-1])
         assert work.lanes == sum(program.kinds[v] == "mixed" for v in program.needed(held))
 
 

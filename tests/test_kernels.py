@@ -17,14 +17,12 @@ from casacal import DialOnPlane, Parameter, Problem, Robot, bind, calibrate, ekf
 from casacal.errors import ProblemError
 from casacal.kernels import backend as backends
 from casacal.kernels import compiler, libraries
-from casacal.kernels.backend import RowKernels
-from casacal.kernels.operations import NUMPY, C, evaluate, name_of
-from casacal.kernels.reading import read_program
+from casacal.kernels.backend import row_kernels
+from casacal.kernels.program import NUMPY, C, evaluate, name_of, read_program
 from casacal.least_squares.losses import huber
 
 HAS_COMPILER = any(shutil.which(name) for name in ("gcc", "clang", "cc"))
 BACKENDS = ["blocks", pytest.param("c", marks=pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler"))]
-ROLES = ("once", "once", "lane")
 
 
 def bounds():
@@ -141,10 +139,10 @@ def test_every_operation_in_numpy_and_c_is_casadis():
     values = program.outputs[0]
     np.testing.assert_allclose(evaluate(program, values, [[1.7], [lanes]]), expected, rtol=1e-13, atol=1e-14)
     for name in ("blocks", "c") if HAS_COMPILER else ("blocks",):
-        rows = RowKernels(function, ("once", "lane"), name)
-        assert rows.kernels.name == name
-        packed = rows.lanes([lanes[:, None]], np.ones((len(lanes), e.numel())))
-        found = rows.kernels.residual(np.array([1.7]), packed)
+        rows = row_kernels(function, name)
+        assert rows.name == name
+        packed = rows.lanes(lanes[:, None], np.ones((len(lanes), e.numel())))
+        found = rows.residual(np.array([1.7]), packed)
         np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
 
 
@@ -179,12 +177,12 @@ def test_every_operation_is_casadis_on_odd_numbers_too(op, capfd):
     function = ca.Function("f", [ca.vertcat(x, y), ca.vertcat(q, r)], [ca.vertcat(*e), ca.densify(ca.SX(len(e), 1))])
     assert op in {function.instruction_id(k) for k in range(function.n_instructions())} | {ca.OP_CONSTPOW}
     for name in ("blocks", "c") if HAS_COMPILER and op in C else ("blocks",):
-        rows = RowKernels(function, ("once", "lane"), name)
-        assert rows.kernels.name == name
-        packed = rows.lanes([pairs], np.ones((len(pairs), len(e))))
+        rows = row_kernels(function, name)
+        assert rows.name == name
+        packed = rows.lanes(pairs, np.ones((len(pairs), len(e))))
         for at in pairs[:: len(ODD) + 1]:
             expected = np.array(function.map(len(pairs))(ca.DM(at), ca.DM(pairs.T))[0])
-            np.testing.assert_allclose(rows.kernels.residual(at, packed), expected, rtol=1e-13, atol=0)
+            np.testing.assert_allclose(rows.residual(at, packed), expected, rtol=1e-13, atol=0)
     capfd.readouterr()  # printme prints
 
 
@@ -194,19 +192,19 @@ def test_an_operation_without_a_form_in_c_keeps_a_model_on_blocks(caplog):
     function = ca.Function("f", [p, q], [e, ca.jacobian(e, p).T])
     backends._notice.cache_clear()
     with caplog.at_level(logging.WARNING, "casacal"):
-        rows = RowKernels(function, ("once", "lane"), "auto")
-    assert rows.kernels.name == "blocks"
+        rows = row_kernels(function, "auto")
+    assert rows.name == "blocks"
     assert not HAS_COMPILER or "the operation 'erfinv' has no form in C" in caplog.text
     with pytest.raises(ProblemError, match="back end c cannot be used"):
-        RowKernels(function, ("once", "lane"), "c")
+        row_kernels(function, "c")
     lanes = np.linspace(-1.8, 1.8, 13)[:, None]
-    packed = rows.lanes([lanes], np.full((13, 1), 2.0))
+    packed = rows.lanes(lanes, np.full((13, 1), 2.0))
     at = np.array([0.5, 0.5])
     expected = np.array([float(function(at, value)[0]) for value in lanes.ravel()])
-    np.testing.assert_allclose(rows.kernels.residual(at, packed)[0], expected)
-    assert rows.kernels.costs(at[None], packed)[0] == pytest.approx(np.sum((expected / 2) ** 2) / 2)
-    heavier = rows.kernels.reweighted(packed, np.full((1, 13), 1.0))
-    assert rows.kernels.normal(at, heavier)[-1, -1] == pytest.approx(np.sum(expected**2))
+    np.testing.assert_allclose(rows.residual(at, packed)[0], expected)
+    assert rows.costs(at[None], packed)[0] == pytest.approx(np.sum((expected / 2) ** 2) / 2)
+    heavier = rows.reweighted(packed, np.full((1, 13), 1.0))
+    assert rows.normal(at, heavier)[-1, -1] == pytest.approx(np.sum(expected**2))
 
 
 @pytest.mark.parametrize("of", ["data alone", "parameters too"])
@@ -231,10 +229,10 @@ def hsr_robot():
 def test_constants_may_be_infinite(backend):
     p, q = ca.SX.sym("p"), ca.SX.sym("q")
     e = ca.vertcat(ca.fmin(q, ca.SX(ca.inf)) + p, ca.fmax(q * p, ca.SX(-ca.inf)) - 1e-300, ca.if_else(q > 0, p, ca.inf))
-    rows = RowKernels(ca.Function("f", [p, q], [e, ca.densify(ca.SX(3, 1))]), ("once", "lane"), backend)
-    assert rows.kernels.name == backend
+    rows = row_kernels(ca.Function("f", [p, q], [e, ca.densify(ca.SX(3, 1))]), backend)
+    assert rows.name == backend
     lanes = np.array([[-1.0], [2.0]])
-    found = rows.kernels.residual(np.array([3.0]), rows.lanes([lanes], np.ones((2, 3))))
+    found = rows.residual(np.array([3.0]), rows.lanes(lanes, np.ones((2, 3))))
     np.testing.assert_array_equal(found[:2], [[2.0, 5.0], [-3.0, 6.0]])
     assert found[2, 1] == 3.0 or np.isnan(found[2, 1])  # CasADi's if_else is 0 * inf where the condition fails
 
@@ -247,10 +245,10 @@ def test_a_residual_that_does_not_touch_the_data_still_has_rows():
             return p.tool[0] - 3.0
 
     problem = Problem(robot, Constant(reading=False, noise_std=0.1))
-    rows = RowKernels(problem.models[0].jacobian, ROLES)
-    packed = rows.lanes([np.zeros((5, 1))], np.ones((5, 1)))
+    rows = row_kernels(problem.models[0].jacobian)
+    packed = rows.lanes(np.zeros((5, 1)), np.ones((5, 1)))
     sizes = [problem.models[0].jacobian.numel_in(i) for i in (0, 1)]
-    assert rows.kernels.residual(np.zeros(sum(sizes)), packed).shape == (1, 5)
+    assert rows.residual(np.zeros(sum(sizes)), packed).shape == (1, 5)
 
 
 @pytest.fixture
@@ -266,7 +264,7 @@ def fresh(tmp_path, monkeypatch):
 
 
 def kernels(hsr, backend=None):
-    return RowKernels(hsr.problem.models[0].jacobian, ROLES, backend).kernels
+    return row_kernels(hsr.problem.models[0].jacobian, backend)
 
 
 def test_without_a_compiler_blocks_serve_and_say_so_once(hsr, fresh, monkeypatch, caplog):

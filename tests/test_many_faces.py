@@ -25,7 +25,7 @@ from casacal import (
     sckf,
     simulate,
 )
-from casacal.binding import sums
+from casacal.binding import evaluated_rows
 from casacal.binding.marginal import seen
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.check import _few_of_each_face
@@ -69,10 +69,10 @@ def pair(hsr, samples):
 
 def both(problem, samples):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sums, "MANY", 10)
+        patch.setattr(evaluated_rows, "MANY", 10)
         apart = bind(problem, samples)
         assert apart.groups is not None
-        patch.setattr(sums, "MANY", 10_000)
+        patch.setattr(evaluated_rows, "MANY", 10_000)
         whole = bind(problem, samples)
         assert whole.groups is None
     return apart, whole
@@ -228,7 +228,7 @@ def test_the_references_hessian_is_that_of_its_gradient(pair):
 @pytest.mark.long
 def test_the_data_check_finds_its_causes_among_many_faces(hsr, monkeypatch):
     """Among six, taken for many: each of some hundred faults is tried with all of them."""
-    monkeypatch.setattr(sums, "MANY", 5)
+    monkeypatch.setattr(evaluated_rows, "MANY", 5)
     samples = by_face(simulate(hsr.problem, hsr.cell, samples=20 * 6, seed=3).samples, 20)
     assert bind(hsr.problem, samples).groups is not None
     ((name, values),) = samples.columns.items()

@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 
+from casacal import calibrate
 from casacal.errors import SamplesError
 from casacal.samples.samples import Layout, Samples
 from casacal.samples.write import write_samples
@@ -147,3 +149,17 @@ def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
 
 def test_without_labels_all_rows_share_one(tmp_path):
     assert read(tmp_path, "q1_deg,q2_mm,reading_mm\n1,2,3\n").labels["plane"] == ("plane",)
+
+
+def test_blank_lines_and_comments_between_rows_change_no_result(hsr, tmp_path):
+    """What comes after what is a matter of rows: drift and growth go by their order, not by the lines they stand on."""
+    text = (ROOT / "problems" / "hsr_jr680" / "samples.csv").read_text(encoding="utf-8")
+    lines = text.splitlines()
+    spread = tmp_path / "spread.csv"
+    spread.write_text("\n".join([*lines[:60], "", "", "# a pause", "", *lines[60:]]) + "\n", encoding="utf-8")
+    one, two = (
+        calibrate(hsr.problem, hsr.problem.read(path), method="lm", reference=False)
+        for path in (ROOT / "problems" / "hsr_jr680" / "samples.csv", spread)
+    )
+    assert one.cost == two.cost
+    np.testing.assert_array_equal(one.x, two.x)

@@ -15,8 +15,8 @@ from test_kernels import BACKENDS, HAS_COMPILER, bounds
 from casacal import BoundProblem, DialOnPlane, Problem, Samples, TrackedPoint, bind, ekf, lm, sckf
 from casacal.estimators.ekf import linear_update
 from casacal.estimators.sckf import Belief, cubature_update
-from casacal.kernels.filter_passes import BlockCubature, NativeCubature
-from casacal.kernels.native_rows import NativeNormal
+from casacal.kernels.filter_passes import Cubature
+from casacal.kernels.native_rows import NativeNormal, PackedPieces
 from casacal.least_squares import information
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.restricted import Restricted
@@ -249,10 +249,10 @@ def taken(monkeypatch):
         monkeypatch.setattr(owner, name, watched)
 
     module = sys.modules
-    watch(NativeCubature, "__call__", "cubature in C")
-    watch(BlockCubature, "__call__", "cubature in MX")
+    watch(Cubature, "_by_c", "cubature in C")
+    watch(Cubature, "_by_blocks", "cubature in MX")
     watch(module["casacal.estimators.sckf"], "cubature_update", "cubature in NumPy")
-    watch(module[BoundProblem.__module__], "extended_pass", "extended in C")
+    watch(PackedPieces, "extended_pass", "extended in C")
     watch(module["casacal.estimators.ekf"], "linear_update", "extended in NumPy")
     watch(NativeNormal, "step", "damped in C")
     watch(information, "damped_solution", "damped in NumPy")

@@ -297,7 +297,7 @@ def test_c_with_parameters_free_equals_the_arm_by_hand(case, tmp_path):
     text = problem.symbols.c_code(prefix="arm")
     assert "void arm_pose(const double p[" in text
     library, symbols = compiled(text, tmp_path), problem.symbols
-    count = sum(symbol.numel() for symbol in symbols.trace.free[0].values())
+    count = sum(symbol.numel() for symbol in symbols.free[0].values())
     p = call(library.arm_values, count, z, c)
     pose, tip, residual = by_hand(z, c, d)
     np.testing.assert_allclose(call(library.arm_pose, 16, p, d[:6]).reshape(4, 4), pose, rtol=0, atol=1e-9)

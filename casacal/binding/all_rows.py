@@ -1,16 +1,17 @@
-"""The rows of all instruments together: which sample each residual is of, its face, its noise."""
+"""The rows of all instruments together: which sample each residual is of, its face, its noise; and any posture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
+from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, Places
 from casacal.samples.repeats import Repeats, repeats_in
@@ -25,10 +26,6 @@ class AllRows:
     samples: tuple[Samples, ...]
     blocks: tuple[Block, ...]
 
-    def on(self, *samples: Samples | Measurements) -> Self:
-        """The same unknowns on other rows."""
-        raise NotImplementedError
-
     @property
     def block(self) -> Block:
         """The rows of the only instrument; raises ProblemError where there are several."""
@@ -39,15 +36,6 @@ class AllRows:
     def measured(self) -> Measurements:
         """The samples of all instruments."""
         return Measurements(self.problem.names, self.samples)
-
-    def take(self, rows: Sequence[int] | Places) -> Self:
-        """The same unknowns on some of the samples, by their numbers."""
-        return self.on(*self.measured.take(rows).sets)
-
-    def thinned(self, most: int) -> Self:
-        """Itself, or so many of its samples, evenly spread."""
-        count = len(self.measured)
-        return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
     @property
     def groups_by(self) -> tuple[str | None, ...]:
@@ -70,12 +58,11 @@ class AllRows:
             return self.faces.take(self.sample_of)
         names, codes = list[str](), np.zeros(self.sample_of.size, dtype=np.intp)
         for i, (name, instrument) in enumerate(zip(self.problem.names, instruments, strict=True)):
-            own, sizes = self.sample_rows(i), [block.size for block in instrument.blocks] or [1]
-            blocks = [block.name for block in instrument.blocks] or [""]
-            which = np.repeat(np.arange(len(blocks)), sizes)
-            component = self.component_of[own] if instrument.blocks else np.zeros(own.stop - own.start, dtype=np.intp)
-            codes[own] = len(names) + which[component]
-            names += [f"{name} {block}".strip() if several else block for block in blocks]
+            own, blocks = self.sample_rows(i), [(block.name, block.size) for block in instrument.blocks]
+            blocks = blocks or [("", self.blocks[i].noise.shape[1])]
+            which = np.repeat(np.arange(len(blocks)), [size for _, size in blocks])
+            codes[own] = len(names) + which[self.component_of[own]]
+            names += [f"{name} {block}".strip() if several else block for block, _ in blocks]
         return Labels(names, codes)
 
     @cached_property
@@ -141,3 +128,39 @@ class AllRows:
     def joint_noise(self) -> Array:
         """The same where every joint errs by one radian of its own, and nothing else."""
         return np.concatenate([block.joint_noise.ravel() for block in self.blocks])
+
+    def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
+        return np.asarray(self.blocks[instrument].posture("tip", x, joints)[0])
+
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0, by: NDArray[np.intp] | None = None) -> Array:
+        """Derivative (3 N, n) of those tips by x, or by some (s,) of its unknowns, in units of mm per unit of x."""
+        block = self.blocks[instrument]
+        _, slopes = block.posture("tip_jacobian", x, joints)
+        by = np.arange(x.size) if by is None else by
+        _, inside, seen = np.intersect1d(by, block.columns[0], return_indices=True)
+        jacobian = np.zeros((3 * len(joints), by.size))
+        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
+        return jacobian
+
+    def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""
+        return stacked_poses(self.blocks[instrument].posture("pose", x, joints)[0])
+
+
+@dataclass(frozen=True)
+class Alone:
+    """One instrument of a problem and its samples; the name is empty for an only one."""
+
+    name: str
+    problem: Problem
+    samples: Samples
+
+
+def each_alone(problem: Problem, samples: Sequence[Samples]) -> Iterator[Alone]:
+    """The instruments of a problem one by one, in their order, each with its samples."""
+    if len(samples) == 1:
+        yield Alone("", problem, samples[0])
+        return
+    for name, some in zip(problem.names, samples, strict=True):
+        yield Alone(name, problem.measured_by(name), some)

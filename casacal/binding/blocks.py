@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,14 +15,13 @@ from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site, Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kernels.batch import Columnwise
+from casacal.kernels.block_rows import Columnwise
 from casacal.problem.compile import RowModel
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import combinations, rows_by_code
 
-TOGETHER = 16_384
-"""Rows looked at together, so that a million are never copied at once."""
+TOGETHER = 16_384  # rows looked at together, so that a million are never copied at once
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Block:
     """Positions in x of the model's z, by row pattern (patterns, nz)."""
     constants: Array
     """c by row pattern (patterns, nc)."""
-    known: tuple[Array, ...]
+    row_columns: tuple[Array, ...]
     """Columns of d beside the joint values, each (N,): mm, rad."""
     elsewhere: Array
     """What stands in these columns (k,) at postures that are no rows: zero, or what an effect says."""
@@ -48,13 +47,18 @@ class Block:
 
     def rows(self, index: NDArray[np.intp] | slice) -> Array:
         """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
-        return np.column_stack([self.samples.joints[index], *(column[index] for column in self.known)])
+        return np.column_stack([self.samples.joints[index], *(column[index] for column in self.row_columns)])
 
     def posture(self, name: str, x: Array, joints: Array) -> list[Array]:
         """Tips, their slopes or poses at x (n,) and joint values (N, n; rad, mm), at reading zero."""
         data = np.hstack([joints, np.tile(self.elsewhere, (len(joints), 1))])
         outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
         return outputs
+
+    @property
+    def by_pattern(self) -> list[NDArray[np.intp]]:
+        """The samples that have each pattern, in order."""
+        return rows_by_code(self.pattern, len(self.slots))
 
     @cached_property
     def joint_noise(self) -> Array:
@@ -64,7 +68,7 @@ class Block:
     def at_nominal(self, function: Columnwise) -> Array:
         """Values (N, m) of a function of one row at the nominal."""
         found = np.empty((len(self.samples), self.model.components))
-        for constant, seen in zip(self.constants, rows_by_code(self.pattern, len(self.constants)), strict=True):
+        for constant, seen in zip(self.constants, self.by_pattern, strict=True):
             for rows in np.array_split(seen, 1 + seen.size // TOGETHER):
                 found[rows] = function(np.zeros(self.columns.shape[1]), constant, self.rows(rows))
         return found
@@ -85,19 +89,19 @@ def make_block(
     model, instrument = problem.models[i], problem.instruments[i]
     _check_stds(instrument, samples)
     row_slots, pattern = _patterns(problem, i, slots, samples)
-    nz = sum(unknown.size for unknown in model.unknowns.values())
     columns = np.array([[j for slot in row for j in slot.columns] for row in row_slots], dtype=np.intp)
-    index = [list(model.unknowns).index(key) for key in model.constants]
-    constants = np.array([np.concatenate([row[j].nominal for j in index] or [np.zeros(0)]) for row in row_slots])
-    nc = sum(model.unknowns[key].nominal_size for key in model.constants)
-    columns, constants = columns.reshape(len(row_slots), nz), constants.reshape(len(row_slots), nc)
-    known = tuple(row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots))).values())
-    noise = np.empty((len(samples), model.components))
-    block = Block(model, samples, row_slots, pattern, columns, constants, known, _elsewhere(problem, i), noise)
+    index, none = [list(model.unknowns).index(key) for key in model.constants], np.zeros(0)
+    constants = np.array([np.concatenate([none, *(row[j].nominal for j in index)]) for row in row_slots])
+    columns = columns.reshape(len(row_slots), model.residual.numel_in(0))
+    constants = constants.reshape(len(row_slots), model.residual.numel_in(1))
+    beside = row_columns(problem, i, samples, survey, proposed_by(problem, i, nominals(slots)))
+    elsewhere = dict.fromkeys(model.names, 0.0)
+    for effect in model.effects:
+        elsewhere |= effect.away(Site(problem.robot, instrument))
+    noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
+    block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, noise)
     noise[:] = block.at_nominal(model.columns.noise)
-    good = (np.isfinite(noise) & (noise > 0)).all(axis=1)
-    if not good.all():
-        bad = int(np.flatnonzero(~good)[0])
+    for bad in np.flatnonzero(~(np.isfinite(noise) & (noise > 0)).all(axis=1))[:1]:
         raise ProblemError(
             f"{samples.file}, line {samples.lines[bad]}: the noise of {type(instrument).__name__} is "
             f"{noise[bad][0]:g} in this row, as when the plunger is parallel to the face",
@@ -111,61 +115,39 @@ def _check_stds(instrument: Instrument, samples: Samples) -> None:
     for block in instrument.blocks:
         if isinstance(block.std, str) and block.std in samples.columns:
             values = samples.columns[block.std]
-            wrong = np.flatnonzero(~((values > 0) & np.isfinite(values)))
-            if wrong.size:
-                line = samples.lines[int(wrong[0])]
+            for row in np.flatnonzero(~((values > 0) & np.isfinite(values)))[:1]:
+                where = f"{samples.file}, line {samples.lines[int(row)]}"
                 raise ProblemError(
-                    f"{samples.file}, line {line}: the noise in the column '{block.std}' is {values[wrong[0]]:g}",
+                    f"{where}: the noise in the column '{block.std}' is {values[row]:g}",
                     "Give a positive standard deviation in every row, or remove the row",
                 )
-
-
-def _elsewhere(problem: Problem, i: int) -> Array:
-    model = problem.models[i]
-    values = dict.fromkeys(model.names, 0.0)
-    for effect in model.effects:
-        values |= effect.away(Site(problem.robot, problem.instruments[i]))
-    return np.array(list(values.values()))
 
 
 def _patterns(
     problem: Problem, i: int, slots: Sequence[Slot], samples: Samples
 ) -> tuple[tuple[tuple[Slot, ...], ...], NDArray[np.int32]]:
     """Different combinations of slots that rows see, and which of them each row (N,) sees."""
-    by_name = {slot.name: slot for slot in slots}
-    label_columns = problem.layout(i).labels
-    full_names = _full_names(problem, i)
+    label_columns, unknowns, own = problem.layout(i).labels, problem.models[i].unknowns, problem.full_names[i]
+    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
+    # what the problem calls each unknown that the instrument sees: its own, the arm's, and those of effects
+    names = {key: own.get(key, key if key in of_all else problem.prefix(i) + key) for key in unknowns}
     distinct, pattern = combinations([samples.labels[name] for name in label_columns], len(samples))
-    if not len(samples):  # an instrument left out: its tip is asked for all the same
-        return (_any_slots(full_names.values(), slots),), pattern
+    if not len(samples):  # an instrument left out: its tip is asked for all the same, whatever its label
+        first = {slot.key: slot for slot in reversed(slots)}
+        return (tuple(first[name] for name in names.values()),), pattern
+    by_name = {slot.name: slot for slot in slots}
     patterns = []
     for labels in distinct:
-        here = dict(zip(label_columns, labels, strict=True))
-        names = []
-        for key, unknown in problem.models[i].unknowns.items():
-            full = full_names[key]
+        here, seen = dict(zip(label_columns, labels, strict=True)), []
+        for key, unknown in unknowns.items():
+            name = names[key]
             if unknown.per is not None:
-                full = f"{full}.{problem.instruments[i].instance(key, here[unknown.per])}"
-            names.append(full)
-            if full not in by_name:
+                name = f"{name}.{problem.instruments[i].instance(key, here[unknown.per])}"
+            if name not in by_name:
                 raise ProblemError(
                     f"{samples.file}: some rows are labelled '{here[unknown.per or '']}', the fitted rows are not",
                     "Fit some rows of each label",
                 )
-        patterns.append(tuple(by_name[name] for name in names))
+            seen.append(by_name[name])
+        patterns.append(tuple(seen))
     return tuple(patterns), pattern
-
-
-def _full_names(problem: Problem, i: int) -> dict[str, str]:
-    """What the problem calls each unknown that instrument `i` sees: its own, the arm's, and those of effects."""
-    of_all = {*problem.robot.parameters, *(effect.key for effect in problem.effects if effect.moves)}
-    own = problem.full_names[i]
-    return {key: own.get(key, key if key in of_all else problem.prefix(i) + key) for key in problem.models[i].unknowns}
-
-
-def _any_slots(keys: Iterable[str], slots: Sequence[Slot]) -> tuple[Slot, ...]:
-    """A slot of each unknown, whatever its label."""
-    first = dict[str, Slot]()
-    for slot in slots:
-        first.setdefault(slot.key, slot)
-    return tuple(first[key] for key in keys)

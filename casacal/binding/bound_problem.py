@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import make_block
+from casacal.binding.evaluated_rows import EvaluatedRows
+from casacal.binding.kernel_rows import KernelRows
 from casacal.binding.noise_scale import scaled_noise
 from casacal.binding.nominal import surveys_of
-from casacal.binding.postures import Postures
 from casacal.binding.raw_graph import RawGraph
-from casacal.binding.row_groups import RowGroups, places
-from casacal.binding.slots import Slot, coordinates, make_slots, nominals
-from casacal.binding.sums import COMPACT, Sums
+from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.effect import Survey
-from casacal.kernels.filter_passes import extended_pass
-from casacal.least_squares.arrow import Arrow, Groups
-from casacal.least_squares.elimination import GroupRows
-from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import ExtendedPass, FilterPass, LeastSquares, Normal, Step
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements, sets_of
+from casacal.samples.measurements import Measurements, Places, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import FrozenMapping, alike, short
+from casacal.values import FrozenMapping, alike, read_only, short
 
 NO_FACTORS: Mapping[str, float] = FrozenMapping({})
 
@@ -60,7 +51,7 @@ def bind(
     return BoundProblem(problem, make_slots(problem, sets := sets_of(samples)), sets, backend, threads)
 
 
-class BoundProblem(Postures, AllRows, LeastSquares):
+class BoundProblem(EvaluatedRows):
     """A `Problem` with its samples; see `bind`."""
 
     def __init__(
@@ -72,21 +63,30 @@ class BoundProblem(Postures, AllRows, LeastSquares):
         threads: int | None = None,
         scale: Mapping[str, float] = NO_FACTORS,
         surveys: Sequence[Survey | None] = (),
-        stated: Sequence[RowGroups] = (),
+        stated: KernelRows | None = None,
     ) -> None:
         self.problem, self.slots, self.samples = problem, tuple(slots), tuple(samples)
         self.scale = FrozenMapping(scale)
-        at = coordinates(self.slots)
-        self.names, self.units, self.beside = at.names, at.units, at.beside
-        self.x0, self.prior_std, self.start_std, self.datum = at.x0, at.prior_std, at.start_std, at.datum
+        seen, none = [slot for slot in self.slots if slot.unknown.size], np.zeros(0)
+        sizes = [slot.unknown.size for slot in seen]
+        self.names = tuple(name for slot in seen for name in slot.unknown.names(slot.name))
+        self.units = tuple(unit for slot in seen for unit in slot.unknown.units)
+        self.beside = tuple(slot.beside for slot in seen for _ in slot.columns)
+        """The effect that each unknown (n,) belongs to, or none."""
+        self.x0 = read_only(np.zeros(sum(sizes)))
+        self.prior_std = read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)]))
+        self.start_std = read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)]))
+        self.datum = read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool))
         self.surveys = tuple(surveys) or surveys_of(problem, samples, nominals(self.slots))
         self._asked, self._threads = backend, thread_count(threads)
-        made = (make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples))
-        rows = tuple(stated) or tuple(RowGroups(block, self.unknowns, backend, self._threads) for block in made)
-        self.blocks = tuple(each.block for each in rows)
-        self.blocks = scaled_noise(self, self.scale)
-        self._stated = rows  # with the noise as it was stated
-        self._groups = tuple(each.with_noise(block) for each, block in zip(rows, self.blocks, strict=True))
+        if stated is None:
+            made = [make_block(problem, i, self.slots, some, self.surveys[i]) for i, some in enumerate(samples)]
+            stated = KernelRows(made, self.unknowns, backend, self._threads)
+        self._stated = self._rows = stated  # with the noise as it was stated
+        self.blocks = stated.blocks
+        if self.scale:
+            self.blocks = scaled_noise(self, self.scale)
+            self._rows = stated.with_noise(self.blocks)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made from; kernels and sums are computed again."""
@@ -105,14 +105,18 @@ class BoundProblem(Postures, AllRows, LeastSquares):
     def __repr__(self) -> str:
         return f"<{self.problem!r}, bound to {self.rows} rows: {self.unknowns} unknowns {short(self.names)}>"
 
-    @property
-    def rows(self) -> int:
-        """Scalar residuals of all instruments."""
-        return int(self.starts[-1])
-
     def on(self, *samples: Samples | Measurements) -> BoundProblem:
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return self._like(self.slots, sets_of(samples), self.scale)
+
+    def take(self, rows: Sequence[int] | Places) -> BoundProblem:
+        """The same unknowns on some of the samples, by their numbers."""
+        return self.on(*self.measured.take(rows).sets)
+
+    def thinned(self, most: int) -> BoundProblem:
+        """Itself, or so many of its samples, evenly spread."""
+        count = len(self.measured)
+        return self if count <= most else self.take(np.unique(np.linspace(0, count - 1, most).astype(int)))
 
     def under(self, problem: Problem) -> BoundProblem:
         """The same rows and nominal values under another problem of the same geometry, such as one with effects."""
@@ -132,96 +136,8 @@ class BoundProblem(Postures, AllRows, LeastSquares):
         return self._like(self.slots, self.samples, scale)
 
     def _like(self, slots: Sequence[Slot], samples: Sequence[Samples], scale: Mapping[str, float]) -> BoundProblem:
-        stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else ()
+        stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
-
-    @property
-    def backend(self) -> str:
-        """What evaluates the rows: "c" or "blocks"."""
-        return self._groups[0].backend
-
-    def plain_residual(self, x: Array) -> Array:
-        """Residuals (rows,) in their own unit, mm for a plane, before whitening."""
-        return np.concatenate([groups.residual(x).ravel() for groups in self._groups])
-
-    def residual(self, x: Array) -> Array:
-        """Whitened residuals (rows,) at x (n,)."""
-        pairs = zip(self._groups, self.blocks, strict=True)
-        return np.concatenate([(groups.residual(x) / block.noise).ravel() for groups, block in pairs])
-
-    def jacobian(self, x: Array) -> Array:
-        """Whitened Jacobian (rows, n) at x (n,)."""
-        parts = []
-        for groups, block in zip(self._groups, self.blocks, strict=True):
-            whole = np.zeros((*block.noise.shape, self.unknowns))
-            for piece, _, slopes in groups.slopes(x):
-                whole[piece.rows[:, None, None], np.arange(slopes.shape[1])[:, None], piece.columns] = (
-                    slopes / block.noise[piece.rows][..., None]
-                )
-            parts.append(whole.reshape(block.noise.size, self.unknowns))
-        return np.vstack(parts)
-
-    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Cost, gradient and information of the data, accumulated in the kernels: the Jacobian is never held."""
-        return self._sums.normal(x, loss)
-
-    @property
-    def groups(self) -> Groups | None:
-        """Which unknowns belong to one label alone, where these are many: they are taken out label by label."""
-        return self._sums.groups
-
-    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
-        """The whitened Jacobian at x (n,) group by group, where information is an arrow; rows weighted by a loss."""
-        return self._sums.group_rows(x, loss)
-
-    def damped_step(self, x: Array, normal: Normal, damping: float) -> Step | None:
-        """A damped Gauss-Newton step; in C where rows are evaluated in C."""
-        native, information = self._sums.native, normal.information
-        if native is None or isinstance(information, Arrow):
-            return super().damped_step(x, normal, damping)
-        found = native.step(x, normal.gradient, information, damping)
-        return None if found is None else Step(*found)
-
-    def compact_jacobian(self, x: Array) -> Array:
-        """Rows (k, n) with the J'J of the whitened Jacobian: itself, or the triangle R of many rows."""
-        return self.jacobian(x) if self.rows <= COMPACT else self._sums.triangles(x)
-
-    @cached_property
-    def _sums(self) -> Sums:
-        return Sums(self._groups, self.slots, (self.x0, self.start_std, self.prior_information), self._threads)
-
-    def costs(self, states: Array) -> Array:
-        """Objective at many states (m, n): (m,)."""
-        away = states - self.x0
-        away *= away
-        total = away @ (self.prior_information / 2)
-        for groups in self._groups:
-            total += groups.costs(states)
-        return np.asarray(total)
-
-    def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass:
-        """Let a cubature filter take in the rows of one instrument from `first` on, in C where there is a compiler."""
-        groups, row = self._locate(first)
-        done = groups.filter_pass(row, self.x0, self.start_std, mean, root)
-        return replace(done, stop=first - row + done.stop)
-
-    def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:
-        """Let an extended filter take in all rows, in C where there is a compiler."""
-        if self._sums.packed is None:
-            return None
-        mean, covariance = mean.copy(), np.ascontiguousarray(covariance.copy())
-        trace = extended_pass(self._sums.packed, places(self._groups), self.x0, self.start_std, mean, covariance)
-        return ExtendedPass(mean, covariance, *trace)
-
-    def row(self, k: int, states: Array) -> Array:
-        """Whitened residual k at many states (m, n): (m,)."""
-        groups, row = self._locate(k)
-        return groups.row(row, states)
-
-    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
-        """Whitened residual k and its gradient (n,) at x (n,)."""
-        groups, row = self._locate(k)
-        return groups.row_jacobian(row, x)
 
     def first_part(self) -> tuple[BoundProblem, NDArray[np.intp]] | None:
         """The geometry alone, where there are effects beside it."""
@@ -235,13 +151,9 @@ class BoundProblem(Postures, AllRows, LeastSquares):
     @cached_property
     def graph(self) -> RawGraph:
         """The symbolic form in raw coordinates, for the IPOPT reference."""
-        return RawGraph.of(self.slots, self.blocks, self._threads)
+        return RawGraph(self.slots, self.blocks, self._threads)
 
     @cached_property
     def symbolic(self) -> SymbolicProblem:
         """All rows as CasADi expressions of x, for one's own programs and solvers."""
         return SymbolicProblem(self, self.slots, self.blocks)
-
-    def _locate(self, k: int) -> tuple[RowGroups, int]:
-        i = int(np.searchsorted(self.starts, k, side="right")) - 1
-        return self._groups[i], k - int(self.starts[i])

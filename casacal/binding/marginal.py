@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.blocks import Block
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import Slot, make_slots
+from casacal.binding.slots import make_slots
 from casacal.estimators import lm
 from casacal.least_squares.elimination import GroupRows, taken_out, triangle
 from casacal.least_squares.losses import Loss
-from casacal.least_squares.objective import LeastSquares, Normal
+from casacal.least_squares.objective import Normal
 from casacal.least_squares.restricted import Restricted
-from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
 
-class Marginal(LeastSquares):
+class Marginal(Restricted):
     """Some unknowns (s,) of a bound problem: not those of single labels where these are many, and not all of effects.
 
     The others stand at a given x and move freely with these: information is what is left after they are taken out.
@@ -29,55 +27,25 @@ class Marginal(LeastSquares):
     tip (`motion`).
     """
 
+    whole: BoundProblem
+
     def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
         shared = np.arange(whole.unknowns) if whole.groups is None else whole.groups.shared
-        self.whole, self.at = whole, at.copy()
         kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
         self._effects = np.array([bool(whole.beside[j]) and whole.beside[j] not in kept for j in shared], dtype=bool)
-        self._with_effects, self.shared = shared, shared[~self._effects]
-        self.names = tuple(whole.names[j] for j in self.shared)
-        self.units = tuple(whole.units[j] for j in self.shared)
-        self.x0, self.prior_std = whole.x0[self.shared], whole.prior_std[self.shared]
-        self.start_std, self.datum = whole.start_std[self.shared], whole.datum[self.shared]
+        self._with_effects = shared
+        super().__init__(whole, np.isin(np.arange(whole.unknowns), shared[~self._effects]), at)
+        self.shared = self.free
+        self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
 
     def __eq__(self, other: object) -> bool:
         if self is other or not isinstance(other, Marginal):
             return self is other
-        same = np.array_equal(self.shared, other.shared) and np.array_equal(self.at, other.at)
+        same = np.array_equal(self.free, other.free) and np.array_equal(self.held_at, other.held_at)
         return same and self.whole == other.whole
 
     def __hash__(self) -> int:
         return hash((self.whole, self.names))
-
-    @property
-    def problem(self) -> Problem:
-        """Robot and instruments."""
-        return self.whole.problem
-
-    @property
-    def blocks(self) -> tuple[Block, ...]:
-        """The rows of each instrument."""
-        return self.whole.blocks
-
-    @property
-    def slots(self) -> Sequence[Slot]:
-        """Every unknown, those taken out among them."""
-        return self.whole.slots
-
-    @property
-    def rows(self) -> int:
-        """Scalar residuals of all instruments."""
-        return self.whole.rows
-
-    def expand(self, x: Array) -> Array:
-        """All unknowns (n,) at the shared ones (s,)."""
-        full = self.at.copy()
-        full[self.shared] = x
-        return full
-
-    def residual(self, x: Array) -> Array:
-        """Whitened residuals (rows,), the unknowns of single labels where they stand."""
-        return self.whole.residual(self.expand(x))
 
     def jacobian(self, x: Array) -> Array:
         """As many rows as are needed for its J'J: rows of samples mix where unknowns are taken out."""
@@ -97,21 +65,10 @@ class Marginal(LeastSquares):
         part = GroupRows(np.arange(len(rows)), members, among, rows[:, members], rows[:, among])
         return triangle([taken_out(part.held(prior[self._with_effects[members]])).rows], among.size)
 
-    def row(self, k: int, states: Array) -> Array:
-        """Whitened residual k at many states (m, s): (m,)."""
-        full = np.tile(self.at, (len(states), 1))
-        full[:, self.shared] = states
-        return self.whole.row(k, full)
-
-    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
-        """Whitened residual k and its gradient (s,), the others held."""
-        r, gradient = self.whole.row_jacobian(k, self.expand(x))
-        return r, gradient[self.shared]
-
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
         """Cost and gradient (s,) where the others stand, information (s, s) with them taken out."""
         there, rows = self.whole.normal(self.expand(x), loss), self.compact_jacobian(x)
-        return Normal(there.cost, there.gradient[self.shared], rows.T @ rows)
+        return Normal(there.cost, there.gradient[self.free], rows.T @ rows)
 
     def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
         """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
@@ -124,27 +81,24 @@ class Marginal(LeastSquares):
 
     def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Derivative (3 N, s) of those tips by x, in units of mm per unit of x."""
-        return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.shared)
+        return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free)
 
 
 Seen: TypeAlias = BoundProblem | Marginal
 """What figures of the arm are worked out from."""
 
 
-def seen(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
+def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, Array]:
     """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
     if bound.groups is None and not any(bound.beside):
         return bound, x
-    found = Marginal(bound, x)
-    return found, x[found.shared]
+    found = Marginal(bound, x, motion=motion)
+    return found, x[found.free]
 
 
 def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
     """All that moves the tip at x (n,), geometry and effects beside it, and the part of x that it has."""
-    if bound.groups is None and not any(bound.beside):
-        return bound, x
-    found = Marginal(bound, x, motion=True)
-    return found, x[found.shared]
+    return seen(bound, x, motion=True)
 
 
 def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:

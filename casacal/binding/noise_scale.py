@@ -11,8 +11,7 @@ from casacal.array_types import Array
 from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import Block
 
-OTHERS = ""
-"""Stands for every face that is not named."""
+OTHERS = ""  # stands for every face that is not named
 
 SHARED = "\0shared"
 """Stands for the part of the noise's variance that repeated touches share; no label holds a zero byte."""
@@ -22,20 +21,12 @@ REPEATABILITY = "\0joints"
 
 
 def scaled_noise(rows: AllRows, scale: Mapping[str, float]) -> tuple[Block, ...]:
-    """Blocks whose noise is what was stated times the factor of each row, with what joints do not repeat.
-
-    As they are without factors.
-    """
-    if not scale:
-        return rows.blocks
-    whole = factors(rows, scale)
-    each = [whole[rows.sample_rows(i)].reshape(block.noise.shape) for i, block in enumerate(rows.blocks)]
-    return tuple(replace(b, noise=_scaled(b, some, scale)) for b, some in zip(rows.blocks, each, strict=True))
-
-
-def _scaled(block: Block, factors: Array, scale: Mapping[str, float]) -> Array:
-    noise = block.noise * factors
-    return np.hypot(noise, joints * block.joint_noise) if (joints := scale.get(REPEATABILITY, 0.0)) > 0 else noise
+    """Blocks whose noise is what was stated times the factor of each row, with what joints do not repeat."""
+    whole, joints, found = factors(rows, scale), scale.get(REPEATABILITY, 0.0), []
+    for i, block in enumerate(rows.blocks):
+        noise = block.noise * whole[rows.sample_rows(i)].reshape(block.noise.shape)
+        found.append(replace(block, noise=np.hypot(noise, joints * block.joint_noise) if joints > 0 else noise))
+    return tuple(found)
 
 
 def factors(rows: AllRows, scale: Mapping[str, float]) -> Array:

@@ -30,16 +30,13 @@ def row_columns(
     problem: Problem, i: int, samples: Samples, survey: Survey | None, proposed: Proposed = NOTHING
 ) -> dict[str, Array]:
     """Columns that were read, those known from labels, and those that effects ask for, each (N,)."""
-    columns = _instrument_columns(problem, i, samples)
-    effects = problem.models[i].effects
+    columns, effects = _instrument_columns(problem, i, samples), problem.models[i].effects
     site = Site(problem.robot, problem.instruments[i])
-    if not any(effect.columns(site) for effect in effects):
-        return columns
-    tips = nominal_tips(problem, i, samples, proposed)
-    assert survey is not None
-    rows = Rows(samples, tips, survey)
-    for effect in effects:
-        columns |= effect.values(site, rows)
+    if any(effect.columns(site) for effect in effects):
+        assert survey is not None
+        rows = Rows(samples, nominal_tips(problem, i, samples, proposed), survey)
+        for effect in effects:
+            columns |= effect.values(site, rows)
     return columns
 
 
@@ -85,17 +82,14 @@ def _nominal_inputs(
 ) -> tuple[Array, Array, Array]:
     """(z, c, d) of the nominal robot for all rows."""
     model = problem.models[i]
-    z = np.zeros(sum(u.size for u in model.unknowns.values()))
-    known = [
-        proposed.get(k, np.full(model.unknowns[k].nominal_size, np.nan))
-        if (n := model.unknowns[k].nominal) is None
-        else n
-        for k in model.constants
-    ]
+    constants = [np.zeros(0)]
+    for key in model.constants:
+        nominal, size = model.unknowns[key].nominal, model.unknowns[key].nominal_size
+        constants.append(proposed.get(key, np.full(size, np.nan)) if nominal is None else nominal)
     own = _instrument_columns(problem, i, samples)
-    beside = len(problem.models[i].names) - len(own)  # effects vanish at the nominal, whatever they ask for
+    beside = len(model.names) - len(own)  # effects vanish at the nominal, whatever they ask for
     data = np.column_stack([samples.joints, *own.values(), *np.zeros((beside, len(samples)))])
-    return z, np.concatenate(known or [np.zeros(0)]), data
+    return np.zeros(model.residual.numel_in(0)), np.concatenate(constants), data
 
 
 def _instrument_columns(problem: Problem, i: int, samples: Samples) -> dict[str, Array]:

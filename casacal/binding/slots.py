@@ -33,16 +33,8 @@ def instances(
     return list(have.rows().items())
 
 
-def check_rows(
-    problem: Problem,
-    i: int,
-    key: str,
-    unknown: Unknown,
-    label: str | None,
-    rows: NDArray[np.intp],
-    samples: Samples,
-    *,
-    fits_all: bool,
+def _check_rows(
+    problem: Problem, i: int, unknown: Unknown, which: str, rows: int, samples: Samples, *, fits_all: bool
 ) -> None:
     """Raise ProblemError where a datum of instrument `i` has no more rows than flat unknowns of its own.
 
@@ -50,29 +42,22 @@ def check_rows(
     """
     components = problem.models[i].components
     flat = int((~np.isfinite(unknown.prior_stds)).sum())
-    if key not in problem.instruments[i].datum or len(rows) * components > flat:
+    if rows * components > flat:
         return
-    which = f"'{label}'" if label is not None else f"'{key}'"
+    fix, instrument = f"Take at least {flat // components + 1} rows there", problem.instruments[i]
+    if fits_all and len(problem.instruments) > 1:
+        fix += ", and many more to learn about the arm"
+    elif fits_all:
+        own = sum(u.size * len(instances(instrument, key, u, samples)) for key, u in instrument.unknowns.items())
+        total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
+        for_all = f"at least {-(-total // components)} in all for {counted(total, 'unknown')}"
+        fix += f", and {for_all}, better twice as many; or hold parameters with --fix"
     raise ProblemError(
-        f"{samples.file}: {which} has {counted(len(rows), 'row')} for {counted(flat, 'unknown')} of its own",
-        f"Take at least {flat // components + 1} rows there" + (_in_all(problem, i, samples) if fits_all else ""),
+        f"{samples.file}: '{which}' has {counted(rows, 'row')} for {counted(flat, 'unknown')} of its own", fix
     )
 
 
-def _in_all(problem: Problem, i: int, samples: Samples) -> str:
-    """How many rows all faces together need to calibrate, as the end of a sentence."""
-    if len(problem.instruments) > 1:
-        return ", and many more to learn about the arm"
-    instrument = problem.instruments[i]
-    own = sum(u.size * len(instances(instrument, key, u, samples)) for key, u in instrument.unknowns.items())
-    total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
-    least = -(-total // problem.models[i].components)
-    for_all = f"at least {least} in all for {counted(total, 'unknown')}"
-    return f", and {for_all}, better twice as many; or hold parameters with --fix"
-
-
-ENOUGH = 20_000
-"""Rows of a face that propose where it is."""
+ENOUGH = 20_000  # rows of a face that propose where it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +85,8 @@ class Slot(Value):
 
     def sized(self, times: float) -> Slot:
         """The same with all prior standard deviations multiplied."""
-        return (
-            self
-            if times == 1
-            else replace(self, unknown=self.unknown.with_prior([float(std) * times for std in self.unknown.prior_stds]))
-        )
+        stds = [float(std) * times for std in self.unknown.prior_stds]
+        return self if times == 1 else replace(self, unknown=self.unknown.with_prior(stds))
 
     def value(self, x: Array) -> Any:
         """Its value at x (n,)."""
@@ -122,34 +104,6 @@ class Slot(Value):
 def nominals(slots: Sequence[Slot]) -> dict[str, Array]:
     """Nominal values by name, of what does not differ by label."""
     return {slot.name: slot.nominal for slot in slots if slot.label is None}
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """What is known of each coordinate of x (n,) beforehand; `beside` names the effect that it belongs to, or none."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    beside: tuple[str, ...]
-    x0: Array
-    prior_std: Array
-    start_std: Array
-    datum: NDArray[np.bool_]
-
-
-def coordinates(slots: Sequence[Slot]) -> Coordinates:
-    """Of all slots, in their order."""
-    seen = [slot for slot in slots if slot.unknown.size]
-    sizes, none = [slot.unknown.size for slot in seen], np.zeros(0)
-    return Coordinates(
-        tuple(name for slot in seen for name in slot.unknown.names(slot.name)),
-        tuple(unit for slot in seen for unit in slot.unknown.units),
-        tuple(slot.beside for slot, size in zip(seen, sizes, strict=True) for _ in range(size)),
-        read_only(np.zeros(sum(sizes))),
-        read_only(np.concatenate([none, *(slot.unknown.prior_stds for slot in seen)])),
-        read_only(np.concatenate([none, *(slot.unknown.start_stds for slot in seen)])),
-        read_only(np.repeat([slot.datum for slot in seen], sizes).astype(bool)),
-    )
 
 
 def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str, Array] | None = None) -> list[Slot]:
@@ -187,8 +141,8 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
                 if name in taken:  # shared with an instrument before
                     continue
                 nominal = known.get(name, unknown.nominal)
-                if name not in known:
-                    check_rows(problem, i, key, unknown, label, rows, samples[i], fits_all=fits_all)
+                if name not in known and key in instrument.datum:
+                    _check_rows(problem, i, unknown, label or key, len(rows), samples[i], fits_all=fits_all)
                 if nominal is None:
                     few = rows[:: -(-len(rows) // ENOUGH) or 1]
                     nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))

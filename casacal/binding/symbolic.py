@@ -14,6 +14,7 @@ library's own `lm` and `ipopt` are several times faster on the plain objective: 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,14 +27,13 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
-from casacal.binding.symbolic_steps import cubature_step, damped_step
 from casacal.errors import ProblemError
+from casacal.kernels.filter_passes import Cubature
 from casacal.kinematics import Expression
 from casacal.least_squares.objective import LeastSquares
 from casacal.problem.compile import RowModel
 
-PIECE = 256
-"""Rows mapped together: what derivatives hold at a time."""
+PIECE = 256  # rows mapped together: what derivatives hold at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class SymbolicProblem:
         self._information, self._slots, found, first = problem.prior_information, tuple(slots), [], 0
         for i, block in enumerate(blocks):
             for k, some in enumerate(block.slots):
-                rows, seen = np.flatnonzero(block.pattern == k), tuple(slot.name for slot in some)
+                rows, seen = block.by_pattern[k], tuple(slot.name for slot in some)
                 constants, columns, noise = block.constants[k], block.columns[k], block.noise[rows]
                 found.append(RowKind(block.model, i, seen, columns, constants, rows, first, block.rows(rows), noise))
             first += block.noise.size
@@ -158,7 +158,13 @@ class SymbolicProblem:
 
         Damped in the prior's metric, as `LeastSquares.damped_step`.
         """
-        return damped_step(self.normal, self.x0, self._information, self.start_std)
+        x, mu, scale = self._x, ca.MX.sym("mu"), ca.DM(self.start_std)
+        _, gradient, squares = self.normal(x)
+        whole = squares + ca.DM(np.diag(self._information))
+        matrix = ca.densify(ca.mtimes(scale, scale.T) * whole + mu * ca.DM.eye(len(self.names)))
+        slope = scale * (gradient + ca.DM(self._information) * (x - ca.DM(self.x0)))
+        step = ca.solve(matrix, -slope, "ldl")
+        return ca.Function("damped_step", [x, mu], [x + scale * step], ["x", "mu"], ["x_next"])
 
     def cubature_step(self, kind: RowKind) -> ca.Function:
         """One step of the square-root cubature Kalman filter for a row of a kind, eqs (15)-(24) as corrected.
@@ -167,7 +173,19 @@ class SymbolicProblem:
         identity. The residuals of the row are taken in one by one. A row that leaves less than 1e-10 of a variance
         gives what is not a number: there the NumPy filter triangularises in full.
         """
-        return cubature_step(kind.model, kind.columns, kind.constants, self.x0, self.start_std)
+        n, model, kept = len(self.names), kind.model, Cubature(kind.model.residual, "blocks")
+        mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
+        d, w = ca.MX.sym("d", model.residual.numel_in(2)), ca.MX.sym("w", model.components)
+        seen, once = kind.columns.tolist(), ca.vertcat(ca.DM(kind.constants), d)
+        base, unit = ca.DM(self.x0[kind.columns]), ca.DM(self.start_std[kind.columns])
+        new_mean, new_root = mean, root
+        for component in range(model.components):
+            centre = ca.repmat(base + unit * new_mean[seen], 1, n)
+            spread = ca.repmat(math.sqrt(n) * unit, 1, n) * new_root[seen, :]
+            points = ca.horzcat(centre + spread, centre - spread).T
+            new_mean, new_root, _ = kept.step(n, component)(points, once, 1 / w[component], new_mean, new_root)
+        names, made = ["mean", "root", "d", "w"], ["mean_next", "root_next"]
+        return ca.Function("cubature_step", [mean, root, d, w], [new_mean, new_root], names, made)
 
     @property
     def _x(self) -> ca.MX:
@@ -199,8 +217,8 @@ class SymbolicProblem:
         return model.residual.map("mapped", "serial", d.shape[1], [0, 1], [])(z, c, d) / w
 
     @staticmethod
-    def _cost(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:
-        return ca.sumsqr(SymbolicProblem._residuals(model, z, c, d, w)) / 2
+    def _cost(model: RowModel, *row: ca.MX) -> ca.MX:
+        return ca.sumsqr(SymbolicProblem._residuals(model, *row)) / 2
 
     @staticmethod
     def _sums(model: RowModel, z: ca.MX, c: ca.MX, d: ca.MX, w: ca.MX) -> ca.MX:

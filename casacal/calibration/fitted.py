@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.alone import each_alone
+from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import extended
 from casacal.calibration.given import Reference

@@ -16,6 +16,7 @@ from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool
 from casacal.checks.numbers import numbers
 from casacal.errors import CasacalError
 from casacal.instruments import Suspect
+from casacal.instruments.description import readings_within
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.wording import times
@@ -62,7 +63,7 @@ def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         cause = "the tool seems to be elsewhere"
         yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
     if probe is not None and probe.column is not None:
-        yield from _signs_of_faces(samples, probe.column, probe.label, probe.travel)
+        yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
     yield from numbers(problem)
     for i, j in permutations(range(len(turns)), 2):
         about = f"joint {j + 1} coupled to joint {i + 1}"
@@ -84,15 +85,15 @@ def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
 
 
-def _signs_of_faces(samples: Samples, column: str, label: str | None, travel: float) -> Iterator[Fault]:
-    """The reading of one face counted the other way, from zero or from the end of travel."""
+def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: float) -> Iterator[Fault]:
+    """The reading of one face counted the other way, from zero or from the other end; both ends add up to `ends`."""
     faces = samples.faces(label)
     if len(faces.names) < 2:
         return
     for name in faces.names:
         cause = f"the readings on '{name}' seem to have the wrong sign"
         fix = f"Reverse the sign of the readings on '{name}'"
-        for end in (0.0, travel):
+        for end in dict.fromkeys((0.0, ends)):
 
             def undo(problem: Problem, samples: Samples, name: str = name, end: float = end) -> Undone:
                 reading, rows = samples.columns[column].copy(), samples.faces(label).rows()[name]

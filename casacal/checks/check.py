@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.binding.alone import each_alone
+from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained, flips
 from casacal.checks.finding import Finding, misfit

@@ -14,6 +14,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import times
 from casacal.checks.finding import Finding
 from casacal.estimators import lm
+from casacal.instruments.description import readings_within
 from casacal.least_squares.losses import huber
 from casacal.least_squares.result import Result
 from casacal.uncertainty.figures import leverages
@@ -140,7 +141,7 @@ def lost_turns(
     probe, samples, own = bound.problem.instruments[i].probe, bound.samples[i], bound.sample_rows(i)
     if probe is None or probe.column is None or own.stop - own.start != len(samples):
         return {}
-    reading, sets = samples.columns[probe.column], list(bound.samples)
+    reading, sets, (low, high) = samples.columns[probe.column], list(bound.samples), readings_within(probe.travel)
     sets[i] = replace(samples, columns={**samples.columns, probe.column: reading + SMALL})
     here = bound.residual(result.x)[own]
     slopes = (bound.on(*sets).residual(result.x)[own] - here) / SMALL
@@ -151,7 +152,7 @@ def lost_turns(
         missing, spread = -float(here[k] / slopes[k]), SURE * scale / abs(float(slopes[k]))
         for turn in TURNS_MM:
             count = round(missing / turn)
-            sharp = spread < turn / 8 and (turn >= 0.5 or probe.travel <= SHORT_TRAVEL)
+            sharp = spread < turn / 8 and (turn >= 0.5 or high - low <= SHORT_TRAVEL)
             most = MOST_TURNS if turn == TURNS_MM[0] else 1
             if sharp and 1 <= abs(count) <= most and math.isclose(missing, count * turn, abs_tol=spread):
                 found[count * turn, count].append(k)

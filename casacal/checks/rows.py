@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.checks.finding import Finding
+from casacal.checks.finding import Finding, Severity
+from casacal.instruments.description import readings_within
 from casacal.problem.problem import Problem
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
@@ -21,6 +22,7 @@ from casacal.wording import counted
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
+LITTLE = 0.01  # part of its travel by which a dial may show more
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -38,15 +40,19 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
     findings = []
     probe = problem.instrument.probe
     if probe is not None and probe.column is not None:
-        reading = samples.columns[probe.column]
-        bad = (reading < 0) | (reading > probe.travel)
+        reading, (low, high) = samples.columns[probe.column], readings_within(probe.travel)
+        beyond = np.maximum(low - reading, reading - high)
+        bad = beyond > 0
         if bad.any():
+            least, most = float(reading.min()), float(reading.max())
+            little = float(beyond.max()) <= LITTLE * (high - low)
             cause = (
-                f"{counted(int(bad.sum()), 'reading')} outside 0 to {probe.travel:g} mm "
-                f"(from {reading.min():g} to {reading.max():g} mm)"
+                f"{counted(int(bad.sum()), 'reading')} outside {low:g} to {high:g} mm (from {least:g} to {most:g} mm)"
             )
-            fix = _within_travel(float(reading.min()), float(reading.max()), probe.travel)
-            findings.append(Finding("error", "readings outside travel", cause, fix, _lines(samples, bad)))
+            fix = "Dials show a little more than their travel; see that the plunger was not at its end there"
+            fix = fix if little else _declared(least, most, low)
+            severity: Severity = "warning" if little else "error"
+            findings.append(Finding(severity, "readings outside travel", cause, fix, _lines(samples, bad)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         if bad.any():
@@ -56,20 +62,16 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
     return findings
 
 
-def _within_travel(low: float, high: float, travel: float) -> str:
-    """What brings readings from low to high (mm) into a dial's travel, which begins at zero."""
-    if low >= 0:
-        return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={math.ceil(high)})"
-    longer = f", and declare the travel (--set travel={math.ceil(high - low)})" if high - low > travel else ""
-    if high < 0:
-        return (
-            "If the sign of the column is reversed, write the readings without the minus. If the dial was zeroed "
-            f"elsewhere, add the same {-low:g} mm or more to all{longer}"
-        )
-    return (
-        f"Check the rows below zero and the unit of the column. If they are right, the dial was zeroed elsewhere: add "
-        f"the same {-low:g} mm or more to all{longer}"
-    )
+def _declared(least: float, most: float, low: float) -> str:
+    """What to do about readings from least to most (mm) where the smallest should be `low`."""
+    ends = f"{math.floor(min(least, low)):g}:{math.ceil(most):g}"
+    if least >= low:
+        longer = f"{math.ceil(most)}" if low == 0 else ends
+        return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})"
+    middle = f"If the dial was set to zero within its travel, declare it (--set travel={ends})"
+    if most < 0 <= low:
+        return f"{middle}. If the sign of the column is reversed, write the readings without the minus"
+    return f"{middle}; otherwise check these rows and the unit of the column"
 
 
 def rounded(bound: BoundProblem) -> list[Finding]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 from casacal.cli.common import add, box_of
 from casacal.errors import CasacalError
@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from casacal.uncertainty.expectation import Box
 
 
+Value = TypeVar("Value")
+
+
 def add_adjustments(parser: argparse.ArgumentParser) -> None:
     """The options that change a problem without an editor."""
     add(parser, "--fix NAMES ...", "parameters to hold at nominal: alpha,a3,...")
     add(parser, "--free NAMES ...", "parameters to estimate that are held: tool,...")
-    words = "another number of the instrument, such as sign=-1, travel=25 or noise_std=0.02"
+    words = "another number of the instrument, such as sign=-1, travel=-5:5 or noise_std=0.02"
     add(parser, "--set NAME=NUMBER ...", words)
     add(parser, "--prior NAME=STD ...", "prior standard deviation in mm or rad, or inf")
     add(parser, "--accuracy MM", "scale the arm's priors to the accuracy that its maker states", kind=float)
@@ -35,7 +38,8 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
 
         problem = scaled_to_accuracy(problem, options.accuracy)
     if options.set:
-        problem = problem.with_settings(numbers_of("--set", options.set, "NAME=NUMBER", "sign=-1 or noise_std=0.02"))
+        example = "sign=-1, noise_std=0.02 or travel=-5:5"
+        problem = problem.with_settings(_read("--set", options.set, "NAME=NUMBER", example, number_or_range))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
     problem = problem.free(*free)
     problem = problem.with_prior(numbers_of("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
@@ -69,17 +73,22 @@ def stds_of(option: str, settings: Sequence[str]) -> dict[str, float]:
 
 def numbers_of(option: str, settings: Sequence[str], form: str, example: str) -> dict[str, float]:
     """Numbers by name that stand after an option; raises CasacalError for what is none."""
-    found = {}
+    return _read(option, settings, form, example, _number)
+
+
+def _read(
+    option: str, settings: Sequence[str], form: str, example: str, read: Callable[[str], Value]
+) -> dict[str, Value]:
+    """What stands by name after an option, read by a function that raises ValueError."""
+    found = dict[str, Value]()
     for setting in settings:
-        name, equals, number = setting.partition("=")
+        name, _, value = setting.partition("=")
         if name.strip() in found:
             raise CasacalError(f"{option} gives '{name.strip()}' twice", "Give it once")
         try:
-            found[name.strip()] = float(number)
+            found[name.strip()] = read(value)
         except ValueError:
-            equals = ""
-        if not equals or math.isnan(found.get(name.strip(), math.nan)):
-            raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}")
+            raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}") from None
     return found
 
 
@@ -95,6 +104,20 @@ def where(options: argparse.Namespace, source: ProblemFile) -> tuple[Box | None,
 
     box = None if options.box is None else box_of(options.box)
     return box, None if options.targets is None else read_joints(options.targets, source).joints
+
+
+def _number(text: str) -> float:
+    if math.isnan(value := float(text)):
+        raise ValueError(text)
+    return value
+
+
+def number_or_range(text: str) -> float | tuple[float, float]:
+    """10, or -5:5; raises ValueError for anything else, as argparse asks."""
+    if ":" not in text:
+        return _number(text)
+    low, high = (_number(part) for part in text.split(":"))
+    return low, high
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:

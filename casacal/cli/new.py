@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from casacal.cli.adjust import number_or_range
 from casacal.cli.common import DONE, add
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--tool X,Y,Z", "tip of the plunger at reading zero in the flange frame, mm, such as 0,0,120")
     words = "-1: a larger reading shortens the tool (pushed in); +1: lengthens it"
     add(parser, "--sign", words, choices=("-1", "+1", "1"))
+    add(parser, "--travel MM", "range of the dial, such as 10 or -5:5; default: 10", kind=number_or_range)
     add(parser, "--accuracy MM", "absolute accuracy of the arm as its maker states it", kind=float)
     add(parser, "--out DIR", "where to make the folder; default: here", default=".")
 
@@ -33,7 +35,8 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_text import Given
 
     sign = None if options.sign is None else int(options.sign)
-    given = Given(tool=None if options.tool is None else _triple(options.tool), sign=sign, accuracy=options.accuracy)
+    tool = None if options.tool is None else _triple(options.tool)
+    given = Given(tool=tool, sign=sign, travel=options.travel, accuracy=options.accuracy)
     if options.dh is not None:
         if options.tip or options.base:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")

@@ -7,12 +7,13 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from casacal.cli.adjust import number_or_range
 from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.problem.disturbances import Disturbances
+    from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "simulate samples, with the true arm"
@@ -20,7 +21,6 @@ HELP = "simulate samples, with the true arm"
 
 NUMBERS = {
     "tilt": ("DEG", "largest angle between plunger and face normal"),
-    "travel": ("MM", "range of the dial"),
     "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
     "resolution": ("MM", "resolution of the dial; 0 for none"),
     "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
+    add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
     for name, (unit, words) in NUMBERS.items():
         add(parser, f"--{name} {unit}", words, kind=float)
     words = "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated"
@@ -140,8 +141,7 @@ def _wave(text: str) -> tuple[int, float]:
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     from dataclasses import replace
 
-    from casacal.problem.cell import OF_FACES
-    from casacal.problem.disturbances import AMOUNTS, Disturbances
+    from casacal.problem.cell import AMOUNTS, OF_FACES, Disturbances
     from casacal.simulation.touches import default_cell
 
     instrument, problem = source.problem.instruments[0], source.problem
@@ -150,7 +150,7 @@ def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
     asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
     if asked and not faced:
         raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
-    others = ("outliers", "outlier_size", "gear_waves", "repeats", "approach")
+    others = ("travel", "outliers", "outlier_size", "gear_waves", "repeats", "approach")
     given = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
     if options.tilt is not None:
         given["tilt"] = math.radians(options.tilt)

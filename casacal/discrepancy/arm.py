@@ -80,14 +80,12 @@ def direction(down: Sequence[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-APART = 0.5
-"""By how much of what all give one joint gives more or less than the others."""
+APART = 0.5  # by how much of what all give one joint gives more or less than the others
 
 LEAST_SAG = 1.0
 """Sag (mm) below which joints that give by a radian per metre carry no weight, as those of an upright SCARA."""
 
-POSTURES = 64
-"""Joint values over which an arm's sag is averaged."""
+POSTURES = 64  # joint values over which an arm's sag is averaged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,5 +120,4 @@ class ThermalGrowth(OverTime):
         return ca.vertcat(ca.horzcat(matrix[:3, :3], matrix[:3, 3] * grown), matrix[3, :])
 
 
-SOON = 5.0
-"""Time constants of early growth in one session."""
+SOON = 5.0  # time constants of early growth in one session

@@ -101,11 +101,8 @@ class TorqueCompliance(Effect):
         return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))
 
 
-HEAVIEST = 1e5
-"""Kilograms of a link; more is another unit."""
-
-NOTHING = 1e-9
-"""Part of the largest moment that is rounding."""
+HEAVIEST = 1e5  # kilograms of a link; more is another unit
+NOTHING = 1e-9  # part of the largest moment that is rounding
 
 Triples = tuple[tuple[float, float, float], ...]
 

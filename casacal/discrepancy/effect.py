@@ -54,8 +54,8 @@ class Survey:
 
     faces: Mapping[str, FaceFrame]
     """By label; of those that were touched three times or more."""
-    lines: tuple[int, int]
-    """First and last line of the file."""
+    lines: tuple[int, ...]
+    """Lines of the rows in order, or of some, evenly over all: when a row was is a matter of rows, not of lines."""
     samples: Samples
     """The rows themselves, or, of very many, some of them."""
 
@@ -66,8 +66,10 @@ class Survey:
             name: FaceFrame.of(tips[rows]) for name, rows in samples.faces(label).rows().items() if len(rows) >= FEWEST
         }
         some = np.unique(np.linspace(0, len(samples) - 1, MANY).astype(int))
-        lines = (int(min(samples.lines)), int(max(samples.lines)))
-        return Survey(FrozenMapping(faces), lines, samples.take(some) if len(samples) > MANY else samples)
+        order = np.sort(np.asarray(samples.lines))[some]
+        return Survey(
+            FrozenMapping(faces), tuple(order.tolist()), samples.take(some) if len(samples) > MANY else samples
+        )
 
     def places(self, samples: Samples, tips: Array, label: str | None) -> Array:
         """Where on their faces rows lie (N, 2), -1 to 1; the middle of a face that was not fitted."""
@@ -78,16 +80,13 @@ class Survey:
         return found
 
     def when(self, samples: Samples) -> Array:
-        """Place (N,) of samples between the first (0) and the last (1) line that was fitted."""
-        first, last = self.lines
-        return (np.asarray(samples.lines, dtype=np.float64) - first) / max(last - first, 1)
+        """Place (N,) of samples between the first (0) and the last (1) row that was fitted; none lies beyond."""
+        places = np.arange(len(self.lines)) / max(len(self.lines) - 1, 1)
+        return np.interp(np.asarray(samples.lines, dtype=np.float64), self.lines, places)
 
 
-MANY = 2_000
-"""Rows that stand for all of them."""
-
-FEWEST = 3
-"""Touches that say where a face lies."""
+MANY = 2_000  # rows that stand for all of them
+FEWEST = 3  # touches that say where a face lies
 
 
 @dataclass(frozen=True)

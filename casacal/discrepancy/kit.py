@@ -7,8 +7,7 @@ from casacal.discrepancy.effect import Effect
 from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
 from casacal.discrepancy.smooth import Drift, FaceForm, JointField
 
-DOWN = (0.0, 0.0, -1.0)
-"""Gravity in the base frame of an arm that stands."""
+DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
 
 
 def kit(*, down: tuple[float, float, float] = DOWN) -> tuple[Effect, ...]:

@@ -35,8 +35,7 @@ class OverTime(Effect, ABC):
 WIDER = 1.5
 """Times its half width over which a face's form is a series of sines: where it ends, the series need not vanish."""
 
-SMALLEST_WEIGHT = 0.05
-"""Terms of a series below this part of the largest are left out."""
+SMALLEST_WEIGHT = 0.05  # terms of a series below this part of the largest are left out
 
 ORDERS = 6
 
@@ -133,15 +132,9 @@ class Drift(OverTime):
         return ca.mtimes(ca.reshape(getattr(here.p, self.key), len(WALK), -1).T, ca.vertcat(*shapes))
 
 
-JITTER = 1e-9
-"""Added to a covariance of one, so that rows at one place can both be pivots."""
-
-
-MOST_UNKNOWNS = 150
-"""Of all components of a residual together; the time that a fit takes grows with their cube."""
-
-ENOUGH = 1e-3
-"""Variance of a row, of one, below which it tells nothing that others have not told."""
+JITTER = 1e-9  # added to a covariance of one, so that rows at one place can both be pivots
+MOST_UNKNOWNS = 150  # of all components of a residual together; the time that a fit takes grows with their cube
+ENOUGH = 1e-3  # variance of a row, of one, below which it tells nothing that others have not told
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,7 @@ from casacal.kinematics import stacked_poses
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 
-EXACT = 1e-7
-"""Miss (mm; rad) below which the axes reproduce the robot's pose."""
+EXACT = 1e-7  # miss (mm; rad) below which the axes reproduce the robot's pose
 
 
 @dataclass(frozen=True)

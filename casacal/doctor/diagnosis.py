@@ -20,20 +20,14 @@ from casacal.robots.robot import Robot
 
 TOLERANCE = 3.0
 """Miss (mm, and mrad) within which a row counts as explained: rounding of joints at arm's length, and no more."""
-ENOUGH = 3
-"""Different postures below which nothing counts as certain."""
-DIFFERENT = np.radians(1.0)
-"""Motion of a joint (rad; or mm over 300) that makes a posture a different one."""
+ENOUGH = 3  # different postures below which nothing counts as certain
+DIFFERENT = np.radians(1.0)  # motion of a joint (rad; or mm over 300) that makes a posture a different one
 REACH = 1.2
 """Fraction of the farthest random posture's distance from the base beyond which a unit of length is ruled out."""
-MOST_JOINTS = 7
-"""Joints beyond which there are more readings than a search can hold."""
-MOST_TURNING = 25.0
-"""Joint values beyond which a column cannot be in radians."""
-FEW = 6
-"""Conventions of the other rows up to which the numbers of a row are looked at one by one."""
-WORTH_LEAVING_OUT = range(3, 13)
-"""Numbers of rows at which each is left out in turn when no convention fits all."""
+MOST_JOINTS = 7  # joints beyond which there are more readings than a search can hold
+MOST_TURNING = 25.0  # joint values beyond which a column cannot be in radians
+FEW = 6  # conventions of the other rows up to which the numbers of a row are looked at one by one
+WORTH_LEAVING_OUT = range(3, 13)  # numbers of rows at which each is left out in turn when no convention fits all
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,12 @@ from casacal.errors import SamplesError
 from casacal.tables.text import Table, read_table
 
 ANGLES = {"deg": np.pi / 180, "rad": 1.0}
-LENGTHS = {"mm": 1.0, "m": 1000.0}
-"""Units that are tried, with their factor to rad and mm."""
+LENGTHS = {"mm": 1.0, "m": 1000.0}  # units that are tried, with their factor to rad and mm
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 TRIPLES = (("rx", "ry", "rz"), ("a", "b", "c"), ("w", "p", "r"), ("o", "a", "t"))
 """Names that three columns of an orientation may have, in the order of the pendant; what they mean is found."""
-LARGEST = 1e9
-"""What no joint value, length or angle of a robot exceeds in any unit."""
+LARGEST = 1e9  # what no joint value, length or angle of a robot exceeds in any unit
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,9 @@ from casacal.robots.joint_space import random_joints
 from casacal.robots.joints import Conventions
 from casacal.robots.robot import Robot
 
-SAME = 1e-6
-"""Difference (mm; rad) at random joint values below which two conventions are one."""
-COMPARED = 24
-"""Random joint values at which they are compared."""
-MOST_MEANINGS = 48
-"""Different meanings that are told apart; when more fit, the rows say next to nothing."""
+SAME = 1e-6  # difference (mm; rad) at random joint values below which two conventions are one
+COMPARED = 24  # random joint values at which they are compared
+MOST_MEANINGS = 48  # different meanings that are told apart; when more fit, the rows say next to nothing
 
 
 @dataclass(frozen=True)
@@ -102,10 +99,8 @@ def changes(conventions: Conventions) -> tuple[int, int, float, tuple[float, ...
     return changed, len(conventions.coupling), size, (*(-s for s in conventions.signs), *conventions.offsets)
 
 
-TRIED = 300
-"""Random postures among which the most telling one is chosen."""
-TOLD = 5.0
-"""Multiples of the tolerance by which a posture must separate two conventions."""
+TRIED = 300  # random postures among which the most telling one is chosen
+TOLD = 5.0  # multiples of the tolerance by which a posture must separate two conventions
 
 
 @dataclass(frozen=True)

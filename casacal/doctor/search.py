@@ -16,12 +16,10 @@ from casacal.array_types import Array
 from casacal.doctor.axes import Axes, about
 from casacal.doctor.family import Family, Index, Products, compatible, joined, motions, readings
 
-MATCHED_ROWS = 3
-"""Rows, the most different ones, that are compared in the tree; the others are checked afterwards."""
+MATCHED_ROWS = 3  # rows, the most different ones, that are compared in the tree; the others are checked afterwards
 MOST, MOST_LEFT = 20_000, 4_000
 """Readings, of the whole arm and of its first joints, beyond which rows are too poor to look at all of them."""
-NEAREST, ALIKE = 50, 100
-"""Readings of the first joints that are looked at when none fits, and of the others with each."""
+NEAREST, ALIKE = 50, 100  # readings of the first joints that are looked at when none fits, and of the others with each
 NEARLY = 0.5
 """How much farther than the nearest a reading may be that is looked at; to find the nearest itself takes long."""
 

@@ -17,8 +17,7 @@ TRIED, REFINED, STEPS = 72, 3, 6
 """Values of an angle that are tried, those among them that are refined, and the most steps to refine one."""
 AS_WELL = 2.0
 """Multiples of what the other rows miss by, within which a changed number explains its row as well as they are."""
-ROUNDING = 0.1
-"""Part of the tolerance that a row may always miss by: numbers are rounded."""
+ROUNDING = 0.1  # part of the tolerance that a row may always miss by: numbers are rounded
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from casacal.doctor.same_arm import Meaning
 from casacal.robots.files.dh_text import conventions_toml
 from casacal.robots.joints import Conventions, Joint
 
-SHOWN = 4
-"""Values of one setting that are listed when it is open."""
+SHOWN = 4  # values of one setting that are listed when it is open
 
 
 def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> str:

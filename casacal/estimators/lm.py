@@ -23,8 +23,7 @@ from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
-MAX_STEPS = 1000
-"""Enough for the longest curved valleys of NIST's regressions; an arm needs five."""
+MAX_STEPS = 1000  # enough for the longest curved valleys of NIST's regressions; an arm needs five
 
 
 def lm(

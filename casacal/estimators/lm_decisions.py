@@ -23,23 +23,18 @@ from casacal.least_squares.result import Status
 FASTEST_DECREASE = 1 / 3
 """Largest fall of the damping in one step: Nielsen, Damping parameter in Marquardt's method, 1999, eq (2.16)."""
 
-UNSEEN = 1e-12
-"""A fall of the log posterior below this part of (1 + cost) cannot be told from rounding."""
-
-SHORT = 0.1
-"""Posterior standard deviations below which the undamped step is worth a look."""
+UNSEEN = 1e-12  # a fall of the log posterior below this part of (1 + cost) cannot be told from rounding
+SHORT = 0.1  # posterior standard deviations below which the undamped step is worth a look
 
 CLOSE = 5.0
 """Posterior standard deviations of a step after which the next is often short, as steps shrink by their square."""
 
-NEAR = 1e-3
-"""Posterior standard deviations from the minimum that are as good as none, where rounding hides the rest."""
+NEAR = 1e-3  # posterior standard deviations from the minimum that are as good as none, where rounding hides the rest
 
 PATIENCE = 5
 """Undamped steps that may fail to be the shortest so far: rounding shortens none, slow convergence shortens each."""
 
-STUCK_DAMPING = 1e50
-"""Damping beyond which there is nothing left to try."""
+STUCK_DAMPING = 1e50  # damping beyond which there is nothing left to try
 
 
 @dataclass(frozen=True)

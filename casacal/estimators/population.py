@@ -16,12 +16,9 @@ from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
-BUDGET = 1_000_000
-"""Rows of residuals that a population method may evaluate unless told otherwise."""
-WIDTH = 4.0
-"""Half width of the box, in prior standard deviations (`start_std` where the prior is flat)."""
-POPULATION = 64
-"""Candidates of a generation, particles of a swarm."""
+BUDGET = 1_000_000  # rows of residuals that a population method may evaluate unless told otherwise
+WIDTH = 4.0  # half width of the box, in prior standard deviations (`start_std` where the prior is flat)
+POPULATION = 64  # candidates of a generation, particles of a swarm
 INERTIA, ATTRACTION = 0.7298, 1.49618
 """Clerc and Kennedy, The particle swarm: explosion, stability and convergence, 2002."""
 

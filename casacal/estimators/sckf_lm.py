@@ -15,8 +15,7 @@ from casacal.estimators.sckf import sckf
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
-UNUSUAL = 5.0
-"""Standard deviations above its mean at which a chi-square calls for an explanation."""
+UNUSUAL = 5.0  # standard deviations above its mean at which a chi-square calls for an explanation
 
 
 def sckf_lm(

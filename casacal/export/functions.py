@@ -80,13 +80,14 @@ def values_of(
         unknowns = problem.robot.parameters
         return {key: _array(ca.DM(unknown.packed(getattr(known, key)))) for key, unknown in unknowns.items()}
     symbols = problem.without_effects.symbols
-    trace = symbols.trace
-    wanted = [key for key in symbols.value_functions["tip"].name_in() if key in trace.unknowns]
-    if unsure := set(wanted) & set(trace.constants):
-        what = f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label"
-        raise CasacalError(what, "Use tip_function() without free")
-    packed = [ca.SX(trace.unknowns[key].packed(trace.values[key])) for key in wanted]
-    found = ca.Function("values", [trace.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
+    wanted = [key for key in symbols.value_functions["tip"].name_in() if key in symbols.unknowns]
+    if unsure := set(wanted) & set(symbols.constants):
+        raise CasacalError(
+            f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label",
+            "Use tip_function() without free",
+        )
+    packed = [ca.SX(symbols.unknowns[key].packed(getattr(symbols.p, key))) for key in wanted]
+    found = ca.Function("values", [symbols.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
     return {key: _array(matrix) for key, matrix in zip(wanted, found, strict=True)}
 
 

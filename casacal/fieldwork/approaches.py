@@ -12,8 +12,7 @@ from casacal.errors import CasacalError
 from casacal.planning.choice import cell_of, drawn_touch
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import Route
-from casacal.problem.cell import Cell
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.simulation.reach import Touch
 from casacal.values import Value

@@ -7,9 +7,10 @@ from casacal.instruments.description import Suspect as Suspect
 from casacal.instruments.description import Words as Words
 from casacal.instruments.dial_on_body import DialOnBody as DialOnBody
 from casacal.instruments.dial_on_plane import DialOnPlane as DialOnPlane
-from casacal.instruments.dial_on_plane import Step as Step
-from casacal.instruments.dial_on_plane import dial_cycle as dial_cycle
-from casacal.instruments.dial_on_plane import dial_gain as dial_gain
+from casacal.instruments.dial_parts import Step as Step
+from casacal.instruments.dial_parts import dial_cycle as dial_cycle
+from casacal.instruments.dial_parts import dial_gain as dial_gain
+from casacal.instruments.dial_parts import dial_zero as dial_zero
 from casacal.instruments.distances import Distance as Distance
 from casacal.instruments.distances import SelfContact as SelfContact
 from casacal.instruments.distances import SphereTouch as SphereTouch

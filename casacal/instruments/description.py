@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,23 +112,33 @@ class Words:
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
 
 
+Travel: TypeAlias = float | tuple[float, float]
+"""Largest reading of a dial that begins at zero, or its smallest and largest, mm."""
+
+
+def readings_within(travel: Travel) -> tuple[float, float]:
+    """Smallest and largest reading, mm."""
+    low, high = travel if isinstance(travel, tuple) else (0.0, travel)
+    return float(low), float(high)
+
+
 @dataclass(frozen=True)
 class Probe:
     """A tip that touches flat faces, as simulation, checks and pictures know it.
 
     noise_std: of one measurement, mm. contact_std: of touch and form beside it, mm. column: what the reading along the
-    plunger is called, None for contact alone; sign: +1 where a larger reading lengthens the tool; travel: readings lie
-    in 0 ... travel, mm. label: the column that names the faces, None where there is one face for all. moves: keys of
-    the instrument's unknowns that tip and plunger depend on. knows_angles: whether the
-    faces' angles to one another are certified. steps: labels of faces at a known height on another one. turn: what one
-    turn of a pointer shows, mm; zero where there is none.
+    plunger is called, None for contact alone. sign: +1 where a larger reading lengthens the tool. travel: smallest and
+    largest reading, mm, or the largest alone where the smallest is zero. label: the column that names the faces, None
+    where there is one face for all. moves: keys of the instrument's unknowns that tip and plunger depend on.
+    knows_angles: whether the faces' angles to one another are certified. steps: labels of faces at a known height on
+    another one. turn: what one turn of a pointer shows, mm; zero where there is none.
     """
 
     noise_std: float
     contact_std: float = 0.0
     column: str | None = None
     sign: int = 1
-    travel: float = 0.0
+    travel: Travel = 0.0
     label: str | None = "plane"
     moves: tuple[str, ...] = ()
     knows_angles: bool = False

@@ -54,7 +54,7 @@ class DialOnBody(DialOnPlane):
     def unknowns(self) -> Mapping[str, Unknown]:
         """Tool point, plunger direction, orientation of the body, offset of each face."""
         own = {"body": self.body, "offset": self.offset}
-        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **own}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **self.zero_shifts, **own}
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -78,7 +78,7 @@ class DialOnBody(DialOnPlane):
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Signed distance of the tip from its face, mm."""
         normal = ca.mtimes(rotation(p.body), ca.vertcat(row.nx, row.ny, row.nz))
-        return ca.dot(normal, self.tip(pose, p, row)) - p.offset
+        return ca.dot(normal, self.tip(pose, p, row)) - p.offset + self.shifted(normal, pose, p)
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Rotation that carries the certified normals to fitted ones; then the mean place of each face along its own.

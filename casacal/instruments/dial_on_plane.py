@@ -11,38 +11,13 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Words
+from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words
+from casacal.instruments.dial_parts import Step
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.tool_tip import tool_point
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
-from casacal.values import FrozenMapping
-
-
-def dial_gain(percent: float = 0.15) -> Parameter:
-    """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.
-
-    What touches of planes leave of a wrong gain is too small to be seen: geometry absorbs nearly all of it, as an arm
-    that is too large or too small. So this has to be said.
-    """
-    return Parameter(0.0, unit="%", prior_std=percent)
-
-
-def dial_cycle(micrometres: float = 3.0) -> Parameter:
-    """An error that comes back with every turn of the pointer: priors of its cosine and sine, in micrometres."""
-    return Parameter((0.0, 0.0), unit="um", prior_std=micrometres, labels=("_cos", "_sin"))
-
-
-@dataclass(frozen=True)
-class Step:
-    """A face parallel to another one at a known distance, as on a gauge block.
-
-    on: label of the other face. height: distance along its normal, towards the tool, mm. std: of the certificate, mm.
-    """
-
-    on: str
-    height: float
-    std: float = 0.0003
+from casacal.values import FrozenMapping, is_real, plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +32,9 @@ class DialOnPlane(Instrument):
         sign: +1 when a larger reading means a longer tool (the paper's d6 + reading), -1 when the plunger is pushed
             in. Never guessed.
         contact_std: standard deviation of touch and form of the face along the normal, mm, beside the reading's.
-        travel: range of the plunger, mm; readings lie in 0 ... travel.
-        tool: point of the plunger at reading zero, in the flange frame, mm.
+        travel: smallest and largest reading, mm, such as (-5, 5) of a dial that was set to zero in the middle; one
+            number is the largest of a dial that begins at zero.
+        tool: point of the plunger at reading zero, in the flange frame, mm; where the zero was set is part of it.
         plunger: direction of the plunger, out of the tool, in the flange frame.
         plane: the face, or one for each label.
         steps: faces that share the plane of another one at a known height, by label; a known length is what fixes the
@@ -66,6 +42,8 @@ class DialOnPlane(Instrument):
         gain: how much too much of every way the dial may show, such as `dial_gain(0.15)`; None trusts it.
         cycle: what comes back with every turn of its pointer, such as `dial_cycle(3)`; None trusts it.
         turn: what one turn of the pointer shows, mm.
+        zero_shift: what must be added to all readings, mm, where the dial was set to zero anew between sessions:
+            `dial_zero()`, an unknown for each value of a column; None where it was set once.
 
     """
 
@@ -73,7 +51,7 @@ class DialOnPlane(Instrument):
     reading: bool = True
     sign: Literal[1, -1] = 1
     contact_std: float = 0.0
-    travel: float = 10.0
+    travel: Travel = 10.0
     tool: Parameter = tool_point(free=False)
     plunger: Direction = Direction((0.0, 0.0, 1.0), free=False)
     plane: Plane = Plane(per="plane")
@@ -81,8 +59,10 @@ class DialOnPlane(Instrument):
     gain: Parameter | None = None
     cycle: Parameter | None = None
     turn: float = 1.0
+    zero_shift: Parameter | None = None
 
     datum: ClassVar[tuple[str, ...]] = ("plane",)
+    ranges = ("travel",)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", FrozenMapping(self.steps))
@@ -92,13 +72,16 @@ class DialOnPlane(Instrument):
             raise ProblemError(f"contact_std of the dial is {self.contact_std!r}", "Give zero or more mm")
         if self.sign not in (1, -1):
             raise ProblemError(f"sign of the dial is {self.sign!r}", "Give +1 (extends the tool) or -1 (shortens it)")
-        if not 0 < self.travel < math.inf:
-            raise ProblemError(f"travel of the dial is {self.travel!r}", "Give a positive number of mm")
+        object.__setattr__(self, "travel", plain(self.travel))
+        ends = self.travel if isinstance(self.travel, tuple) else (0.0, self.travel)
+        if len(ends) != 2 or not all(map(is_real, ends)) or not -math.inf < ends[0] < ends[1] < math.inf:
+            fix = "Give a positive number of mm, or the smallest and the largest reading, such as (-5, 5)"
+            raise ProblemError(f"travel of the dial is {self.travel!r}", fix)
         if not 0 < self.turn < math.inf:
             raise ProblemError(f"A turn of the pointer is {self.turn!r}", "Give what it shows, a positive number of mm")
-        if (self.gain or self.cycle) and not self.reading:
+        if (self.gain or self.cycle or self.zero_shift) and not self.reading:
             raise ProblemError(
-                "A touch without a dial has a gain or a cycle", "Leave them out, or declare reading=True"
+                "A touch without a dial has a gain, a cycle or a zero", "Leave them out, or declare reading=True"
             )
         for label, step in self.steps.items():
             if step.on in self.steps or step.on == label:
@@ -126,13 +109,19 @@ class DialOnPlane(Instrument):
         errors = {
             f"step_{i}": Parameter(0.0, unit="mm", prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)
         }
-        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, "plane": self.plane, **errors}
+        faces = {**self.zero_shifts, "plane": self.plane, **errors}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **faces}
 
     @property
     def own_errors(self) -> Mapping[str, Unknown]:
         """What the dial itself gets wrong, as far as that is declared."""
         declared = {"gain": self.gain, "cycle": self.cycle}
         return {key: unknown for key, unknown in declared.items() if unknown is not None}
+
+    @property
+    def zero_shifts(self) -> Mapping[str, Unknown]:
+        """Where the zero was set anew, as far as that is declared."""
+        return {} if self.zero_shift is None else {"zero_shift": self.zero_shift}
 
     @property
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
@@ -225,11 +214,20 @@ class DialOnPlane(Instrument):
             way += (p.cycle[0] * ca.cos(angle) + p.cycle[1] * ca.sin(angle)) / 1000
         return self.sign * way
 
+    def shifted(self, normal: Expression, pose: Expression, p: Any) -> Expression:
+        """How far the tip stands off along a normal (3) because the dial was set to zero anew, mm.
+
+        The tip itself is that of one zero, so that where others stand is no matter of the arm.
+        """
+        if self.zero_shift is None:
+            return 0.0
+        return self.sign * p.zero_shift * ca.dot(normal, self.plunger_direction(pose, p))
+
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Signed distance of the tip from the face, mm."""
         known = sum(getattr(row, f"on_step_{i}") * getattr(p, f"step_{i}") for i in range(1, len(self.steps) + 1))
         height = row.height if self.steps else 0.0
-        return p.plane.distance(self.tip(pose, p, row)) - height - known
+        return p.plane.distance(self.tip(pose, p, row)) - height - known + self.shifted(p.plane.normal, pose, p)
 
     def propose(self, key: str, sight: Sight) -> Array:
         """Total-least-squares plane through the nominal tips, its normal towards the tool.

@@ -16,8 +16,7 @@ from casacal.kinematics import Expression
 from casacal.unknowns import Parameter
 from casacal.values import FrozenMapping
 
-FEWEST = 5
-"""Rows of an anchor that propose where it is: three coordinates, their square, and the zero."""
+FEWEST = 5  # rows of an anchor that propose where it is: three coordinates, their square, and the zero
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,6 +79,11 @@ class Instrument(Portable, ABC):
         return ()
 
     @property
+    def ranges(self) -> tuple[str, ...]:
+        """Fields that may be two numbers, the smallest and the largest."""
+        return ()
+
+    @property
     def begins_at(self) -> Mapping[str, float]:
         """Readings from which simulated ones are looked for, where zero is none."""
         return {}
@@ -212,15 +217,19 @@ def with_unknown(instrument: Instrument, key: str, unknown: Unknown) -> Instrume
     return changed
 
 
-def with_setting(instrument: Instrument, name: str, value: float) -> Instrument:
-    """The instrument with another number, such as its sign or its noise_std.
+def with_setting(instrument: Instrument, name: str, value: float | tuple[float, float]) -> Instrument:
+    """The instrument with another number, such as its sign or its noise_std, or pair of them, such as its travel.
 
     Raises UnknownNameError for what is none of its numbers, ProblemError where the instrument refuses the value.
     """
     present = _fields(instrument)
     numbers = [key for key, held in present.items() if isinstance(held, (int, float)) and not isinstance(held, bool)]
-    if name not in numbers:
-        raise UnknownNameError(f"number of {type(instrument).__name__}", name, numbers)
+    if name not in (*numbers, *instrument.ranges):
+        raise UnknownNameError(f"number of {type(instrument).__name__}", name, [*numbers, *instrument.ranges])
+    if isinstance(value, tuple):
+        if name not in instrument.ranges:
+            raise ProblemError(f"{name} of {type(instrument).__name__} is one number, not {value}", "Give one")
+        return dataclasses.replace(instrument, **{name: value})  # type: ignore[type-var]
     whole = isinstance(present[name], int) and float(value).is_integer()
     changed: Instrument = dataclasses.replace(instrument, **{name: int(value) if whole else float(value)})  # type: ignore[type-var]
     return changed

@@ -20,11 +20,8 @@ QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 VECTOR = ("turn_x", "turn_y", "turn_z")
 TURNS = ("turn_1", "turn_2", "turn_3")
 
-NO_TURN = 1e-6
-"""Size of a quaternion's numbers below which it says nothing."""
-
-SMALL = 1e-24
-"""Keeps a rotation vector of zero from being divided by its length."""
+NO_TURN = 1e-6  # size of a quaternion's numbers below which it says nothing
+SMALL = 1e-24  # keeps a rotation vector of zero from being divided by its length
 
 ABOUT = {"x": rotate_x, "y": rotate_y, "z": rotate_z}
 

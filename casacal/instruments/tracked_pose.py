@@ -22,8 +22,7 @@ from casacal.values import is_real
 
 POSITION = ("x", "y", "z")
 
-HALF_TURN = 1e-16
-"""Keeps the residual of the orientation smooth where it is half a turn off; nothing near zero."""
+HALF_TURN = 1e-16  # keeps the residual of the orientation smooth where it is half a turn off; nothing near zero
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,16 +9,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import reduce
 from itertools import product
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 
-from casacal.kernels.program import TRIGONOMETRIC, Kind, Operation, Role
+from casacal.graphs import Operation
+
+Role: TypeAlias = Literal["once", "lane"]
+Kind: TypeAlias = Literal["constant", "once", "lane", "mixed"]
+
+TRIGONOMETRIC = (ca.OP_SIN, ca.OP_COS)
 
 COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT)
 
-FEW = 3
-"""Values that an output may be the sum of, times factors, to be written as that sum."""
+FEW = 3  # values that an output may be the sum of, times factors, to be written as that sum
 
 
 class Signed(NamedTuple):

@@ -1,22 +1,86 @@
-"""CasADi functions mapped over rows, on memory that is filled once and kept, or as columns."""
+"""CasADi's machine over many rows: functions on memory that is filled once and kept, mapped or column by column."""
 
 from __future__ import annotations
 
 import threading
-from functools import cached_property
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.kernels.block_rows import Buffered, replayed
-from casacal.kernels.lanes import WIDTHS
 from casacal.kernels.program import Program
-from casacal.kernels.reading import read_program
 
-BLOCK = 256
-"""Rows evaluated in one call; larger maps cost memory and time to build."""
+BLOCK = 256  # rows that a map evaluates in one call; larger ones cost memory and time to build
+
+
+class Buffered:
+    """A CasADi function called on memory that NumPy owns, by any number of threads.
+
+    Work memory belongs to a buffer, not to a function, and CasADi lets go of Python's lock while it evaluates. Each
+    thread has a buffer of its own, therefore; the function is one for all.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function
+        self._own = threading.local()
+
+    def __call__(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
+        """Evaluate: arrays of float64 in C order, the outputs' overwritten; shapes are as CasADi's, transposed."""
+        self.bound(inputs, outputs)()
+
+    def bound(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
+        """What evaluates from and to the same memory whenever this thread calls it, as long as this object lives."""
+        if not hasattr(self._own, "buffer"):
+            self._own.buffer, self._own.evaluate = self._function.buffer()
+        buffer: Any = self._own.buffer  # CasADi's stubs do not know that it takes a memoryview
+        evaluate: Callable[[], None] = self._own.evaluate
+        for i, array in enumerate(inputs):
+            buffer.set_arg(i, _flat(array))
+        for i, array in enumerate(outputs):
+            buffer.set_res(i, _flat(array))
+        self._own.arrays = (inputs, outputs)
+        return evaluate
+
+    def feed(self, i: int, array: Array) -> None:
+        """Read argument i from other memory from now on."""
+        self._own.buffer.set_arg(i, _flat(array))
+        self._own.fed = array
+
+
+def _flat(array: Array) -> memoryview:
+    """An array's own memory; a copy would be gone before CasADi reads it."""
+    if not array.flags.c_contiguous:
+        raise ValueError("an array must lie in memory row by row")
+    return array.reshape(-1).data
+
+
+def replayed(program: Program, values: Sequence[int], p: ca.MX, d: ca.MX, *, is_prepared: bool = False) -> list[ca.MX]:
+    """Some values, a column each, with the operations of a program on columns of samples.
+
+    p: all parameters or, prepared, the values of `program.once`. Values that share operations belong in one call:
+    CasADi does not see that two calls do the same.
+    """
+    known: dict[int, ca.MX] = dict(zip(program.lanes, ca.horzsplit(d), strict=True)) if program.lanes else {}
+    parameters = ca.vertsplit(p) if p.numel() else []
+    if is_prepared:
+        known |= dict(zip(program.once, parameters, strict=True))
+    for value in program.needed(values):
+        operation = program.operations[value]
+        if value in known or program.kinds[value] == "lane" or (is_prepared and program.kinds[value] == "once"):
+            continue
+        if operation.op == ca.OP_CONST:
+            known[value] = ca.MX(operation.constant)
+        elif operation.op == ca.OP_INPUT:
+            known[value] = parameters[program.position(value)]
+        elif len(operation.args) == 1:
+            known[value] = ca.MX.unary(operation.op, known[operation.args[0]])
+        else:
+            one, other = (known[arg] for arg in operation.args)
+            known[value] = ca.MX.binary(operation.op, one, other)
+    ones = ca.MX.ones(d.shape[0], 1)
+    return [known[v] if known[v].shape == ones.shape else known[v] * ones for v in values]
 
 
 class Batch:
@@ -45,60 +109,15 @@ class Batch:
         return outputs
 
     def _width(self, width: int) -> tuple[Any, ...]:
-        """Arguments, results and the call that fills them; the function must outlive its buffer, so both are kept."""
+        """Arguments, results and the call that fills them, of this thread."""
         if not hasattr(self._own, "widths"):
             self._own.widths = {}
         widths: dict[int, tuple[Any, ...]] = self._own.widths
         if width not in widths:
-            mapped = self.function.map(width) if width > 1 else self.function
-            buffer: Any  # CasADi's stubs do not know that it takes a memoryview
-            buffer, evaluate = mapped.buffer()
+            function = self.function
             # one row of these arrays is one column of the mapped function
-            arguments = [np.zeros((width, self.function.numel_in(i))) for i in range(self.function.n_in())]
-            results = [np.zeros((width, self.function.numel_out(i))) for i in range(self.function.n_out())]
-            for i, array in enumerate(arguments):
-                if array.size:
-                    buffer.set_arg(i, memoryview(array.reshape(-1).data))
-            for i, array in enumerate(results):
-                if array.size:
-                    buffer.set_res(i, memoryview(array.reshape(-1).data))
-            widths[width] = (arguments, results, evaluate, buffer, mapped)
+            arguments = [np.zeros((width, function.numel_in(i))) for i in range(function.n_in())]
+            results = [np.zeros((width, function.numel_out(i))) for i in range(function.n_out())]
+            mapped = Buffered(function.map(width) if width > 1 else function)  # kept, as its buffer needs it
+            widths[width] = (arguments, results, mapped.bound(arguments, results), mapped)
         return widths[width]
-
-
-FEW = 4096
-"""Rows below which a plain map is sooner done than the columns are built."""
-
-
-class Columnwise:
-    """A function (z, c, d) -> values, at one z and c for rows of d."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self._batch, self._width = Batch(function), WIDTHS[-1]
-        self._built: Buffered | None = None
-
-    @cached_property
-    def _program(self) -> Program:
-        """Read when many rows come for the first time, which takes longer than few rows do."""
-        return read_program(self._batch.function, ("once", "once", "lane"), ahead=False)
-
-    def __call__(self, z: Array, c: Array, data: Array) -> Array:
-        """Values (N, outputs) at z and c for data (N, columns)."""
-        if len(data) < FEW:
-            (values,) = self._batch(z, c, data)
-            return values
-        program, width = self._program, self._width
-        if self._built is None:
-            p, d = ca.MX.sym("p", z.size + c.size), ca.MX.sym("d", width, len(program.lanes))
-            columns = replayed(program, program.outputs[0], p, d)
-            self._built = Buffered(ca.Function("columns", [p, d], [ca.horzcat(*columns)]))
-        read = [program.operations[value].element[1] for value in program.lanes]
-        values = np.empty((len(data), len(program.outputs[0])))
-        once, some, out = np.concatenate([z, c]), np.empty((len(read), width)), np.empty((values.shape[1], width))
-        evaluate = self._built.bound((once, some), (out,))
-        for first in range(0, len(data), width):
-            rows = data[first : first + width, read]
-            some[:, : len(rows)], some[:, len(rows) :] = rows.T, rows[-1:].T
-            evaluate()
-            values[first : first + width] = out[:, : len(rows)].T
-        return values

@@ -16,16 +16,15 @@ from typing import TypeAlias
 
 import casadi as ca
 
+from casacal.kernels.algebra import TRIGONOMETRIC, Kind
 from casacal.kernels.compiler import CompilerError
-from casacal.kernels.operations import C, name_of
-from casacal.kernels.program import TRIGONOMETRIC, Program
+from casacal.kernels.program import C, Program, name_of
 
 KERNELS = ("rows.c", "normal_equations.c", "extended_filter.c")
 FILTER = ("cubature_filter.c",)
 Definitions: TypeAlias = dict[str, int | Sequence[str]]
 """Numbers and statements by the names that C has for them."""
-PROGRAM = "program.h"
-"""The example, which a source has no need of."""
+PROGRAM = "program.h"  # the example, which a source has no need of
 
 
 def rows_of_normal(unknowns: int) -> int:
@@ -36,12 +35,8 @@ def rows_of_normal(unknowns: int) -> int:
 def kernel_source(slopes: Program, parameters: int) -> str:
     """C source of `residual`, `slopes`, `costs` and `normal`, and of the sums, steps and filter that call them.
 
-    Args:
-        slopes: outputs e (m), and its derivative row by row (m * z).
-        parameters: numbers in p: the arguments of role "once", one after the other.
-
-    Raises CompilerError for an operation that has no form in C.
-
+    slopes: outputs e (m), and its derivative row by row (m * z). parameters: numbers in p. Raises CompilerError for an
+    operation that has no form in C.
     """
     components, unknowns = len(slopes.outputs[0]), len(slopes.outputs[1]) // len(slopes.outputs[0])
     rows, printed = rows_of_normal(unknowns), _Printer(slopes)
@@ -56,13 +51,8 @@ def kernel_source(slopes: Program, parameters: int) -> str:
 def filter_source(residual: Program, unknowns: int, once: int) -> str:
     """C source of `cubature_pass` for a residual whose lanes are the elements of its first argument, read as they are.
 
-    Args:
-        residual: outputs e (m); its lanes are the z that many states give.
-        unknowns: z.
-        once: numbers in p.
-
-    Raises CompilerError for an operation that has no form in C.
-
+    residual: outputs e (m); its lanes are the z that many states give. unknowns: z. once: numbers in p. Raises
+    CompilerError as `kernel_source` does.
     """
     printed = _Printer(residual)
     printed.place = {value: residual.operations[value].element[1] for value in residual.lanes}
@@ -115,8 +105,6 @@ class _Printer:
     def __init__(self, program: Program) -> None:
         self.program, self.needed = program, program.needed(program.results)
         self.place = {value: k for k, value in enumerate(program.lanes)}
-        self.once = program.once
-        """Values of parameters alone that lanes read."""
 
     def name(self, value: int) -> str:
         operation = self.program.operations[value]
@@ -126,28 +114,27 @@ class _Printer:
 
     def definitions(self, what: str, out: Sequence[str]) -> Definitions:
         """What c/program.h defines for ERRORS or SLOPES: preparing, reading, and a lane that ends with `out`."""
-        prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(self.once)]
-        wanted = [v for v in self.program.needed(self.once) if self.program.kinds[v] == "once"]
-        read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(self.once)]
-        used = set(self.needed)
+        once, used = self.program.once, set(self.needed)
+        prepared = [f"o[{k} * states + s] = {self.name(v)};" for k, v in enumerate(once)]
+        read = [f"const double v{v} = o[{k} * stride];" for k, v in enumerate(once)]
         lane = [f"const double d{v} = d[{k} * ld + i];" for v, k in self.place.items() if v in used]
-        lane += self._printed([v for v in self.needed if self.program.kinds[v] == "mixed"])
         return {
-            f"{what}_PREPARED": max(len(self.once), 1),
-            f"PREPARE_{what}": [*self._printed(wanted), *prepared],
+            f"{what}_PREPARED": max(len(once), 1),
+            f"PREPARE_{what}": [*self._printed(self.program.needed(once), "once"), *prepared],
             f"READ_{what}": read,
-            f"LANE_OF_{what}": [*lane, *out],
+            f"LANE_OF_{what}": [*lane, *self._printed(self.needed, "mixed"), *out],
         }
 
-    def _printed(self, values: Sequence[int]) -> list[str]:
-        return [f"const double v{v} = {self._expression(v)};" for v in values]
+    def _printed(self, values: Sequence[int], kind: Kind) -> list[str]:
+        wanted = (v for v in values if self.program.kinds[v] == kind)
+        return [f"const double v{v} = {self._expression(v)};" for v in wanted]
 
     def _expression(self, value: int) -> str:
         operation = self.program.operations[value]
-        if operation.op not in C and operation.op != ca.OP_INPUT:
-            raise CompilerError(f"the operation '{name_of(operation.op)}' has no form in C")
         if operation.op == ca.OP_INPUT:
             return f"p[{self.program.position(value)} * states + s]"
+        if operation.op not in C:
+            raise CompilerError(f"the operation '{name_of(operation.op)}' has no form in C")
         called = "lane_" if operation.op in TRIGONOMETRIC else ""
         return called + C[operation.op].format(*(self.name(arg) for arg in operation.args))
 

@@ -22,10 +22,8 @@ TUNING = (("-march=native", "-fopenmp-simd"), ("-mcpu=native", "-fopenmp-simd"),
 """What compilers are asked in turn until one set is understood: Apple's do not know all of them."""
 LIBRARIES = () if WINDOWS else ("-lm",)
 SUFFIX = ".dll" if WINDOWS else ".so"
-SECONDS, ANSWERS = 60.0, 15.0
-"""How long a compiler may take to compile, and to say its version."""
-HEARD = 1 << 16
-"""Bytes that are kept of what a compiler says."""
+SECONDS, ANSWERS = 60.0, 15.0  # how long a compiler may take to compile, and to say its version
+HEARD = 1 << 16  # bytes that are kept of what a compiler says
 
 
 class CompilerError(Exception):

@@ -1,149 +1,101 @@
-"""The filters' passes over rows: as compiled C, or on CasADi's virtual machine."""
+"""The cubature filter's pass over rows: as compiled C, or on CasADi's virtual machine."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.kernels.block_rows import Buffered, replayed
+from casacal.kernels.batch import Buffered, replayed
 from casacal.kernels.c_source import filter_source
-from casacal.kernels.lanes import PAD
+from casacal.kernels.compiler import CompilerError
 from casacal.kernels.libraries import load_library
-from casacal.kernels.native_rows import PackedPieces
-from casacal.kernels.reading import read_program
+from casacal.kernels.native_rows import PAD
+from casacal.kernels.program import read_program
 from casacal.least_squares.linalg import LEAST_LEFT
 
-Integers: TypeAlias = NDArray[np.integer[Any]]
+
+@dataclass(frozen=True)
+class FilterRows:
+    """Rows that a filter takes in, and the coordinates (x - x0) / scale (n,) of its belief."""
+
+    pattern: NDArray[np.integer[Any]]
+    """Of each sample (N,)."""
+    columns: NDArray[np.integer[Any]]
+    """Where z stands in x, by pattern (patterns, z)."""
+    x0: Array
+    scale: Array
+    once: Array
+    """Constants and data of each sample (N, c + d)."""
+    weight: Array
+    """1 / noise of each residual (N, m)."""
 
 
-class NativeCubature:
-    """`cubature_pass` of a residual function of (z, c, d), in C: states innermost, an exact downdate in place of a QR.
+class Cubature:
+    """The pass for a residual function of (z, c, d), on the back end of that name; where C has no form of it, in MX.
 
-    Raises CompilerError when it cannot be printed or compiled.
+    C has the states innermost; both have an exact downdate in place of a QR.
     """
 
-    def __init__(self, residual: ca.Function) -> None:
-        program = read_program(residual, ("lane", "once", "once"), ahead=False)
-        self.unknowns, self.components = residual.numel_in(0), residual.numel_out(0)
-        once = residual.numel_in(1) + residual.numel_in(2)
-        self._pass = load_library(filter_source(program, self.unknowns, once), ("cubature_pass",)).cubature_pass
-        long, pointer = ctypes.c_long, ctypes.c_void_p
-        self._pass.argtypes = [long, long, long, *[pointer] * 6, ctypes.c_double, *[pointer] * 6]
-        self._pass.restype = long
+    def __init__(self, residual: ca.Function, backend: str) -> None:
+        self._program = read_program(residual, ("lane", "once", "once"), ahead=False)
+        self._unknowns, self._components = residual.numel_in(0), residual.numel_out(0)
+        self._once = residual.numel_in(1) + residual.numel_in(2)
+        self._steps: dict[tuple[int, int], ca.Function] = {}
+        self._compiled: Any = None
+        if backend == "c":
+            with contextlib.suppress(CompilerError):
+                source = filter_source(self._program, self._unknowns, self._once)
+                self._compiled = load_library(source, ("cubature_pass",)).cubature_pass
+                long, pointer = ctypes.c_long, ctypes.c_void_p
+                self._compiled.argtypes = [long, long, long, *[pointer] * 6, ctypes.c_double, *[pointer] * 6]
+                self._compiled.restype = long
 
-    def __call__(
-        self,
-        first: int,
-        pattern: Integers,
-        columns: Integers,
-        x0: Array,
-        scale: Array,
-        once: Array,
-        weight: Array,
-        mean: Array,
-        root: Array,
-    ) -> tuple[int, Array, Array, Array]:
-        """Take in residuals from `first` on, changing mean and root in place.
-
-        Args:
-            first: scalar residual to begin with.
-            pattern: of each sample (N,).
-            columns: positions in x of z, by pattern (patterns, z).
-            x0, scale: (n,), of the coordinates.
-            once: constants and data of each sample (N, c + d).
-            weight: 1 / noise of each residual (N, m).
-            mean, root: belief (n,), (n, n) lower triangular.
+    def __call__(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
+        """Take in residuals from `first` on, changing the belief in place: mean (n,), lower triangular root (n, n).
 
         Returns the first residual that was not taken in, or their number; and, by residual, means (N m, n),
         innovations and their standard deviations (N m,).
-
         """
-        n, rows = x0.size, weight.size
-        means, innovations, stds = np.empty((rows, n)), np.empty(rows), np.empty(rows)
+        return (self._by_blocks if self._compiled is None else self._by_c)(first, rows, mean, root)
+
+    def _by_c(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
+        n, count = rows.x0.size, rows.weight.size
+        means, innovations, stds = np.empty((count, n)), np.empty(count), np.empty(count)
         lanes = -(-2 * n // PAD) * PAD
-        work = np.empty(lanes * (self.unknowns + self.components) + 4 * n)
-        arrays: list[NDArray[Any]] = [np.ascontiguousarray(each, dtype=ctypes.c_long) for each in (pattern, columns)]
-        arrays += [np.ascontiguousarray(each) for each in (x0, scale, once, weight)]
-        belief = (mean, root, means, innovations, stds, work)
-        at = [each.ctypes.data for each in (*arrays, *belief)]
-        stopped = self._pass(first, rows, n, *at[:6], LEAST_LEFT, *at[6:])
+        work = np.empty(lanes * (self._unknowns + self._components) + 4 * n)
+        indices = (rows.pattern, rows.columns)
+        arrays: list[NDArray[Any]] = [np.ascontiguousarray(each, dtype=ctypes.c_long) for each in indices]
+        arrays += [np.ascontiguousarray(each) for each in (rows.x0, rows.scale, rows.once, rows.weight)]
+        at = [each.ctypes.data for each in (*arrays, mean, root, means, innovations, stds, work)]
+        stopped = self._compiled(first, count, n, *at[:6], LEAST_LEFT, *at[6:])
         return int(stopped), means, innovations, stds
 
-
-def extended_pass(
-    packed: PackedPieces, place: NDArray[np.intp], x0: Array, scale: Array, mean: Array, covariance: Array
-) -> tuple[Array, Array, Array]:
-    """The extended filter: take in all rows, changing mean and covariance in place.
-
-    A row is evaluated with as many lanes as C pads to.
-
-    Args:
-        packed: pieces that together hold the rows.
-        place: piece, lane in it and component of each row (rows, 3).
-        x0, scale: (n,), of the coordinates (x - x0) / scale.
-        mean, covariance: belief (n,), (n, n).
-
-    Returns means (rows, n) after each row, innovations and their standard deviations (rows,).
-
-    """
-    n, rows = x0.size, len(place)
-    run, long, pointer = packed.compiled.extended_pass, ctypes.c_long, ctypes.c_void_p
-    run.argtypes, run.restype = [long, long, *[pointer] * 10], None
-    means, innovations, stds = np.empty((rows, n)), np.empty(rows), np.empty(rows)
-    needed = (
-        piece.parameters + PAD * (len(piece.lanes.d) + piece.kernels.components * (piece.kernels.unknowns + 1))
-        for piece in packed.pieces
-    )
-    given = (np.ascontiguousarray(place, dtype=ctypes.c_long), np.ascontiguousarray(x0), np.ascontiguousarray(scale))
-    made = (mean, covariance, means, innovations, stds, np.empty(max(needed) + 4 * n))
-    run(rows, n, packed.address(0), *(each.ctypes.data for each in (*given, *made)))
-    return means, innovations, stds
-
-
-class BlockCubature:
-    """The filter's pass for a residual function of (z, c, d); called as `NativeCubature` is."""
-
-    def __init__(self, residual: ca.Function) -> None:
-        self.unknowns, self.components = residual.numel_in(0), residual.numel_out(0)
-        self._program = read_program(residual, ("lane", "once", "once"), ahead=False)
-        self._once = residual.numel_in(1) + residual.numel_in(2)
-        self._steps: dict[tuple[int, int], ca.Function] = {}
-
-    def __call__(
-        self,
-        first: int,
-        pattern: Integers,
-        columns: Integers,
-        x0: Array,
-        scale: Array,
-        once: Array,
-        weight: Array,
-        mean: Array,
-        root: Array,
-    ) -> tuple[int, Array, Array, Array]:
-        """Take in residuals from `first` on, changing mean and root in place; see `NativeCubature`."""
-        n, rows = x0.size, weight.size
-        means, trace = np.empty((rows, n)), np.empty((rows, 3))
+    def _by_blocks(self, first: int, rows: FilterRows, mean: Array, root: Array) -> tuple[int, Array, Array, Array]:
+        n, count, once = rows.x0.size, rows.weight.size, rows.once
+        means, trace = np.empty((count, n)), np.empty((count, 3))
         # what a step reads and writes stays in place, so that CasADi is told where only once; S column by column
-        points, data, w = np.empty((self.unknowns, 2 * n)), np.empty(once.shape[1]), np.empty(1)
+        points, data, w = np.empty((self._unknowns, 2 * n)), np.empty(once.shape[1]), np.empty(1)
         up, down = points[:, :n], points[:, n:]
         center, turned, figures = mean.copy(), root.T.copy(), np.empty(3)
         new_center, new_turned = np.empty(n), np.empty((n, n))
-        kept = [Buffered(self.step(n, component)) for component in range(self.components)]
+        kept = [Buffered(self.step(n, component)) for component in range(self._components)]
         inputs, outputs = (points, data, w, center, turned), (new_center, new_turned, figures)
         steps = [step.bound(inputs, outputs) for step in kept]
-        sights = [(seen, x0[seen], scale[seen], math.sqrt(n) * scale[seen, None]) for seen in columns]
-        weights, stop = weight.ravel(), rows
-        for r in range(first, rows):
-            sample, component = divmod(r, self.components)
-            seen, base, unit, reach = sights[pattern[sample]]
-            z, spread = (base + unit * center[seen])[:, None], turned.T[seen] * reach
+        x0, scale, reach = rows.x0, rows.scale, math.sqrt(n)
+        sights = [(seen, x0[seen], scale[seen], reach * scale[seen, None]) for seen in rows.columns]
+        weights, stop = rows.weight.ravel(), count
+        for r in range(first, count):
+            sample, component = divmod(r, self._components)
+            seen, base, unit, reached = sights[rows.pattern[sample]]
+            z, spread = (base + unit * center[seen])[:, None], turned.T[seen] * reached
             np.add(z, spread, out=up)
             np.subtract(z, spread, out=down)
             data[:], w[0] = once[sample], weights[r]
@@ -163,11 +115,10 @@ class BlockCubature:
         standard deviation, and the part of a variance that is left.
         """
         if (n, component) not in self._steps:
-            points, once, w = ca.MX.sym("z", 2 * n, self.unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")
+            points, once, w = ca.MX.sym("z", 2 * n, self._unknowns), ca.MX.sym("p", self._once), ca.MX.sym("w")
             mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
-            read = [self._program.operations[value].element[1] for value in self._program.lanes]
             columns = ca.horzsplit(points)
-            lanes = ca.horzcat(*(columns[k] for k in read))
+            lanes = ca.horzcat(*(columns[self._program.operations[value].element[1]] for value in self._program.lanes))
             (e,) = replayed(self._program, [self._program.outputs[0][component]], once, lanes)
             e = w * e
             average = ca.sum1(e) / (2 * n)

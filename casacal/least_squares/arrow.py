@@ -52,12 +52,9 @@ class Groups:
 
 
 def grouped(columns: Sequence[Index], own: NDArray[np.bool_]) -> Groups:
-    """Groups of the unknowns marked as own (n,): those that some rows see together are of one group.
+    """Groups of the unknowns marked as own (n,): those that some rows see together, by kind of row, are of one group.
 
-    Args:
-        columns: which unknowns each kind of row sees.
-        own: what may be taken out; all else is shared.
-
+    All else is shared.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -77,8 +74,7 @@ def grouped(columns: Sequence[Index], own: NDArray[np.bool_]) -> Groups:
     return Groups(np.flatnonzero(~own), tuple(np.array(each) for _, each in sorted(by_size.items())))
 
 
-MOST_UNKNOWNS = 3_000
-"""Unknowns whose matrices, of which a calibration holds about ten, fit into a gigabyte."""
+MOST_UNKNOWNS = 3_000  # unknowns whose matrices, of which a calibration holds about ten, fit into a gigabyte
 
 
 @dataclass(frozen=True, eq=False)

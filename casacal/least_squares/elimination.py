@@ -16,8 +16,7 @@ from casacal.array_types import Array
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.linalg import revealed_solution
 
-TOGETHER = 4096
-"""Rows stacked before a triangle takes their place."""
+TOGETHER = 4096  # rows stacked before a triangle takes their place
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +88,8 @@ def revealed_step(
 ) -> tuple[Array, float, float] | None:
     """What `revealed_solution` finds, by taking groups out; None where not all is finite.
 
-    Args:
-        parts: the Jacobian A, group by group.
-        information: A'A and the prior's, undamped.
-        prior: the prior's information (n,).
-        gradient: g (n,).
-        damping: one number.
-
-    Returns s (n,), its squared length and the fall that it predicts.
-
+    parts: the Jacobian A, group by group. information: A'A and the prior's (n,), undamped. Returns s (n,), its squared
+    length and the fall that it predicts.
     """
     shared, found, gone, rows = information.groups.shared, np.zeros(gradient.size), [], []
     reduced = gradient[shared].copy()

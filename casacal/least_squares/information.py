@@ -9,15 +9,12 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.least_squares.arrow import Arrow, Index
-from casacal.least_squares.linalg import damped_solution
+from casacal.least_squares.linalg import damped_solution, information_of, unit_scale
 
 Information: TypeAlias = Array | Arrow
 
-UNSEEN = 1e-8
-"""Part of an unknown, squared, in directions that nothing holds, from which it counts as not held."""
-
-ROUNDING = 16 * float(np.finfo(float).eps)
-"""Part of a unit diagonal that rounding leaves where groups are taken out."""
+UNSEEN = 1e-8  # part of an unknown, squared, in directions that nothing holds, from which it counts as not held
+ROUNDING = 16 * float(np.finfo(float).eps)  # part of a unit diagonal that rounding leaves where groups are taken out
 
 
 def with_diagonal(information: Information, scale: Array, diagonal: Array) -> Information:
@@ -43,9 +40,7 @@ def diagonal_of(information: Information) -> Array:
 
 def among(information: Information, free: Index) -> Information:
     """The part (m, m) of A that some unknowns (m,), in ascending order, have in it."""
-    if not isinstance(information, Arrow):
-        return information[np.ix_(free, free)]
-    return information.among(free)
+    return information.among(free) if isinstance(information, Arrow) else information[np.ix_(free, free)]
 
 
 def determined(information: Information, prior_std: Array) -> float:
@@ -60,9 +55,9 @@ def determined(information: Information, prior_std: Array) -> float:
     if isinstance(information, Arrow):
         rank, variances = _taken_out(information, prior_std)[2:]
     else:
-        matrix = with_diagonal(information, np.ones(prior_std.size), _prior_information(prior_std))
+        matrix = with_diagonal(information, np.ones(prior_std.size), information_of(prior_std))
         assert not isinstance(matrix, Arrow)
-        scale = _unit_scale(np.diagonal(matrix))
+        scale = unit_scale(np.diagonal(matrix))
         inverse, _, rank = _pseudo_inverse((scale[:, None] * matrix * scale)[None])
         variances = np.diagonal(inverse[0]) * scale**2
     return rank - float(np.clip(variances[firm] / prior_std[firm] ** 2, 0.0, 1.0).sum())
@@ -71,12 +66,7 @@ def determined(information: Information, prior_std: Array) -> float:
 def posterior_spread(information: Arrow, prior_std: Array) -> tuple[Array, Array]:
     """Covariance (s, s) of the shared unknowns under (A + Lambda)^-1, and variances (n,) of all, as where A is dense.
 
-    What neither data nor prior hold gets an infinite variance.
-
-    Args:
-        information: A of the data.
-        prior_std: prior standard deviations (n,), infinite where flat.
-
+    A is the data's. What neither data nor prior hold gets an infinite variance.
     """
     if not np.isfinite(information.diagonal()).all():
         return np.diag(np.full(information.groups.shared.size, np.inf)), np.full(prior_std.size, np.inf)
@@ -91,8 +81,8 @@ def posterior_spread(information: Arrow, prior_std: Array) -> tuple[Array, Array
 
 def _taken_out(information: Arrow, prior_std: Array) -> tuple[Array, NDArray[np.bool_], int, Array]:
     """Covariance (s, s) of the shared unknowns, which (n,) nothing holds, the rank, and variances (n,) of all."""
-    groups, whole = information.groups, information.plus(_prior_information(prior_std))
-    whole = whole.scaled(scale := _unit_scale(whole.diagonal()))
+    groups, whole = information.groups, information.plus(information_of(prior_std))
+    whole = whole.scaled(scale := unit_scale(whole.diagonal()))
     corner, gone, rank = whole.corner.copy(), [], 0
     for border, block in zip(whole.borders, whole.blocks, strict=True):
         inverse, lost, seen = _pseudo_inverse(block)
@@ -118,14 +108,6 @@ def _taken_out(information: Arrow, prior_std: Array) -> tuple[Array, NDArray[np.
 def _lost(null: Array) -> NDArray[np.bool_]:
     """Which unknowns (..., n) take part in orthonormal null vectors (..., n, a)."""
     return np.asarray((null**2).sum(axis=-1) > UNSEEN)
-
-
-def _prior_information(prior_std: Array) -> Array:
-    return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
-
-
-def _unit_scale(diagonal: Array) -> Array:
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 
 def _pseudo_inverse(matrices: Array) -> tuple[Array, NDArray[np.bool_], int]:

@@ -7,8 +7,7 @@ from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from casacal.array_types import Array
 
-LEAST_LEFT = 1e-10
-"""Fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used."""
+LEAST_LEFT = 1e-10  # fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used
 
 LEAST_PIVOT = 1e-12
 """Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""
@@ -31,12 +30,7 @@ def downdated(root: Array, u: Array) -> Array | None:
     """Lower triangular root of S (I - u u') S', without a QR: S L with L L' = I - u u'; None when |u| is nearly one.
 
     With s_j = 1 - u_1^2 - ... - u_j^2: L_jj = sqrt(s_j / s_(j-1)), L_ij = -u_i u_j / sqrt(s_j s_(j-1)) for i > j. A
-    scalar measurement makes a square-root filter's belief smaller in just this way.
-
-    Args:
-        root: S (n, n), lower triangular.
-        u: (n,), shorter than one.
-
+    scalar measurement makes a square-root filter's belief, S (n, n), smaller in just this way.
     """
     left = 1.0 - np.cumsum(u**2)
     if not left[-1] > LEAST_LEFT:
@@ -48,15 +42,9 @@ def downdated(root: Array, u: Array) -> Array | None:
 
 
 def damped_solution(information: Array, gradient: Array, damping: Array | float) -> Array | None:
-    """Solve (H + diag(damping)) step = -g by Cholesky; None when that matrix is not safely positive definite.
+    """Solve (H + diag(damping)) s = -g (n,) by Cholesky; None when that matrix is not safely positive definite.
 
-    Safely: no pivot falls below `LEAST_PIVOT` of its diagonal element.
-
-    Args:
-        information: H (n, n), symmetric.
-        gradient: g (n,).
-        damping: one number, or one per coordinate (n,).
-
+    Safely: no pivot falls below `LEAST_PIVOT` of its diagonal element. Damping is one number, or one per coordinate.
     """
     if not gradient.size:
         return gradient.copy()
@@ -70,18 +58,12 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
 
 
 def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
-    """Solve (A'A + damping I) s = -g by singular values, apart from directions that A does not see.
+    """Solve (A'A + damping I) s = -g by singular values of A (m, n), apart from directions that it does not see.
 
     Squaring A loses what lies below 1e-8 of its largest singular value. What lies below rounding itself is a gauge,
     along which g is rounding too: the step has no part in it.
 
-    Args:
-        rows: A (m, n), m >= n.
-        gradient: g (n,).
-        damping: one number.
-
     Returns s (n,), its squared length |A s|^2 and the fall -g's - |A s|^2 / 2; None where A or g is not finite.
-
     """
     if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
         return None
@@ -92,6 +74,16 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     along = -slope / (values**2 + damping)
     squared_length = float(np.sum((values * along) ** 2))
     return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
+
+
+def information_of(prior_std: Array) -> Array:
+    """1 / s^2 of each unknown (n,), zero where the prior is flat."""
+    return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
+
+
+def unit_scale(diagonal: Array) -> Array:
+    """What scales a matrix with this diagonal (n,) to a unit one."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 
 def column_scales(diagonal: Array, prior_std: Array) -> Array:
@@ -105,21 +97,17 @@ def column_scales(diagonal: Array, prior_std: Array) -> Array:
 
 
 def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
-    """Covariance (J'J + Lambda)^-1 (n, n); unknowns that neither data nor prior hold get an infinite variance.
+    """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the priors, infinite where flat.
 
-    Args:
-        data_information: J'J (n, n) of the whitened Jacobian.
-        prior_std: prior standard deviations (n,), infinite where flat.
-
+    Unknowns that neither data nor prior hold get an infinite variance.
     """
     if not len(prior_std):
         return np.zeros((0, 0))
     if not np.isfinite(data_information).all():
         return np.diag(np.full(len(prior_std), np.inf))
-    information = data_information + np.diag(np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0))
+    information = data_information + np.diag(information_of(prior_std))
     # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
-    diagonal = np.diagonal(information)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = unit_scale(np.diagonal(information))
     scaled = scale[:, None] * information * scale
     root, failed = dpotrf(scaled, lower=1)
     if not failed and dpocon(root, np.abs(scaled).sum(axis=0).max(), uplo="L")[0] > WELL_CONDITIONED:

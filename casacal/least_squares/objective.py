@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ from casacal.array_types import Array
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import GroupRows, revealed_step
 from casacal.least_squares.information import Information, damped_by, with_diagonal
-from casacal.least_squares.linalg import revealed_solution
+from casacal.least_squares.linalg import information_of, revealed_solution
 from casacal.least_squares.losses import Loss
 
 
@@ -35,20 +35,6 @@ class Normal:
     cost: float
     gradient: Array
     information: Information
-
-
-def accumulate(parts: Iterable[tuple[Array, Array]], unknowns: int, loss: Loss | None = None) -> Normal:
-    """Normal equations of rows that come in parts of residuals (m,) and Jacobian (m, n).
-
-    With a loss the gradient is J'Wr and the information J'WJ, W the loss's weights at r: Gauss-Newton on sum rho(r).
-    """
-    cost, gradient, information = 0.0, np.zeros(unknowns), np.zeros((unknowns, unknowns))
-    for r, jacobian in parts:
-        weighted = jacobian if loss is None else jacobian * loss.weight(r)[:, None]
-        cost += float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())
-        gradient += weighted.T @ r
-        information += weighted.T @ jacobian
-    return Normal(cost, gradient, information)
 
 
 class Step(NamedTuple):
@@ -156,8 +142,14 @@ class LeastSquares(ABC):
         return None
 
     def normal(self, x: Array, loss: Loss | None = None) -> Normal:
-        """Cost, gradient and information of the data at x (n,), without the prior; rows weighted by a loss."""
-        return accumulate([(self.residual(x), self.jacobian(x))], self.unknowns, loss)
+        """Cost, gradient and information of the data at x (n,), without the prior.
+
+        With a loss the gradient is J'Wr and the information J'WJ, W its weights at r: Gauss-Newton on sum rho(r).
+        """
+        r, jacobian = self.residual(x), self.jacobian(x)
+        weighted = jacobian if loss is None else jacobian * loss.weight(r)[:, None]
+        cost = float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())
+        return Normal(cost, weighted.T @ r, weighted.T @ jacobian)
 
     def compact_jacobian(self, x: Array) -> Array:
         """Rows (k, n) with the J'J of the whitened Jacobian, few enough to hold: what singular values need."""
@@ -216,7 +208,7 @@ class LeastSquares(ABC):
     @cached_property
     def prior_information(self) -> Array:
         """Lambda: 1 / s^2 of each unknown (n,), zero where the prior is flat."""
-        return np.where(np.isfinite(self.prior_std), 1.0 / self.prior_std**2, 0.0)
+        return information_of(self.prior_std)
 
     def prior_cost(self, x: Array) -> float:
         """The prior's part of the objective at x (n,)."""

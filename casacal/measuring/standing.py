@@ -16,7 +16,7 @@ from casacal.measuring.touch import Slip, Touch, planned_touches, rows_of, slips
 from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.expectation import Box

@@ -16,8 +16,7 @@ from casacal.errors import CasacalError, came
 from casacal.instruments.description import Probe
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
-from casacal.problem.cell import Cell
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
 from casacal.simulation.reach import Touch

@@ -17,7 +17,7 @@ from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wan
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box

@@ -14,8 +14,7 @@ from casacal.binding.noise_scale import by_face
 from casacal.errors import CasacalError
 from casacal.planning.choice import Choice, cell_of, pool_of, wanted_joints
 from casacal.planning.extra_touches import STEP, Touches, block_on, fresh, inclined, raised, rising
-from casacal.problem.cell import Cell, Face
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.uncertainty.expectation import Box
 from casacal.values import Value

@@ -16,22 +16,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casacal import instruments
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
-from casacal.instruments import (
-    DialOnBody,
-    DialOnPlane,
-    Distance,
-    FixedPoint,
-    Instrument,
-    KnownPoint,
-    SelfContact,
-    Sockets,
-    SphereTouch,
-    Step,
-    TrackedPoint,
-    TrackedPose,
-)
 from casacal.instruments.description import Probe, ResidualBlock
 from casacal.instruments.traced_instrument import TracedInstrument
 from casacal.problem.problem import Problem
@@ -46,19 +33,9 @@ from casacal.values import FrozenMapping
 
 ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
-BUILT_IN = (
-    DialOnPlane,
-    DialOnBody,
-    TrackedPoint,
-    KnownPoint,
-    FixedPoint,
-    Sockets,
-    Distance,
-    SphereTouch,
-    TrackedPose,
-    SelfContact,
-)
-INSTRUMENTS = (*BUILT_IN, Step, TracedInstrument)
+BUILT_IN = """DialOnPlane DialOnBody TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch TrackedPose
+    SelfContact Step"""
+INSTRUMENTS = (*(getattr(instruments, name) for name in BUILT_IN.split()), TracedInstrument)
 PARTS = (Probe, ResidualBlock, TracedPose)
 KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS)}
 """What may stand in such data: nothing else is ever made of them."""
@@ -77,7 +54,10 @@ def problem_data(problem: Problem) -> dict[str, Any]:
         "parameters": _encoded(robot.parameters),
         "arm": _encoded(robot.arm),
         "pose": _encoded(pose),
-        "instruments": [_encoded(_declared(instrument, robot)) for instrument in problem.instruments],
+        "instruments": [
+            _encoded(each if type(each) in INSTRUMENTS else TracedInstrument.of(each, robot.parameters))
+            for each in problem.instruments
+        ],
     }
     if len(problem.instruments) > 1:
         data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
@@ -90,17 +70,15 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
     if data.get("sha256") != _digest(kept):
         raise CasacalError("The arm in the file was changed after it was written", "Restore the file")
     try:
-        arm, pose = _decoded(kept["arm"]), _decoded(kept["pose"])
-        if pose is None:
-            pose = arm.pose
+        arm = _decoded(kept["arm"])
+        pose = arm.pose if kept["pose"] is None else _decoded(kept["pose"])
         robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
-        instruments = [_decoded(each) for each in kept["instruments"]]
-        names = [str(name) for name in kept.get("names", ("",))]
-        problem = (
-            Problem(robot, *instruments)
-            if len(instruments) == 1
-            else Problem(robot, dict(zip(names, instruments, strict=True)), shared=_decoded(kept["shared"]))
-        )
+        measured = [_decoded(each) for each in kept["instruments"]]
+        if len(measured) == 1:
+            problem = Problem(robot, *measured)
+        else:
+            named = dict(zip(map(str, kept["names"]), measured, strict=True))
+            problem = Problem(robot, named, shared=_decoded(kept["shared"]))
         _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
         return problem
     except CasacalError:
@@ -110,10 +88,6 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         raise CasacalError(
             f"The arm in the file cannot be read: {said}", "Update casacal, or calibrate again"
         ) from error
-
-
-def _declared(instrument: Instrument, robot: Robot) -> Instrument:
-    return instrument if type(instrument) in INSTRUMENTS else TracedInstrument.of(instrument, robot.parameters)
 
 
 def _digest(data: Mapping[str, Any]) -> str:

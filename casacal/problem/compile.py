@@ -15,19 +15,15 @@ from casacal.discrepancy.effect import Effect
 from casacal.discrepancy.gears import per_radian
 from casacal.errors import ProblemError
 from casacal.instruments import Instrument
-from casacal.kernels.backend import VARIABLE, RowKernels, cubature_pass
-from casacal.kernels.batch import Batch, Columnwise
-from casacal.kernels.curvature import CurvatureKernel
-from casacal.kernels.filter_passes import BlockCubature, NativeCubature
+from casacal.kernels.backend import VARIABLE, row_kernels
+from casacal.kernels.batch import Batch
+from casacal.kernels.block_rows import Columnwise, CurvatureKernel
+from casacal.kernels.filter_passes import Cubature
+from casacal.kernels.rows import Kernels
 from casacal.kinematics import position
 from casacal.problem.trace import Trace
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
-
-
-def residual_jacobian(residual: ca.SX, z: ca.SX) -> ca.SX:
-    """de/dz (m, nz) of a residual e (m): the identification Jacobian, eqs (7)-(9) of arXiv:2208.02652."""
-    return ca.jacobian(residual, z)
 
 
 def position_jacobian(point: ca.SX, z: ca.SX) -> ca.SX:
@@ -35,20 +31,19 @@ def position_jacobian(point: ca.SX, z: ca.SX) -> ca.SX:
     return ca.jacobian(point, z)
 
 
-def residual_noise(
-    robot: Robot, instrument: Instrument, residual: ca.SX, q: ca.SX, columns: Mapping[str, ca.SX]
-) -> ca.SX:
+def residual_noise(traced: Trace) -> ca.SX:
     """Standard deviation (m) of the residual: errors of joints and columns, carried by its slope, beside its own."""
-    variance: ca.SX = ca.vertcat(*own_variances(instrument, residual.numel(), columns))
+    residual, instrument = traced.residual, traced.instrument
+    variance: ca.SX = ca.vertcat(*_own_variances(instrument, residual.numel(), traced.columns))
     for name, std in instrument.column_stds.items():
-        variance += (ca.jacobian(residual, columns[name]) * std) ** 2
-    for j, joint in enumerate(robot.axes):
+        variance += (ca.jacobian(residual, traced.columns[name]) * std) ** 2
+    for j, joint in enumerate(traced.robot.axes):
         if joint.repeatability_std > 0:
-            variance += (ca.jacobian(residual, q[j]) * joint.repeatability_std) ** 2
+            variance += (ca.jacobian(residual, traced.q[j]) * joint.repeatability_std) ** 2
     return ca.SX(ca.sqrt(variance))
 
 
-def own_variances(instrument: Instrument, components: int, columns: Mapping[str, ca.SX]) -> list[Any]:
+def _own_variances(instrument: Instrument, components: int, columns: Mapping[str, ca.SX]) -> list[Any]:
     """Variance of each component of a residual by itself, as the instrument declares it: a number or from a column.
 
     Raises ProblemError where its blocks are not those of its residual.
@@ -72,15 +67,9 @@ def own_variances(instrument: Instrument, components: int, columns: Mapping[str,
     return found
 
 
-def joint_noise(robot: Robot, residual: ca.SX, q: ca.SX) -> ca.SX:
-    """Standard deviation (m) of the residual where every joint errs on its own, by a radian or what counts as one."""
-    slopes = ca.jacobian(residual, q) @ ca.diag(ca.DM(per_radian(robot)))
-    return ca.sqrt(ca.sum2(slopes**2))
-
-
 @dataclass(frozen=True)
 class RowModel:
-    """The compiled functions of one robot with one instrument."""
+    """The compiled functions of one robot with one instrument, of (z, c, d) but where another argument is named."""
 
     unknowns: Mapping[str, Unknown]
     constants: tuple[str, ...]
@@ -90,33 +79,29 @@ class RowModel:
     names: tuple[str, ...]
     """Columns of d beside the joint values, in order."""
     residual: ca.Function
-    """(z, c, d) -> residual e (m)."""
+    """e (m)."""
     jacobian: ca.Function
-    """(z, c, d) -> residual e (m), its derivative de/dz, row by row (m * nz)."""
+    """e (m), its derivative de/dz, row by row (m * nz)."""
     noise: ca.Function
-    """(z, c, d) -> standard deviation w (m) of e."""
-    tip: ca.Function
-    """(z, c, d) -> tip (3), mm."""
-    tip_jacobian: ca.Function
-    """(z, c, d) -> tip (3), its derivative, row by row (3 * nz)."""
-    flange_jacobian: ca.Function
-    """(z, c, d) -> flange origin (3), mm, its derivative, row by row (3 * nz)."""
-    pose: ca.Function
-    """(z, c, d) -> flange pose (16), column by column."""
-    plunger: ca.Function | None
-    """(z, c, d) -> direction of the plunger (3) in the base frame; None for an instrument without one."""
-    raw_residual: ca.Function
-    """(v, c, d) -> residual e (m) at raw coordinates v, for the IPOPT reference."""
+    """Standard deviation w (m) of e."""
     joint_noise: ca.Function
-    """(z, c, d) -> standard deviation (m) of e where every joint errs by a radian, or what counts as one."""
-
-    def same_as(self, other: RowModel) -> bool:
-        """Whether another model computes the same, operation by operation."""
-        return self.text == other.text
+    """The same (m) where every joint errs on its own, by a radian or what counts as one, and nothing else."""
+    tip: ca.Function
+    """Tip (3), mm."""
+    tip_jacobian: ca.Function
+    """Tip (3), its derivative, row by row (3 * nz)."""
+    flange_jacobian: ca.Function
+    """Flange origin (3), mm, its derivative, row by row (3 * nz)."""
+    pose: ca.Function
+    """Flange pose (16), column by column."""
+    plunger: ca.Function | None
+    """Direction of the plunger (3) in the base frame; None for an instrument without one."""
+    raw_residual: ca.Function
+    """(v, c, d) -> e (m) at raw coordinates v, for the IPOPT reference."""
 
     @cached_property
     def text(self) -> str:
-        """What it computes, as text."""
+        """What it computes, operation by operation."""
         return "\n".join(function.serialize() for function in (self.residual, self.noise, self.tip, self.pose))
 
     @property
@@ -124,33 +109,32 @@ class RowModel:
         """Scalar residuals per row, m."""
         return int(self.residual.numel_out(0))
 
-    def rows(self, backend: str | None = None) -> RowKernels:
+    def rows(self, backend: str | None = None) -> Kernels:
         """Kernels over many rows at one (z, c), on a back end; None takes the environment's, or auto."""
         key = backend or os.environ.get(VARIABLE, "auto")
         if key not in self._rows:
-            self._rows[key] = RowKernels(self.jacobian, ("once", "once", "lane"), key)
+            self._rows[key] = row_kernels(self.jacobian, key)
         return self._rows[key]
 
-    def filter(self, backend: str | None = None) -> NativeCubature | BlockCubature:
+    def filter(self, backend: str | None = None) -> Cubature:
         """The cubature filter's pass, on the back end that evaluates rows."""
-        name = self.rows(backend).kernels.name
+        name = self.rows(backend).name
         if name not in self._filters:
-            self._filters[name] = cubature_pass(self.residual, name)
+            self._filters[name] = Cubature(self.residual, name)
         return self._filters[name]
 
     @cached_property
-    def _filters(self) -> dict[str, NativeCubature | BlockCubature]:
+    def _filters(self) -> dict[str, Cubature]:
         return {}
 
     @cached_property
-    def _rows(self) -> dict[str, RowKernels]:
+    def _rows(self) -> dict[str, Kernels]:
         return {}
 
     @cached_property
     def columns(self) -> SimpleNamespace:
         """Noise, tip, pose and plunger of many rows at one (z, c), each as a `Columnwise`."""
-        names = ("noise", "joint_noise", "tip", "pose") + (("plunger",) if self.plunger is not None else ())
-        return SimpleNamespace(**{name: Columnwise(getattr(self, name)) for name in names})
+        return self._each("noise joint_noise tip pose plunger", Columnwise)
 
     @cached_property
     def curvature(self) -> CurvatureKernel:
@@ -160,10 +144,12 @@ class RowModel:
 
     @cached_property
     def batch(self) -> SimpleNamespace:
-        """The same functions, each as a `Batch`."""
-        names = ["residual", "jacobian", "noise", "tip", "tip_jacobian", "flange_jacobian", "pose"]
-        names += ["plunger"] if self.plunger is not None else []
-        return SimpleNamespace(**{name: Batch(getattr(self, name)) for name in names})
+        """Functions of rows that differ in z and c too, each as a `Batch`."""
+        return self._each("residual jacobian noise tip tip_jacobian flange_jacobian pose plunger", Batch)
+
+    def _each(self, names: str, form: type[Batch] | type[Columnwise]) -> SimpleNamespace:
+        functions = {name: getattr(self, name) for name in names.split()}
+        return SimpleNamespace(**{name: form(each) for name, each in functions.items() if each is not None})
 
 
 def models_like(models: Sequence[RowModel], robot: Robot, instruments: Sequence[Instrument]) -> tuple[RowModel, ...]:
@@ -182,25 +168,28 @@ def compile_rows(traced: Trace) -> RowModel:
 
     Raises ProblemError when `pose` or `residual` depends on something else than joints, columns and unknowns.
     """
-    inputs, z, seen = [traced.z, traced.c, traced.d], traced.z, traced.seen
-    slopes, origin = residual_jacobian(seen.residual, z), ca.SX(position(seen.pose))
-    noise = residual_noise(traced.robot, traced.instrument, seen.residual, traced.q, traced.columns)
-    v, raw_residual = traced.raw
+    seen, z, e = traced.seen, traced.z, traced.residual
+    inputs, (v, raw_residual), origin = [z, traced.c, traced.d], traced.raw, ca.SX(position(seen.pose))
+    by_joint = ca.jacobian(e, traced.q) @ ca.diag(ca.DM(per_radian(traced.robot)))
+
+    def made(name: str, *outputs: ca.SX) -> ca.Function:
+        return row_function(name, inputs, list(outputs))
+
     return RowModel(
         unknowns=traced.unknowns,
-        constants=traced.constants,
-        effects=traced.effects,
+        constants=tuple(traced.constants),
+        effects=traced.acting,
         names=tuple(traced.columns),
-        residual=row_function("residual", inputs, [seen.residual]),
-        jacobian=row_function("jacobian", inputs, [seen.residual, slopes.T]),
-        noise=row_function("noise", inputs, [noise]),
-        tip=row_function("tip", inputs, [seen.tip]),
-        tip_jacobian=row_function("tip_jacobian", inputs, [seen.tip, position_jacobian(seen.tip, z).T]),
-        flange_jacobian=row_function("flange_jacobian", inputs, [origin, position_jacobian(origin, z).T]),
-        pose=row_function("pose", inputs, [ca.SX(seen.pose)]),
-        plunger=None if seen.plunger is None else row_function("plunger", inputs, [seen.plunger]),
+        residual=made("residual", e),
+        jacobian=made("jacobian", e, traced.jacobian.T),
+        noise=made("noise", residual_noise(traced)),
+        joint_noise=made("joint_noise", ca.sqrt(ca.sum2(by_joint**2))),
+        tip=made("tip", seen.tip),
+        tip_jacobian=made("tip_jacobian", seen.tip, position_jacobian(seen.tip, z).T),
+        flange_jacobian=made("flange_jacobian", origin, position_jacobian(origin, z).T),
+        pose=made("pose", traced.pose),
+        plunger=None if seen.plunger is None else made("plunger", seen.plunger),
         raw_residual=row_function("raw_residual", [v, *inputs[1:]], [raw_residual]),
-        joint_noise=row_function("joint_noise", inputs, [joint_noise(traced.robot, seen.residual, traced.q)]),
     )
 
 

@@ -13,13 +13,12 @@ from casacal.discrepancy import Effect
 from casacal.errors import ProblemError, UnknownNameError, came
 from casacal.instruments import Instrument, Words
 from casacal.instruments.instrument import check_declaration
-from casacal.problem.edits import all_unknowns
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping, Value, is_real
 
 
-def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
+def _check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
     """Raise ProblemError for what is no robot, instrument or effect, for names that collide, and without any noise."""
     if not isinstance(robot, Robot):
         raise ProblemError(f"Got {came(robot)} as the robot", "Give a Robot, such as Robot.from_dh(...) makes")
@@ -30,32 +29,23 @@ def check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) 
     for effect in effects:
         if not isinstance(effect, Effect):
             raise ProblemError(f"Got {came(effect)} as an effect", "Give what casacal.discrepancy has, or one's own")
-        _check_size(effect)
+        for what, least in (("size", 0.0), ("doubt", 1.0), ("most", 1.0)):
+            value = getattr(effect, what)
+            if not is_real(value) or not least <= value < math.inf or value == 0:
+                fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
+                raise ProblemError(f"The {what} of {type(effect).__name__} is {value!r}", fix)
     keys = [effect.key for effect in effects]
     if twice := next((key for key in keys if keys.count(key) > 1), ""):
         raise ProblemError(f"The effect '{twice}' came twice", "Give each once")
+    noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
     for instrument in instruments:
         check_declaration(instrument)
-        _check_with(robot, instrument)
-
-
-def _check_size(effect: Effect) -> None:
-    name = type(effect).__name__
-    for what, value, least in (("size", effect.size, 0.0), ("doubt", effect.doubt, 1.0), ("most", effect.most, 1.0)):
-        if not is_real(value) or not least <= value < math.inf or value == 0:
-            fix = f"Give a positive number, {least:g} or more" if least else "Give a positive number"
-            raise ProblemError(f"The {what} of {name} is {value!r}", fix)
-
-
-def _check_with(robot: Robot, instrument: Instrument) -> None:
-    name = type(instrument).__name__
-    twice = set(robot.parameters) & set(instrument.unknowns)
-    if twice:
-        raise ProblemError(f"Robot and {name} both name '{sorted(twice)[0]}'", "Rename one of them")
-    noisy_joints = any(joint.repeatability_std > 0 for joint in robot.axes)
-    noisy_columns = any(std > 0 for std in instrument.column_stds.values())
-    if instrument.residual_std <= 0 and not instrument.blocks and not noisy_columns and not noisy_joints:
-        raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
+        name = type(instrument).__name__
+        if both := sorted(set(robot.parameters) & set(instrument.unknowns)):
+            raise ProblemError(f"Robot and {name} both name '{both[0]}'", "Rename one of them")
+        noisy = noisy_joints or instrument.blocks or any(std > 0 for std in instrument.column_stds.values())
+        if instrument.residual_std <= 0 and not noisy:
+            raise ProblemError(f"{name} declares no noise", "Give the standard deviation of its measurements")
 
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_-]*")
@@ -64,22 +54,19 @@ Shared = Mapping[str, tuple[str, ...]]
 """Keys of unknowns that instruments have in common, and the names of these."""
 
 
-def named(given: Sequence[Any]) -> tuple[tuple[str, ...], tuple[Any, ...]]:
-    """Names and instruments: of a mapping as it says, else "instrument1" and so on; an only one needs no name.
-
-    Raises ProblemError for a name that is none.
-    """
-    if len(given) == 1 and isinstance(given[0], Mapping):
-        for name in given[0]:
-            if not isinstance(name, str) or not NAME.fullmatch(name):
-                fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
-                raise ProblemError(f"An instrument is called {name!r}", fix)
-        return tuple(given[0]), tuple(given[0].values())
-    return tuple(f"instrument{i}" for i in range(1, len(given) + 1)), tuple(given)
+def _named(given: Sequence[Any]) -> dict[str, Any]:
+    """Instruments by name: of a mapping as it says, else "instrument1" and so on."""
+    if len(given) != 1 or not isinstance(given[0], Mapping):
+        return {f"instrument{i}": instrument for i, instrument in enumerate(given, 1)}
+    for name in given[0]:
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            fix = "Use letters, digits, - and _, a letter first, such as 'tracker'"
+            raise ProblemError(f"An instrument is called {name!r}", fix)
+    return dict(given[0])
 
 
-def shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
-    """What was declared as shared; raises ProblemError where instruments do not have it, or not alike."""
+def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
+    """What was declared as shared; refused where instruments do not have it, or not alike."""
     if not isinstance(shared, Mapping):
         fix = 'Name it and the instruments, such as shared={"tool": ("dial", "spike")}'
         raise ProblemError(f"Got {came(shared)} as what instruments share", fix)
@@ -102,13 +89,6 @@ def shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
             )
         found[str(key)] = tuple(names)
     return FrozenMapping(found)
-
-
-def full_names(names: Sequence[str], instruments: Sequence[Instrument], shared: Shared) -> Iterator[dict[str, str]]:
-    """For each instrument the full name of each of its unknowns: after its own name unless it is shared or alone."""
-    for name, instrument in zip(names, instruments, strict=True):
-        before = "" if len(instruments) == 1 else f"{name}."
-        yield {key: key if name in shared.get(key, ()) else before + key for key in instrument.unknowns}
 
 
 NOTHING: Shared = FrozenMapping({})
@@ -144,13 +124,13 @@ class MeasuredArm(Value):
                 touches plates and a spike. All others are an instrument's own.
 
         """
-        names, each = named(instruments)
-        check_parts(robot, each, effects)
+        named = _named(instruments)
+        _check_parts(robot, tuple(named.values()), effects)
         object.__setattr__(self, "effects", tuple(effects))
         object.__setattr__(self, "robot", robot)
-        object.__setattr__(self, "instruments", each)
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "shared", shared_by(shared, dict(zip(names, each, strict=True))))
+        object.__setattr__(self, "instruments", tuple(named.values()))
+        object.__setattr__(self, "names", tuple(named))
+        object.__setattr__(self, "shared", _shared_by(shared, named))
 
     @property
     def instrument(self) -> Instrument:
@@ -194,22 +174,27 @@ class MeasuredArm(Value):
     @cached_property
     def full_names(self) -> tuple[Mapping[str, str], ...]:
         """For each instrument the full name of each of its unknowns, by key: "tracker.station", or "tool" if shared."""
-        return tuple(full_names(self.names, self.instruments, self.shared))
+        return tuple(
+            {key: key if name in self.shared.get(key, ()) else self.prefix(i) + key for key in instrument.unknowns}
+            for i, (name, instrument) in enumerate(zip(self.names, self.instruments, strict=True))
+        )
 
-    def with_parts(self, robot: Robot, instruments: Sequence[Instrument]) -> Self:
-        """The same with another robot and other instruments of the same names."""
-        return self._copy(robot, instruments, self.effects)
-
-    def _copy(self, robot: Robot, instruments: Sequence[Instrument], effects: Sequence[Effect]) -> Self:
+    def with_parts(
+        self, robot: Robot, instruments: Sequence[Instrument], effects: Sequence[Effect] | None = None
+    ) -> Self:
+        """The same with another robot, other instruments of the same names, perhaps other effects."""
         together = dict(zip(self.names, instruments, strict=True))
+        effects = self.effects if effects is None else effects
         return type(self)(robot, together, effects=effects, shared=self.shared)
 
     def _named(self) -> Iterator[tuple[str, Unknown]]:
-        return all_unknowns(self.robot, self.instruments, self.full_names)
-
-    @property
-    def _named_alike(self) -> tuple[str, ...]:
-        return self.names if len(self.instruments) > 1 else ()
+        """Every unknown by its name, once: those of the robot, then of each instrument."""
+        yield from self.robot.parameters.items()
+        found: dict[str, Unknown] = {}
+        for instrument, full in zip(self.instruments, self.full_names, strict=True):
+            for key, unknown in instrument.unknowns.items():
+                found.setdefault(full[key], unknown)
+        yield from found.items()
 
     @property
     def _said(self) -> str:

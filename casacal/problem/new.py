@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from casacal.errors import CasacalError, ProblemError
 from casacal.problem.problem_file import load_problem
@@ -17,6 +18,7 @@ from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.urdf_chain import UrdfChain
+from casacal.values import FrozenMapping
 
 README = """# {name}
 
@@ -58,23 +60,18 @@ def new_from_dh(
     `given` is what is known of dial and maker. Returns the folder and the table. Raises CasacalError when the file
     cannot be read or the folder exists.
     """
-    table = read_dh_file(path)
+    table, source = read_dh_file(path), Path(path).name
     if not table.parallel:
         table = replace(table, parallel=table.parallel_axes(), beta=())
-    keys = ["alpha", "a", "d", "theta", *(["beta"] if table.parallel else [])]
     axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
-    folder = _folder(name, out)
-    readme = README.format(
-        name=name,
-        origin=f"The {table.convention} DH table of {word(table.name)} from {Path(path).name}",
-        count=4 * len(table.alpha),  # beta takes the place of d
-        keys=", ".join(keys),
-        more=PARALLEL.format(axes=axes) if axes else "",
-        limits=", +-180 degrees or +-1000 mm where it gives none",
-        folder=folder.as_posix(),
-    )
-    problem = dh_problem_text(table, Path(path).name, given)
-    return _written(folder, {"problem.py": problem.encode(), "README.md": readme.encode()}), table
+    told = {
+        "origin": f"The {table.convention} DH table of {word(table.name)} from {source}",
+        "count": 4 * len(table.alpha),  # beta takes the place of d
+        "keys": "alpha, a, d, theta" + (", beta" if axes else ""),
+        "more": PARALLEL.format(axes=axes) if axes else "",
+        "limits": ", +-180 degrees or +-1000 mm where it gives none",
+    }
+    return _written(name, out, told, dh_problem_text(table, source, given or Given())), table
 
 
 def new_from_urdf(
@@ -93,24 +90,19 @@ def new_from_urdf(
     """
     arm = UrdfChain.read(path, base, tip, None)
     base, tip = arm.chain[0].parent, arm.chain[-1].child
-    folder = _folder(name, out)
-    readme = README.format(
-        name=name,
-        origin=f"The arm from link '{word(base)}' to link '{word(tip)}' of {arm.file}",
-        count=6 * len(arm.moving),
-        keys="x, y, z, rx, ry, rz",
-        more=REDUNDANT,
-        limits=", +-180 degrees for continuous joints",
-        folder=folder.as_posix(),
-    )
-    problem = urdf_problem_text(arm, base, tip, given)
-    files = {"problem.py": problem.encode(), "README.md": readme.encode(), arm.file: Path(path).read_bytes()}
-    return _written(folder, files), arm
+    told = {
+        "origin": f"The arm from link '{word(base)}' to link '{word(tip)}' of {arm.file}",
+        "count": 6 * len(arm.moving),
+        "keys": "x, y, z, rx, ry, rz",
+        "more": REDUNDANT,
+        "limits": ", +-180 degrees for continuous joints",
+    }
+    text = urdf_problem_text(arm, base, tip, given or Given())
+    return _written(name, out, told, text, {arm.file: Path(path).read_bytes()}), arm
 
 
-def dh_problem_text(table: DHTable, source: str, given: Given | None = None) -> str:
+def dh_problem_text(table: DHTable, source: str, given: Given) -> str:
     """Text of a problem.py with a DH table written out; `source` says where the table comes from."""
-    given = given or Given()
     turning = all(joint.turns for joint in table.joints)
     names = ["Joint", "Problem", "Robot", "deg", *given.names]
     arguments = [quoted(table.name)]
@@ -145,20 +137,22 @@ def dh_problem_text(table: DHTable, source: str, given: Given | None = None) -> 
     return f"{text}\n{given.text}"
 
 
-def urdf_problem_text(arm: UrdfChain, base: str, tip: str, given: Given | None = None) -> str:
+def urdf_problem_text(arm: UrdfChain, base: str, tip: str, given: Given) -> str:
     """Text of a problem.py that reads the URDF beside it."""
-    said = given or Given()
     read = [f"Path(__file__).with_name({quoted(arm.file)})", f"base={quoted(base)}", f"tip={quoted(tip)}"]
     robot = listed("(", read, ")", 0, taken=len("robot = Robot.from_urdf"))
     return (
         f'"""{word(arm.name)} with a dial indicator on flat faces; the arm is that of {word(arm.file)}."""\n\n'
         "from pathlib import Path\n\n"
-        f"from casacal import {imported(['Problem', 'Robot', *said.names])}\n\n"
-        f"robot = Robot.from_urdf{robot}\n\n{said.text}"
+        f"from casacal import {imported(['Problem', 'Robot', *given.names])}\n\n"
+        f"robot = Robot.from_urdf{robot}\n\n{given.text}"
     )
 
 
-def _folder(name: str, out: str | Path) -> Path:
+def _written(
+    name: str, out: str | Path, told: Mapping[str, Any], problem: str, files: Mapping[str, bytes] = FrozenMapping({})
+) -> Path:
+    """Write a folder beside its place, see that it loads, and only then put it there."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
         raise CasacalError(
             f"'{name}' cannot name a problem's folder", "Use letters, digits, _ and -; --out says where it goes"
@@ -166,19 +160,16 @@ def _folder(name: str, out: str | Path) -> Path:
     folder = Path(out) / name
     if folder.exists():
         raise CasacalError(f"'{folder}' exists already", "Choose another name, or move it away")
-    return folder
-
-
-def _written(folder: Path, files: Mapping[str, bytes]) -> Path:
-    """Write a folder beside its place, see that it loads, and only then put it there."""
+    readme = README.format(name=name, folder=folder.as_posix(), **told)
+    refusal, fix = f"'{folder}' cannot be written", "Choose another place"
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     except OSError as error:
-        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
+        raise CasacalError(f"{refusal} ({error.strerror})", fix) from error
     try:
-        for name, data in files.items():
-            (draft / name).write_bytes(data)
+        for file, data in {"problem.py": problem.encode(), "README.md": readme.encode(), **files}.items():
+            (draft / file).write_bytes(data)
         try:
             load_problem(draft).problem.models  # noqa: B018  (a problem that cannot be compiled is not handed over)
         except ProblemError as error:
@@ -187,7 +178,7 @@ def _written(folder: Path, files: Mapping[str, bytes]) -> Path:
         draft.chmod(0o755)
         os.rename(draft, folder)
     except OSError as error:
-        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
+        raise CasacalError(f"{refusal} ({error.strerror})", fix) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return folder

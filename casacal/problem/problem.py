@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 
 from casacal.discrepancy import Effect, kit, rich_kit
 from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
-from casacal.instruments.instrument import with_setting
+from casacal.instruments.instrument import with_setting, with_unknown
 from casacal.problem.compile import RowModel, models_like
-from casacal.problem.edits import chosen, replaced, with_std
 from casacal.problem.measured_arm import MeasuredArm
 from casacal.problem.symbols import Symbols
 from casacal.samples.layout import Layout
@@ -34,8 +34,8 @@ class Problem(MeasuredArm):
         """Whether both are about the same arm and instruments, to the last operation of their residuals."""
         if self is other or not isinstance(other, Problem):
             return self is other
-        mine, theirs = ((problem.shared, problem._named_alike) for problem in (self, other))
-        return mine == theirs and self._symbols == other._symbols
+        alike = self.names == other.names or len(self.instruments) == 1  # an only one needs no name
+        return alike and self.shared == other.shared and self._symbols == other._symbols
 
     def __hash__(self) -> int:
         return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
@@ -128,7 +128,7 @@ class Problem(MeasuredArm):
         """
         changed = self
         for name in names:
-            changed = changed._edit(name, lambda unknown, chosen: unknown.with_free([not hit for hit in chosen]))
+            changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))
         return changed
 
     def free(self, *names: str) -> Problem:
@@ -153,15 +153,15 @@ class Problem(MeasuredArm):
         """
         changed = self
         for name, std in stds.items():
-            changed = changed._edit(name, partial(with_std, name, std))
+            changed = changed._edit(name, partial(_with_std, name, std))
         if "models" in vars(self):  # what is compiled knows no priors
             vars(changed)["models"] = models_like(self.models, changed.robot, changed.instruments)
         made = {} if self.effects else {key: vars(self)[key] for key in KITS if key in vars(self)}
         vars(changed).update({key: problem.with_prior(stds) for key, problem in made.items()})
         return changed
 
-    def with_settings(self, values: Mapping[str, float]) -> Problem:
-        """Copy with other numbers of its instrument, such as {"sign": -1} or {"noise_std": 0.02}.
+    def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
+        """Copy with other numbers of its instrument, such as {"sign": -1}, {"noise_std": 0.02}, {"travel": (-5, 5)}.
 
         Of several instruments after its name: {"dial.sign": -1}. Raises UnknownNameError for what is none of its
         numbers, ProblemError for a value that it refuses.
@@ -176,7 +176,7 @@ class Problem(MeasuredArm):
     def with_effects(self, *effects: Effect) -> Problem:
         """Copy with these effects beside the geometry, in the place of those it had; of one key the last."""
         known = {getattr(effect, "key", effect): effect for effect in effects}
-        return self._copy(self.robot, self.instruments, tuple(known.values()))
+        return self.with_parts(self.robot, self.instruments, tuple(known.values()))
 
     @cached_property
     def without_effects(self) -> Problem:
@@ -201,11 +201,31 @@ class Problem(MeasuredArm):
         return list(dict.fromkeys(result))
 
     def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
+        """Copy with an unknown edited, told which of its free components a name means: all by its key, or one."""
         for key, unknown in self._named():
-            meant = chosen(name, key, unknown)
+            meant = [name in (key, component) for component in unknown.names(key)]
             if any(meant):
                 return self._with(key, edit(unknown, meant))
         raise UnknownNameError("free unknown", name, self.free_names())
 
     def _with(self, name: str, unknown: Unknown) -> Problem:
-        return self.with_parts(*replaced(self.robot, self.instruments, self.full_names, name, unknown))
+        """Copy with another unknown in the place of the one of that full name, wherever it is shared."""
+        robot, changed = self.robot, []
+        if name in robot.parameters:
+            robot = replace(robot, parameters={**robot.parameters, name: unknown})
+        for instrument, full in zip(self.instruments, self.full_names, strict=True):
+            key = next((key for key, known in full.items() if known == name), None)
+            changed.append(instrument if key is None else with_unknown(instrument, key, unknown))
+        return self.with_parts(robot, changed)
+
+
+def _with_std(name: str, std: float, unknown: Unknown, meant: list[bool]) -> Unknown:
+    """An unknown with another prior standard deviation of the components that a name means."""
+    units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
+    if len(units) > 1:
+        raise ProblemError(
+            f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
+            f"Name a component: {', '.join(unknown.names(name))}",
+        )
+    pairs = zip(unknown.prior_stds, meant, strict=True)
+    return unknown.with_prior([std if hit else float(before) for before, hit in pairs])

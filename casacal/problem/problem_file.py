@@ -15,8 +15,7 @@ from casacal.problem.problem import Problem
 from casacal.user_code import BESIDE, run_file
 from casacal.values import Value
 
-LARGEST_KEPT = 2_000_000
-"""Bytes beyond which the text of a file is not kept with its hash."""
+LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,8 @@ def load_problem(path: str | Path) -> ProblemFile:
     if not file.is_file():
         near = sorted(p.parent.as_posix() for p in Path("problems").glob("*/problem.py"))
         known = f"; known here: {', '.join(near)}" if near else ""
-        raise ProblemError(
-            f"There is no problem at '{path}'", f"Give a folder with a problem.py, or such a file{known}"
-        )
+        fix = f"Give a folder with a problem.py, or such a file{known}"
+        raise ProblemError(f"There is no problem at '{path}'", fix)
     if file.suffix != ".py":
         raise ProblemError(
             f"'{path}' is no problem file, which is a program in Python",

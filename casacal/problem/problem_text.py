@@ -9,11 +9,32 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from casacal.errors import CasacalError
+from casacal.instruments.description import Travel, readings_within
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.joints import Conventions, Joint
 
-FILL_IN = "TO FILL IN"
-"""What marks a line that nobody has looked at yet."""
+FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
+
+
+DIAL = """# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a
+# millimetre, the samples say the rest.{todo[tool]}
+tool = tool_point({tool}, prior_std=1.0)
+
+# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger
+# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
+# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
+# of planes cannot tell.
+dial = DialOnPlane(noise_std=0.01, sign={sign}, {travel}tool=tool, gain=dial_gain(0.15))
+
+{problem}
+"""
+UNKNOWN_MAKER = f"""\
+# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what
+# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.
+# {FILL_IN}.
+problem = Problem(robot, dial)"""
+KNOWN_MAKER = """# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.
+problem = scaled_to_accuracy(Problem(robot, dial), {accuracy})"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +49,7 @@ class Given:
 
     tool: tuple[float, float, float] | None = None
     sign: int | None = None
+    travel: Travel | None = None
     accuracy: float | None = None
 
     def __post_init__(self) -> None:
@@ -35,50 +57,29 @@ class Given:
             raise CasacalError(f"The tool is {self.tool!r}", "Give three numbers of mm, such as 0,0,120")
         if self.sign not in (None, 1, -1):
             raise CasacalError(f"The dial's sign is {self.sign!r}", "Give 1 or -1")
+        low, high = readings_within(10.0 if self.travel is None else self.travel)
+        if not -math.inf < low < high < math.inf:
+            raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
         if self.accuracy is not None and not 0 < self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", "Give a positive number of mm")
 
     @property
     def names(self) -> list[str]:
         """What problem.py imports for it."""
-        return [
-            "DialOnPlane",
-            "dial_gain",
-            "tool_point",
-            *(["scaled_to_accuracy"] if self.accuracy is not None else []),
-        ]
+        scaled = [] if self.accuracy is None else ["scaled_to_accuracy"]
+        return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
 
     @property
     def text(self) -> str:
         """The end of problem.py: tool, dial, problem."""
-        x, y, z = (plain(value) for value in self.tool or (0.0, 0.0, 0.0))
         todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
-        sign = "+1" if self.sign == 1 else "-1"
-        lines = [
-            "# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a",
-            f"# millimetre, the samples say the rest.{todo['tool']}",
-            f"tool = tool_point({x}, {y}, {z}, prior_std=1.0)",
-            "",
-            "# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger",
-            f"# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo['sign']}",
-            "# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches",
-            "# of planes cannot tell.",
-            f"dial = DialOnPlane(noise_std=0.01, sign={sign}, tool=tool, gain=dial_gain(0.15))",
-            "",
-        ]
-        if self.accuracy is None:
-            lines += [
-                "# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what",
-                "# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.",
-                f"# {FILL_IN}.",
-                "problem = Problem(robot, dial)",
-            ]
-        else:
-            lines += [
-                "# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.",
-                f"problem = scaled_to_accuracy(Problem(robot, dial), {plain(self.accuracy)})",
-            ]
-        return "\n".join(lines) + "\n"
+        return DIAL.format(
+            tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
+            sign="+1" if self.sign == 1 else "-1",
+            travel="" if self.travel is None else f"travel={_ends(self.travel)}, ",
+            todo=todo,
+            problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
+        )
 
     @property
     def missing(self) -> list[str]:
@@ -91,8 +92,12 @@ class Given:
         return [words for name, words in assumed.items() if getattr(self, name) is None]
 
 
-WIDTH = 120
-"""Longest line of a problem file."""
+def _ends(travel: Travel) -> str:
+    """A dial's travel as Python reads it."""
+    return f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel)
+
+
+WIDTH = 120  # longest line of a problem file
 
 
 def conventions(said: Conventions, joints: Sequence[Joint]) -> str:

@@ -8,118 +8,45 @@ symbols.value_functions["pose"](alpha=..., a=..., d=..., theta=..., q=q)        
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
-from casacal.discrepancy.effect import Effect
 from casacal.errors import ProblemError
-from casacal.instruments import Instrument
-from casacal.problem.compile import RowModel, compile_rows, residual_jacobian, residual_noise, row_function
-from casacal.problem.symbols_in_c import c_text
-from casacal.problem.trace import Trace, trace
-from casacal.robots.robot import Robot
-from casacal.values import FrozenMapping, Value, alike, short
+from casacal.problem.compile import RowModel, compile_rows, residual_noise, row_function
+from casacal.problem.trace import Trace
+from casacal.values import FrozenMapping, alike, short
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Symbols(Value):
+class Symbols(Trace):
     """One robot with one instrument as CasADi expressions: lengths in mm, angles in rad; what `Problem.symbols` gives.
 
     Expressions are SX and belong together: those of another `Symbols` do not mix with them. Raises ProblemError when
     `pose`, `tip` or `residual` fails, has the wrong shape or depends on something else.
     """
 
-    robot: Robot
-    instrument: Instrument
-    effects: tuple[Effect, ...] = ()
-
-    @cached_property
-    def trace(self) -> Trace:
-        """What was traced: everything else here, and all that estimators evaluate, is made of it."""
-        return trace(self.robot, self.instrument, self.effects)
-
     @cached_property
     def model(self) -> RowModel:
         """The functions that estimators evaluate."""
-        return compile_rows(self.trace)
-
-    @property
-    def z(self) -> ca.SX:
-        """Unknowns (nz): deviations from nominal of the robot's parameters, then of the instrument's unknowns."""
-        return self.trace.z
+        return compile_rows(self)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each of z, without labels."""
-        return tuple(name for key, unknown in self.trace.unknowns.items() for name in unknown.names(key))
+        return tuple(name for key, unknown in self.unknowns.items() for name in unknown.names(key))
 
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each of z."""
-        return tuple(unit for unknown in self.trace.unknowns.values() for unit in unknown.units)
-
-    @property
-    def c(self) -> ca.SX:
-        """Constants (nc): numbers that fix the nominal values which differ by label or are proposed by the data."""
-        return self.trace.c
-
-    @property
-    def constants(self) -> Mapping[str, int]:
-        """Keys of the unknowns whose nominal is part of c, in order, and how many numbers each takes."""
-        return FrozenMapping({key: self.trace.unknowns[key].nominal_size for key in self.trace.constants})
-
-    @property
-    def q(self) -> ca.SX:
-        """Joint values (n): rad, mm."""
-        return self.trace.q
-
-    @property
-    def columns(self) -> Mapping[str, ca.SX]:
-        """The row's columns by name: those that are read, then those known from labels."""
-        return FrozenMapping(self.trace.columns)
-
-    @property
-    def d(self) -> ca.SX:
-        """The row (nd): q, then the columns."""
-        return self.trace.d
-
-    @property
-    def p(self) -> SimpleNamespace:
-        """Values by name at z and c, as `pose` and `residual` take them: numbers, vectors, 4x4 frames, planes."""
-        return SimpleNamespace(**self.trace.values)
-
-    @property
-    def pose(self) -> ca.SX:
-        """Flange pose (4x4), mm: eqs (1) and (2) of arXiv:2208.02652."""
-        return ca.SX(self.trace.seen.pose)
-
-    @property
-    def tip(self) -> ca.SX:
-        """Where the instrument touches or is watched (3), mm, base frame."""
-        return self.trace.seen.tip
-
-    @property
-    def residual(self) -> ca.SX:
-        """Residual e (m): for a plane its signed distance from the tip, mm, eq (6) with a unit normal."""
-        return self.trace.seen.residual
-
-    @cached_property
-    def jacobian(self) -> ca.SX:
-        """de/dz (m x nz), by automatic differentiation: it takes the place of eqs (3)-(5) and (7)-(9).
-
-        Made by `casacal.problem.compile.residual_jacobian`.
-        """
-        return residual_jacobian(self.residual, self.z)
+        return tuple(unit for unknown in self.unknowns.values() for unit in unknown.units)
 
     @cached_property
     def noise(self) -> ca.SX:
         """Standard deviation w (m) of e: errors of joints and columns carried by its slope, beside its own."""
-        return residual_noise(self.robot, self.instrument, self.residual, self.q, self.trace.columns)
+        return residual_noise(self)
 
     @cached_property
     def functions(self) -> Mapping[str, ca.Function]:
@@ -136,7 +63,7 @@ class Symbols(Value):
         and an offset (mm) along it. `pose` takes the robot's parameters and q; `tip` also what it depends on of the
         instrument and the columns; `residual` everything. Raises ProblemError for a name that CasADi does not take.
         """
-        free, built = self.trace.free
+        free, built = self.free
         for name in (*free, *self.columns):
             if name == "q" or not ca.Function.check_name(name):
                 raise ProblemError(
@@ -162,24 +89,26 @@ class Symbols(Value):
         `prefix` begins the names of the functions; by default the robot's name. Raises ProblemError where it is no C
         name.
         """
-        return c_text(self.trace, prefix=prefix)
+        return _c_text(self, prefix)
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instrument, to the last operation of the residual."""
         if self is other or not isinstance(other, Symbols):
             return self is other
         one, two = self.instrument, other.instrument
-        return (
-            self.robot == other.robot
-            and alike(self.effects, other.effects)
-            and (one == two or (_declared_alike(one, two) and self.model.same_as(other.model)))
-        )
+        if self.robot != other.robot or not alike(self.effects, other.effects):
+            return False
+        if one == two:
+            return True
+        # perhaps of a class that was read twice from its file
+        declared = type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
+        return declared and self.model.text == other.model.text
 
     def __hash__(self) -> int:
         return hash((self.robot, type(self.instrument).__qualname__))
 
     def __repr__(self) -> str:
-        shapes = {key: _shape(unknown.packed(self.trace.values[key])) for key, unknown in self.trace.unknowns.items()}
+        shapes = {key: _shape(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
         rows: list[tuple[str, Any, str]] = [
             ("z", len(self.names), short(self.names)),
             ("c", self.c.numel(), ", ".join(f"{key} {size}" for key, size in self.constants.items())),
@@ -196,11 +125,87 @@ class Symbols(Value):
         return "\n".join([head, *(f"  {name:<9}{shape!s:>5}  {what}".rstrip() for name, shape, what in rows)])
 
 
-def _declared_alike(one: Instrument, two: Instrument) -> bool:
-    """Whether two instruments, perhaps of a class that was read twice from its file, hold the same values."""
-    return type(one).__qualname__ == type(two).__qualname__ and alike(vars(one), vars(two))
-
-
 def _shape(expression: Any) -> str:
     rows, columns = ca.SX(expression).shape
     return str(rows) if columns == 1 else f"{rows}x{columns}"
+
+
+class _Part(NamedTuple):
+    """A function in C: name, inputs and outputs by name, and what it gives."""
+
+    name: str
+    inputs: dict[str, ca.SX]
+    outputs: dict[str, ca.SX]
+    words: str
+
+
+def _c_text(traced: Trace, prefix: str | None) -> str:
+    """Self-contained C99 of the functions of one row, the parameters' values or deviations among their inputs."""
+    prefix = re.sub(r"\W+", "_", traced.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
+    if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
+        raise ProblemError(
+            f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
+        )
+    generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
+    for part in _parts(traced):
+        made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
+        raw = f"{prefix}_{part.name}_raw"
+        function = row_function(raw, [*part.inputs.values()], [*made.values()])
+        generator.add(function)
+        given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in part.inputs.items()]
+        given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
+        signature = f"void {prefix}_{part.name}({', '.join(given)})"
+        wrappers += (
+            f"\n{signature} {{\n"
+            f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
+            f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
+            f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
+        )
+        told += f" * {signature};\n *     {part.words}\n"
+    return _head(traced, told) + str(generator.dump()) + wrappers
+
+
+def _parts(traced: Trace) -> list[_Part]:
+    """Functions of values p; and of deviations z with constants c, as estimators use them."""
+    symbols, built = traced.free
+    q, zc, row = (
+        {"q": traced.q},
+        {"z": traced.z, "c": traced.c},
+        {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))},
+    )
+    p = {"p": ca.vertcat(*(ca.vec(symbol) for symbol in symbols.values()))}
+    at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
+    slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}
+    return [
+        _Part("values", zc, {"p": at}, "the values p at deviations z from nominal"),
+        _Part("pose", p | q, {"pose": ca.SX(built.pose).T}, "flange pose, 4 x 4, row by row"),
+        _Part("tip", p | q | row, {"tip": built.tip}, "where the instrument touches or is watched, mm, base frame"),
+        _Part("residual", p | q | row, {"residual": built.residual}, "the residual e of one row"),
+        _Part("jacobian", zc | q | row, slopes, "e and its derivative by z, row by row"),
+        _Part("noise", zc | q | row, {"noise": residual_noise(traced)}, "standard deviation of e"),
+    ]
+
+
+def _head(traced: Trace, told: str) -> str:
+    symbols, _ = traced.free
+    values = _counted({key: symbol.numel() for key, symbol in symbols.items()})
+    free = _counted({key: unknown.size for key, unknown in traced.unknowns.items() if unknown.size})
+    constants = _counted(traced.constants) or "none"
+    about = [
+        f"{traced.robot.name}, measured by {type(traced.instrument).__name__}, with its parameters free.",
+        "Lengths in mm, angles in rad. C99; needs math.h alone.",
+        "",
+        f"q    {traced.q.numel()} joint values, as the controller shows them",
+        f"row  columns: {', '.join(traced.columns) or 'none'}",
+        f"p    values: {values}",
+        "     a frame is 4 x 4, column by column; a plane its normal, a point and an offset along the normal",
+        f"z    deviations from nominal: {free}",
+        f"c    constants: {constants}",
+        "",
+    ]
+    lines = (line.replace("*/", "* /").replace("\n", " ") for line in about)  # which cannot end the comment
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + told + " */\n"
+
+
+def _counted(sizes: Mapping[str, int]) -> str:
+    return ", ".join(f"{key} {size}" for key, size in sizes.items())

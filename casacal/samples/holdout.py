@@ -13,8 +13,7 @@ from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels, combinations
 
-WAYS = ("rows", "region", "face")
-"""What is held out together, beside the values of a column."""
+WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
 
 Rows = NDArray[np.intp]
 

@@ -89,7 +89,8 @@ class Measurements(Value):
 
     def take(self, rows: Sequence[int] | Places) -> Measurements:
         """Some rows, those of each instrument in the order in which they are named."""
-        return self._each(self.apart(np.asarray(rows, dtype=np.intp)), Samples.take)
+        apart = self.apart(np.asarray(rows, dtype=np.intp))
+        return Measurements(self.names, tuple(map(Samples.take, self.sets, apart)))
 
     def apart(self, rows: Places) -> list[Places]:
         """Rows of each instrument, numbered within it."""
@@ -101,13 +102,11 @@ class Measurements(Value):
         faces = [some.faces(column) for some, column in zip(self.sets, groups, strict=True)]
         if len(faces) == 1:
             return faces[0]
-        names = [
-            f"{name} {label}" if column is not None and column in some.labels else name
-            for name, some, column, labels in zip(self.names, self.sets, groups, faces, strict=True)
-            for label in labels.names
-        ]
-        before = np.cumsum([0, *(len(labels.names) for labels in faces)])
-        return Labels(names, np.concatenate([labels.codes + k for labels, k in zip(faces, before, strict=False)]))
+        parts = []
+        for name, some, column, own in zip(self.names, self.sets, groups, faces, strict=True):
+            have = column is not None and column in some.labels
+            parts.append(Labels([f"{name} {label}" if have else name for label in own.names], own.codes))
+        return Labels.joined(parts)
 
     def by_instrument(self) -> Labels:
         """The name (N,) of the instrument that each row is of."""
@@ -116,9 +115,6 @@ class Measurements(Value):
     def map(self, change: Callable[[Samples], Samples]) -> Measurements:
         """The samples of each instrument changed alike."""
         return Measurements(self.names, tuple(map(change, self.sets)))
-
-    def _each(self, items: Sequence[Places], change: Callable[[Samples, Places], Samples]) -> Measurements:
-        return Measurements(self.names, tuple(map(change, self.sets, items)))
 
 
 def sets_of(samples: Sequence[Samples | Measurements]) -> tuple[Samples, ...]:

@@ -18,11 +18,8 @@ from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 
-SAME = 1e-4
-"""Joint values (rad, mm) that round to the same multiple of this are those of one posture."""
-
-MIX = np.int64(0x2545F4914F6CDD1D)
-"""An odd number of 64 bits whose products look random (Vigna, xorshift*, 2016)."""
+SAME = 1e-4  # joint values (rad, mm) that round to the same multiple of this are those of one posture
+MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products look random (Vigna, xorshift*, 2016)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,19 +43,16 @@ class Repeats:
         return np.asarray(self.summed(values) / np.sqrt(self.sizes))
 
 
-def repeats_of(samples: Samples, groups: str | None) -> Repeats:
-    """Rows of the same joint values, to 1e-4 rad or mm, on the same face."""
-    places = np.column_stack([np.round(samples.joints / SAME), samples.faces(groups).codes]).astype(np.int64)
-    _, codes, sizes = np.unique(_keys(len(samples), places.T), return_inverse=True, return_counts=True)
-    return Repeats(np.asarray(codes, dtype=np.intp).ravel(), np.asarray(sizes, dtype=np.intp))
-
-
 def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
-    """The same of several instruments, whose rows never repeat one another."""
-    each = [repeats_of(some, column) for some, column in zip(measured.sets, groups, strict=True)]
-    before = np.cumsum([0, *(len(again.sizes) for again in each)])
-    codes = [again.codes + first for again, first in zip(each, before, strict=False)]
-    return Repeats(np.concatenate(codes), np.concatenate([again.sizes for again in each]))
+    """Rows of the same joint values, to 1e-4 rad or mm, on the same face of the same instrument."""
+    codes, sizes, before = [], [], 0
+    for some, column in zip(measured.sets, groups, strict=True):
+        places = np.column_stack([np.round(some.joints / SAME), some.faces(column).codes]).astype(np.int64)
+        _, own, counts = np.unique(_keys(len(some), places.T), return_inverse=True, return_counts=True)
+        codes.append(own.ravel().astype(np.intp) + before)
+        sizes.append(counts.astype(np.intp))
+        before += len(counts)
+    return Repeats(np.concatenate(codes), np.concatenate(sizes))
 
 
 def copies_of(samples: Samples) -> NDArray[np.bool_]:
@@ -93,8 +87,7 @@ def _keys(count: int, columns: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]
 
 WHOLE = re.compile("-?[0-9]{1,17}")
 
-MOST = 2000
-"""Rows that are listed; of more, so many evenly spread ones."""
+MOST = 2000  # rows that are listed; of more, so many evenly spread ones
 
 GRID: Mapping[Dimension, float] = {"angle": 1e-6, "length": 1e-3, "number": 1e-3}
 """Steps (rad, mm) to which listed values are rounded."""
@@ -102,20 +95,15 @@ GRID: Mapping[Dimension, float] = {"angle": 1e-6, "length": 1e-3, "number": 1e-3
 NEAR_JOINT: Mapping[Dimension, float] = {"angle": math.radians(0.02), "length": 0.02, "number": 0.02}
 """Joint values (rad, mm) nearer than this are those of one posture: decimals cut, another unit, a pendant read off."""
 
-LARGEST = 2.0**53
-"""Steps beyond which numbers are no whole ones."""
-
-NEAR_READING = 2
-"""Steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise."""
+LARGEST = 2.0**53  # steps beyond which numbers are no whole ones
+NEAR_READING = 2  # steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise
 
 
 def listing(samples: Samples, layout: Layout) -> dict[str, Any]:
     """What result.json keeps of fitted rows, to know them again.
 
-    Returns:
-        Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps
-        of 1e-6 rad and 0.001 mm.
-
+    Number of rows, names of the instrument's columns, and a line of integers for each row, joints first, in steps of
+    1e-6 rad and 0.001 mm.
     """
     spread = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST)).round().astype(np.intp))
     lines = [" ".join(map(str, map(int, row))) for row in _on_grid(samples.take(spread), layout).tolist()]
@@ -179,15 +167,12 @@ def _earlier(codes: NDArray[np.intp]) -> NDArray[np.intp]:
     return earlier
 
 
-def _kinds(layout: Layout) -> list[Dimension]:
-    return [*layout.joints, *(layout.columns[name] for name in sorted(layout.columns))]
-
-
 def _on_grid(samples: Samples, layout: Layout) -> Array:
     """Joint values and readings (N, n + c) as whole numbers of steps."""
-    values = [*samples.joints.T, *(samples.columns[name] for name in sorted(layout.columns))]
-    steps = (GRID[kind] for kind in _kinds(layout))
-    whole = np.column_stack([np.round(value / step) for value, step in zip(values, steps, strict=True)])
+    names = sorted(layout.columns)
+    values = [*samples.joints.T, *(samples.columns[name] for name in names)]
+    kinds = [*layout.joints, *(layout.columns[name] for name in names)]
+    whole = np.column_stack([np.round(value / GRID[kind]) for value, kind in zip(values, kinds, strict=True)])
     return np.asarray(np.clip(whole, -LARGEST, LARGEST))
 
 

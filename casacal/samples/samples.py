@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SamplesError
-from casacal.samples.layout import Layout, Quantities, numeric_columns
+from casacal.samples.layout import Layout, numeric_columns, read_quantities
 from casacal.tables.arrays import columns_of_arrays, digest_of
 from casacal.tables.columns import Columns, Labels
 from casacal.tables.read import columns_of_frame, read_columns
 from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value, short
 
-MANY = 100_000
-"""Rows from which lines are numbers in an array rather than Python objects."""
+MANY = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +41,9 @@ class Samples(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", _frozen(self.joints))
-        columns = {name: _frozen(values) for name, values in self.columns.items()}
-        object.__setattr__(self, "columns", FrozenMapping(columns))
-        labels = {name: Labels.of(values) for name, values in self.labels.items()}
-        object.__setattr__(self, "labels", FrozenMapping(labels))
+        columns, labels = self.columns.items(), self.labels.items()
+        object.__setattr__(self, "columns", FrozenMapping({name: _frozen(values) for name, values in columns}))
+        object.__setattr__(self, "labels", FrozenMapping({name: Labels.of(values) for name, values in labels}))
         object.__setattr__(self, "extra", FrozenMapping(self.extra))
 
     def __len__(self) -> int:
@@ -55,7 +53,7 @@ class Samples(Value):
         """Labels of the rows in one column, or where they have none, one label for all: "plane"."""
         if column is not None and column in self.labels:
             return self.labels[column]
-        return Labels(("plane",), np.zeros(len(self), dtype=np.int32))
+        return Labels.alike("plane", len(self))
 
     def __repr__(self) -> str:
         read = [*self.columns, *self.labels]
@@ -83,11 +81,8 @@ class Samples(Value):
     def check(self, layout: Layout) -> None:
         """Raise SamplesError unless these rows have the joints, columns and labels that a problem asks for."""
         if self.joints.ndim != 2 or self.joints.shape[1] != len(layout.joints):
-            raise SamplesError(
-                self.file,
-                f"the joint values have the shape {self.joints.shape}",
-                f"Give {len(layout.joints)} per row",
-            )
+            what = f"the joint values have the shape {self.joints.shape}"
+            raise SamplesError(self.file, what, f"Give {len(layout.joints)} per row")
         for what, have, asked in (("column", self.columns, layout.columns), ("label", self.labels, layout.labels)):
             for name in asked:
                 if name not in have:
@@ -98,11 +93,8 @@ class Samples(Value):
                 raise SamplesError(self.file, f"the rows have a column '{name}' but {reason}", "Leave it out")
         for name, values in {"q": self.joints, **self.columns}.items():
             if len(values) != len(self.joints) or not np.isfinite(values).all():
-                raise SamplesError(
-                    self.file,
-                    f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite",
-                    "Give one finite number per row",
-                )
+                what = f"'{name}' has {len(values)} rows of {len(self)}, or values that are not finite"
+                raise SamplesError(self.file, what, "Give one finite number per row")
 
     @staticmethod
     def from_file(path: str | Path, layout: Layout, *, absurd: bool = False) -> Samples:
@@ -147,10 +139,8 @@ class Samples(Value):
         """Samples from columns, which is what all of the above become; raises SamplesError."""
         if not len(columns.lines):
             raise SamplesError(columns.file, "there is no row", "Give one row per sample")
-        read = Quantities(columns, layout, absurd=absurd)
-        return Samples(
-            read.joints(), read.columns(), read.labels(), columns.lines, read.rest(), columns.file, columns.sha256
-        )
+        joints, own, labels, further = read_quantities(columns, layout, absurd=absurd)
+        return Samples(joints, own, labels, columns.lines, further, columns.file, columns.sha256)
 
 
 def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
@@ -171,21 +161,15 @@ def _frozen(values: Array) -> Array:
 
 def joined(first: Samples, second: Samples) -> Samples:
     """Rows of two sets after each other, with the provenance of the first."""
-    labels = {
-        name: Labels.of((*values, *second.labels.get(name, (name,) * len(second))))
-        for name, values in first.labels.items()
-    }
     return Samples(
         np.vstack([first.joints, second.joints]),
-        {k: np.concatenate([v, second.columns[k]]) for k, v in first.columns.items()},
-        labels,
+        {name: np.concatenate([values, second.columns[name]]) for name, values in first.columns.items()},
+        {
+            name: Labels.joined([labels, second.labels.get(name) or Labels.alike(name, len(second))])
+            for name, labels in first.labels.items()
+        },
         (*first.lines, *second.lines),
         {},
         first.file,
         first.sha256,
     )
-
-
-def ordered_labels(labels: Iterable[str]) -> tuple[str, ...]:
-    """Different labels, in order of first appearance."""
-    return tuple(dict.fromkeys(labels))

@@ -22,14 +22,9 @@ NOTHING: Mapping[str, Sequence[str]] = FrozenMapping({})
 
 
 def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: Sequence[str]) -> None:
-    """Write samples as `read_samples` reads them: angles in degrees, lengths in mm, other numbers as they are.
+    """Write samples as a CSV file that `Problem.read` reads: angles in degrees, lengths in mm, numbers as they are.
 
-    Args:
-        path: the CSV file.
-        layout: what a problem asks of its samples, as `Problem.layout` says.
-        samples: rows with those columns and labels.
-        comments: lines above the header.
-
+    layout: what a problem asks of its samples, as `Problem.layout` says. comments: lines above the header.
     """
     write_text(path, samples_text(layout, samples, comments))
 

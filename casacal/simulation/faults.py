@@ -15,11 +15,8 @@ from casacal.problem.cell import Cell
 from casacal.robots.robot import Robot
 from casacal.simulation.reach import Touch
 
-TURN = 1.0
-"""What one turn of the pointer shows, mm."""
-
-ROUNDS = 60
-"""Fixed-point steps; the largest wave that a cell takes leaves less than 1e-11 mm."""
+TURN = 1.0  # what one turn of the pointer shows, mm
+ROUNDS = 60  # fixed-point steps; the largest wave that a cell takes leaves less than 1e-11 mm
 
 
 @dataclass(frozen=True)
@@ -130,11 +127,8 @@ def rounded(joints: Array, step: float) -> Array:
     return np.asarray(np.round(joints / step) * step) if step > 0 else joints
 
 
-SOON = 3.0
-"""Time constants of warming up in one session."""
-
-SETTLED = 10
-"""Rounds in which an arm settles under its weight: each leaves a thousandth of the last."""
+SOON = 3.0  # time constants of warming up in one session
+SETTLED = 10  # rounds in which an arm settles under its weight: each leaves a thousandth of the last
 
 
 @dataclass(frozen=True)
@@ -170,8 +164,7 @@ class ArmErrors:
         return tips * self.growth(when)[:, None]
 
 
-COSINES = 100
-"""Waves of random direction and length that make a Gaussian process."""
+COSINES = 100  # waves of random direction and length that make a Gaussian process
 
 
 def form_error(rng: np.random.Generator, height: float, uv: Array, *, reach: float = 0.0) -> Array:

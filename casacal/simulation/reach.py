@@ -23,8 +23,7 @@ ARRIVED = 1e-16
 """Squared miss (mm^2) below which a tip counts as arrived: no target needs more, and no machine's rounding less."""
 
 
-PLUNGES = 10
-"""Rounds in which a reading is found: the tip goes nearly as the reading does."""
+PLUNGES = 10  # rounds in which a reading is found: the tip goes nearly as the reading does
 
 RIDGE = 1e-7
 """Fraction of the largest curvature added to all: a joint that turns the tool about its plunger then stays there."""

@@ -12,8 +12,7 @@ from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
-from casacal.problem.cell import Cell, Face
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.samples.samples import Samples
@@ -23,14 +22,10 @@ from casacal.simulation.true_arm import Draw, Truth, check_asked, own_noise, pla
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 
-CANDIDATES = 80
-"""Random postures for each row; the one that fits best is where its search begins."""
-ROUNDS, STEPS = 30, 40
-"""Times that rows are tried afresh, and Gauss-Newton steps of each."""
-FITS = 1e-9
-"""Residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits."""
-SLOW = 1e-3
-"""What a reading costs in the step that is sought, where a radian costs one: readings move before joints do."""
+CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
+ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
+FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
+SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
 
 
 @dataclass(frozen=True)

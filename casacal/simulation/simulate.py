@@ -12,8 +12,7 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import SimulationError, came
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
-from casacal.problem.cell import Cell
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
@@ -174,8 +173,7 @@ def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None
     return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
 
 
-MOST_SAMPLES = 1_000_000
-"""Rows beyond which drawing postures takes hours."""
+MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 
 def simulate(

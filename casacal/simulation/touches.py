@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.errors import SimulationError
-from casacal.instruments.description import Probe
+from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
-from casacal.problem.cell import Cell, Face, corner
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import Cell, Disturbances, Face, corner
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
 from casacal.simulation.faults import form_error
@@ -20,14 +19,12 @@ from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
 from casacal.unknowns.unknown import tangent_basis
 
-EDGE = 0.05
-"""Readings stay this part of the travel away from its ends."""
+EDGE = 0.05  # readings stay this part of the travel away from its ends
 
 STARTS = 200
 """Random poses among which each target finds its start: its own, so that targets near one another differ in posture."""
 
-ROUNDS = 60
-"""Fresh targets tried for a touch before the face counts as out of reach."""
+ROUNDS = 60  # fresh targets tried for a touch before the face counts as out of reach
 
 
 def find_touches(
@@ -84,8 +81,8 @@ def try_touches(
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
     half = np.array([face.size for face in cell.faces])[which] / 2
-    travel = probe.travel if cell.travel is None else cell.travel
-    readings = rng.uniform(EDGE, 1 - EDGE, count) * travel if probe.column is not None else np.zeros(count)
+    low, high = readings_within(probe.travel if cell.travel is None else cell.travel)
+    readings = low + rng.uniform(EDGE, 1 - EDGE, count) * (high - low) if probe.column is not None else np.zeros(count)
     uv = rng.uniform(-1, 1, size=(count, 2))
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
     directions = _tilted(axes, cell.tilt, rng)
@@ -123,10 +120,8 @@ def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
     return np.asarray(np.einsum("ka,kax->kx", parts, axes))
 
 
-SLOPE = math.radians(15.0)
-"""Inclination of facets against the plunger of an arm that cannot tilt it."""
-ENOUGH = 0.1
-"""Part of the touches of the worst face that must succeed."""
+SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
+ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
 def default_cell(problem: Problem) -> Cell:

@@ -11,14 +11,12 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe
-from casacal.problem.cell import OF_TOUCHES, Cell
-from casacal.problem.disturbances import Disturbances
+from casacal.problem.cell import OF_TOUCHES, Cell, Disturbances
 from casacal.problem.problem import Problem
 from casacal.tables.columns import Labels
 from casacal.unknowns import Unknown
 
-LABELS = ("1", "2", "3")
-"""Labels of simulated rows where neither the instrument nor a cell names any."""
+LABELS = ("1", "2", "3")  # labels of simulated rows where neither the instrument nor a cell names any
 
 
 def own_noise(problem: Problem) -> Array | float:

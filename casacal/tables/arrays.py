@@ -24,10 +24,8 @@ from casacal.tables.grammar import check_names
 
 ARRAYS = (".npy", ".npz")
 MOST_MEMBERS = 10_000
-UNPACKED = 1 << 26
-"""Bytes that any archive may unpack to."""
-GROWTH = 20
-"""A larger archive may unpack to so many times its size; measurements seldom shrink to a half."""
+UNPACKED = 1 << 26  # bytes that any archive may unpack to
+GROWTH = 20  # a larger archive may unpack to so many times its size; measurements seldom shrink to a half
 PIECE = 1 << 20
 
 
@@ -41,13 +39,8 @@ def columns_of_arrays(arrays: Mapping[str, Any], file: str, digest: str) -> Colu
         with np.errstate(all="ignore"):  # a number beyond float64 becomes infinite, and is refused as such
             values = np.asarray(values, dtype=np.float64)
         for row in np.flatnonzero(~np.isfinite(values))[:1]:
-            raise SamplesError(
-                file,
-                f"'{values[row]}' is not a finite number",
-                "Mend or remove the row",
-                line=int(row) + 1,
-                column=name,
-            )
+            what = f"'{values[row]}' is not a finite number"
+            raise SamplesError(file, what, "Mend or remove the row", line=int(row) + 1, column=name)
         return values
 
     def text(name: str) -> Labels:
@@ -92,7 +85,8 @@ def read_arrays(path: Path) -> Columns:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what NumPy thinks of how a header is written
             named = _members(path, file) if zipfile.is_zipfile(path) else _fields(path, file)
-        digest = _digest(path)
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except FileNotFoundError:
         raise SamplesError(file, "there is no such file", "Check the path") from None
     except CasacalError:
@@ -144,11 +138,6 @@ def _check_size(array: NDArray[Any], size: int) -> None:
     """Raise ValueError unless an array is as large as what is kept of it; rows may not go without bytes."""
     if array.nbytes != size or not array.itemsize:
         raise ValueError("more or fewer rows than are said")
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_unpacked(path: Path, file: str) -> None:

@@ -39,6 +39,11 @@ class Labels(Sequence[str]):
         return Labels(tuple(places), codes)
 
     @staticmethod
+    def alike(name: str, rows: int) -> Labels:
+        """The same label in all rows."""
+        return Labels((name,), np.zeros(rows, dtype=np.int32))
+
+    @staticmethod
     def coded(names: Iterable[str], codes: NDArray[Any]) -> Labels:
         """From names as they were written, blanks around them taken off, and the number of one of them a row."""
         stripped = [str(name).strip() for name in names]

@@ -15,48 +15,34 @@ from pathlib import Path
 from casacal.errors import SamplesError
 from casacal.wording import counted
 
-MOST_COLUMNS = 16_384
-"""What a sheet of a spreadsheet holds."""
-LONGEST_NAME = 200
-"""Of a column, in characters."""
-
-NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""Of delimiters."""
+MOST_COLUMNS = 16_384  # what a sheet of a spreadsheet holds
+LONGEST_NAME = 200  # of a column, in characters
+NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}  # of delimiters
 Comments = list[tuple[int, list[str]]]
 """Cells of lines that begin with #, each with its number."""
 
 LINE_END = re.compile(r"\r\n|\n|\r")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
-UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
-"""What would tear a sentence apart."""
+UNSHOWN = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # what would tear a sentence apart
 
 
 def decode(data: bytes, file: str) -> str:
     """Text of a file's bytes: UTF-8 with or without a byte-order mark, UTF-16 with one; raises SamplesError."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        encoding = "utf-16"
-    elif b"\x00" in data:
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    if encoding != "utf-16" and b"\x00" in data:
         raise SamplesError(file, "this is not a text file (it holds zero bytes)", "Save it as CSV text in UTF-8")
-    else:
-        encoding = "utf-8-sig"
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
         line = len(LINE_END.findall(data[: error.start].decode(encoding, "replace"))) + 1
         name = encoding.removesuffix("-sig").upper()
         raise SamplesError(file, f"this is not {name} text", "Save it as CSV text in UTF-8", line=line) from None
-    refuse_controls(text, file)
-    return text
-
-
-def refuse_controls(text: str, file: str, first: int = 1) -> None:
-    """Raise SamplesError for control characters, which text does not hold; `first` is the line it begins with."""
     if found := _CONTROL.search(text):
-        line = first + len(LINE_END.findall(text, 0, found.start()))
-        raise SamplesError(
-            file, "this is not a text file (it holds control characters)", "Save it as CSV text", line=line
-        )
+        line = 1 + len(LINE_END.findall(text, 0, found.start()))
+        what = "this is not a text file (it holds control characters)"
+        raise SamplesError(file, what, "Save it as CSV text", line=line)
+    return text
 
 
 def lines_and_comments(text: str, first: int = 1) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
@@ -92,18 +78,19 @@ def numbered_rows(lines: list[tuple[int, str]], delimiter: str, file: str) -> li
     return rows
 
 
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number, with whichever decimal mark."""
+    return NUMBER.fullmatch(cell.replace(",", ".")) is not None
+
+
 def check_header(header: tuple[str, ...], file: str, line: int) -> None:
     """Raise SamplesError unless the header is one of names, each column having its own."""
     if len(header) > MOST_COLUMNS:
         what = f"the header has {len(header)} columns; at most {MOST_COLUMNS} are read"
         raise SamplesError(file, what, "Leave out what is not a sample", line=line)
-    if any(NUMBER.fullmatch(cell.replace(",", ".")) for cell in header):
-        raise SamplesError(
-            file,
-            "the first line holds numbers, not column names",
-            "Put a header such as q1_deg,q2_deg,... above it",
-            line=line,
-        )
+    if any(map(is_number, header)):
+        what = "the first line holds numbers, not column names"
+        raise SamplesError(file, what, "Put a header such as q1_deg,q2_deg,... above it", line=line)
     check_names(header, file, line)
 
 
@@ -128,12 +115,9 @@ def body(
     for number, row in rows:
         if len(row) != len(header):
             hint = "; a decimal comma needs semicolons between the cells" if delimiter == "," else ""
-            raise SamplesError(
-                file,
-                f"the line has {counted(len(row), 'cell')} where the header has {len(header)}",
-                f"Give {counted(len(header), 'cell')} separated by {NAMES[delimiter]}{hint}",
-                line=number,
-            )
+            what = f"the line has {counted(len(row), 'cell')} where the header has {len(header)}"
+            fix = f"Give {counted(len(header), 'cell')} separated by {NAMES[delimiter]}{hint}"
+            raise SamplesError(file, what, fix, line=number)
     return tuple(tuple(row) for _, row in rows), tuple(number for number, _ in rows)
 
 
@@ -158,11 +142,6 @@ def _cells(text: str, delimiter: str) -> list[str]:
         return []
 
 
-def is_number(cell: str) -> bool:
-    """Whether a cell holds a number, with whichever decimal mark."""
-    return NUMBER.fullmatch(cell.replace(",", ".")) is not None
-
-
 def refuse_rows_set_aside(
     rows: Sequence[Sequence[str]], comments: Comments, file: str, header: Sequence[str], header_line: int
 ) -> None:
@@ -176,12 +155,11 @@ def refuse_rows_set_aside(
     hold_numbers = [k for k in range(1, len(header)) if all(is_number(row[k]) for row in rows)]
     for number, cells in below:
         if hold_numbers and all(is_number(cells[k]) for k in hold_numbers):
-            raise SamplesError(
-                file,
-                "the line begins with #, but holds a number in each column of numbers, so it may be a row",
-                'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header',
-                line=number,
+            what = "the line begins with #, but holds a number in each column of numbers, so it may be a row"
+            fix = (
+                'Rename its label, or in a CSV file quote it, as in "#1"; delete a comment, or put it above the header'
             )
+            raise SamplesError(file, what, fix, line=number)
 
 
 def rows_begin_with_text(path: Path, header_line: int, delimiter: str) -> bool:

@@ -36,12 +36,9 @@ from casacal.threads import thread_count
 
 SECTION = 1 << 22
 """Bytes that are read at once, more or less: enough to be worth a call of pandas, which takes as long as 300 KB."""
-HEAD = 1 << 16
-"""Bytes in which the header of a large file is looked for, at least."""
-MOST_THREADS = 4
-"""One thread puts together what they have read, and has no time for more."""
-MANY_ROWS = 100_000
-"""Rows from which lines are numbers in an array rather than Python objects."""
+HEAD = 1 << 16  # bytes in which the header of a large file is looked for, at least
+MOST_THREADS = 4  # one thread puts together what they have read, and has no time for more
+MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 
 def read_large(path: Path, numbers: Callable[[Sequence[str]], Sequence[str]], labels: Sequence[str]) -> Columns | None:

@@ -19,13 +19,9 @@ from casacal.array_types import Array
 from casacal.tables.columns import Labels
 from casacal.tables.grammar import is_number
 
-IN_NUMBERS = {",": b"0123456789+-eE \t.", ";": b"0123456789+-eE \t.,", "\t": b"0123456789+-eE .,"}
-"""By delimiter, the bytes that numbers and blanks around them are made of."""
+IN_NUMBERS = b"0123456789+-eE .,\t"
+"""The bytes that numbers and blanks around them are made of; a delimiter is none of them."""
 BYTE_ORDER_MARK = "\ufeff".encode()
-BLANKS = {end: re.compile(rb"[ \t]*(\n|%b)[ \t]*" % end.encode()) for end in ",;"} | {
-    "\t": re.compile(rb" *([\t\n]) *")
-}
-"""By delimiter, the ends of cells with the blanks beside them, which are no part of a cell."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +66,11 @@ def _plain_cells(data: bytes, lines: int, form: Form) -> bytes | None:
             return None
         data = data.replace(b'"', b"")
     if b"+" in data and (b" " in data or b"\t" in data):  # pandas is less exact about +1.5 with blanks around it
-        data = BLANKS[form.delimiter].sub(rb"\1", data)
+        blanks = b" \t".replace(delimiter, b"")  # beside the end of a cell they are no part of it
+        data = re.sub(rb"[%b]*(\n|%b)[%b]*" % (blanks, delimiter, blanks), rb"\1", data)
         if re.search(rb"\+[0-9.]+[eE][ \t]", data):  # and takes +1e 5 for a number
             return None
-    rest = np.frombuffer(data.translate(None, IN_NUMBERS[form.delimiter]), dtype=np.uint8)
+    rest = np.frombuffer(data.translate(None, IN_NUMBERS.replace(delimiter, b"")), dtype=np.uint8)
     ends = np.flatnonzero((rest == ord("\n")) | (rest == delimiter[0]))
     if len(ends) != lines * len(form.header) or not (rest[ends[len(form.header) - 1 :: len(form.header)]] == 10).all():
         return None

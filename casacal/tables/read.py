@@ -18,8 +18,7 @@ from casacal.tables.large import read_large
 from casacal.tables.text import Table, read_table
 from casacal.tables.workbooks import WORKBOOKS, read_workbook
 
-LARGE_FILE = 1 << 21
-"""Bytes from which a CSV file is worth the time it takes to import pandas."""
+LARGE_FILE = 1 << 21  # bytes from which a CSV file is worth the time it takes to import pandas
 
 
 def read_columns(
@@ -27,13 +26,8 @@ def read_columns(
 ) -> Columns:
     """Columns of a file: .npy with named fields, .npz with one array per column, .xlsx, or else delimited text.
 
-    Args:
-        path: of the file.
-        numbers: which columns of a header must be numbers.
-        labels: columns of text that are wanted; of a large text file, others are left in the file.
-
-    Raises SamplesError that names file, line, column, what is wrong and the fix.
-
+    numbers: which columns of a header must be numbers. labels: columns of text that are wanted; of a large text file,
+    others are left in the file. Raises SamplesError that names file, line, column, what is wrong and the fix.
     """
     path = Path(path)
     kind = path.suffix.lower()

@@ -29,8 +29,7 @@ from casacal.tables.grammar import (
     rows_set_aside,
 )
 
-KEY = "pose"
-"""Column by which readings find their pose, unless another one is named."""
+KEY = "pose"  # column by which readings find their pose, unless another one is named
 
 
 @dataclass(frozen=True)
@@ -142,34 +141,20 @@ def decimal_marks(table: Table) -> tuple[tuple[int, str] | None, tuple[int, str]
                 point = point or (line, name)
         if comma and point:
             line, name = max(comma, point)
-            raise SamplesError(
-                table.file,
-                "decimal commas and decimal points are mixed",
-                "Write all numbers one way",
-                line=line,
-                column=name,
-            )
+            what = "decimal commas and decimal points are mixed"
+            raise SamplesError(table.file, what, "Write all numbers one way", line=line, column=name)
     return comma, point
 
 
 def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
-    """Each pose with the reading that carries the same id: the columns of both.
-
-    Args:
-        poses: rows of joint values.
-        readings: rows of readings, in any order.
-        key: column of both that holds the id, compared as text.
+    """Each pose with the reading, in any order, that carries the same id, compared as text: the columns of both.
 
     Raises SamplesError when an id is missing, doubled, or without its counterpart.
-
     """
     for table in (poses, readings):
         if key not in table.header:
-            raise SamplesError(
-                table.file,
-                f"there is no column '{key}' that says which reading belongs to which pose",
-                "Name it by --id",
-            )
+            what = f"there is no column '{key}' that says which reading belongs to which pose"
+            raise SamplesError(table.file, what, "Name it by --id")
     both = [name for name in readings.header if name in poses.header and name != key]
     if both:
         raise SamplesError(readings.file, f"'{poses.file}' has this column too", "Keep one of the two", column=both[0])
@@ -179,20 +164,17 @@ def joined_tables(poses: Table, readings: Table, *, key: str = KEY) -> Table:
     rows = []
     for row, line, name in zip(poses.rows, poses.lines, poses.column(key), strict=True):
         if name not in found:
-            raise SamplesError(
-                poses.file, f"pose '{name}' has no reading in {readings.file}", "Add it, or remove the line", line=line
-            )
+            what = f"pose '{name}' has no reading in {readings.file}"
+            raise SamplesError(poses.file, what, "Add it, or remove the line", line=line)
         extra = zip(readings.header, readings.rows[found.pop(name)], strict=True)
         rows.append((*row, *(cell for column, cell in extra if column != key)))
     for name, k in found.items():
-        raise SamplesError(
-            readings.file, f"'{name}' has no pose in {poses.file}", "Add it, or remove the line", line=readings.lines[k]
-        )
+        what = f"'{name}' has no pose in {poses.file}"
+        raise SamplesError(readings.file, what, "Add it, or remove the line", line=readings.lines[k])
     header = (*poses.header, *(column for column in readings.header if column != key))
     digest = hashlib.sha256((poses.sha256 + readings.sha256).encode()).hexdigest()
-    return Table(
-        f"{poses.file} with {readings.file}", digest, header, poses.header_line, tuple(rows), poses.lines, False
-    )
+    file = f"{poses.file} with {readings.file}"
+    return Table(file, digest, header, poses.header_line, tuple(rows), poses.lines, decimal_comma=False)
 
 
 def _by_id(table: Table, key: str) -> dict[str, int]:

@@ -17,12 +17,10 @@ from casacal.tables.grammar import UNSHOWN, Comments
 from casacal.tables.text import Table, make_table
 
 WORKBOOKS = (".xlsx", ".xlsm")
-MOST_ROWS = 1 << 20
-"""Of a sheet, whatever its file says."""
+MOST_ROWS = 1 << 20  # of a sheet, whatever its file says
 MOST_TAGS = 1_600_000
 """In all parts of a workbook, four of them a cell; what is larger takes minutes and gigabytes to read."""
-MOST_OTHER_TAGS = 100_000
-"""Of styles and the like, which take the library longest."""
+MOST_OTHER_TAGS = 100_000  # of styles and the like, which take the library longest
 CELL_TAG = re.compile(rb"</?(?:\w+:)?(?:row|c|v|f|is|si|t)[\s/>]")
 MOST_PLACES = 20_000_000
 """Of a sheet, most of them empty: one cell that was coloured far to the right makes a row of 16,384."""

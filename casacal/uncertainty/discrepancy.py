@@ -19,11 +19,8 @@ from casacal.problem.problem import Problem
 from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
 
-ENOUGH = 300
-"""Rows from which on a field of many unknowns can be told."""
-
-NEARLY = 0.98
-"""Part of the most that an effect may be from which it is taken to stand there."""
+ENOUGH = 300  # rows from which on a field of many unknowns can be told
+NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
 PART = 0.05
 """Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""

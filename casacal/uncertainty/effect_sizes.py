@@ -66,14 +66,9 @@ def evidence(rows: Told, prior: Array) -> float:
     return -(rows.square - float(rows.toward @ at) + determinant) / 2
 
 
-MORE = 1.3
-"""Noise as found over stated beyond which something errs that is larger than expected."""
-
-LARGE = 50.0
-"""Times its size of an effect of no physical size, from which the search then starts once more."""
-
-NOISE_DOUBT = 3.0
-"""Times by which noise may well exceed what was stated."""
+MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
+LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
+NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
 
 
 STOP = {"ftol": 1e-7}

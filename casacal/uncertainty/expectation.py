@@ -24,8 +24,7 @@ from casacal.uncertainty.workspace import (
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """Ranges of x, y and z in the base frame, mm."""
 
-TRIES = 40_000
-"""Random joint values among which those inside a box are looked for."""
+TRIES = 40_000  # random joint values among which those inside a box are looked for
 FEWEST = 20
 
 

@@ -15,11 +15,8 @@ from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
-TOGETHER = 16_384
-"""Rows whose Jacobian is held at a time."""
-
-LARGE = 50_000
-"""Rows among which it is no matter whether an unknown more or less was determined."""
+TOGETHER = 16_384  # rows whose Jacobian is held at a time
+LARGE = 50_000  # rows among which it is no matter whether an unknown more or less was determined
 
 
 def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
@@ -70,8 +67,7 @@ def _by_group(bound: BoundProblem, result: Result) -> Array:
     return found
 
 
-HALF_WEIGHT = 0.5
-"""Weight under a robust loss below which a row counts as ignored."""
+HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
 
 
 def residual_figures(residuals: Array) -> dict[str, float]:

@@ -20,16 +20,12 @@ from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, 
 
 Kind = Literal["invisible", "rigid", "scale", "blind"]
 
-PERTURBATIONS = 2
-"""Random parameter errors at which a structural null direction must still be null."""
-
-SAME_DIRECTION = 0.9
-"""Fraction of a null direction that must lie in the null space there."""
+PERTURBATIONS = 2  # random parameter errors at which a structural null direction must still be null
+SAME_DIRECTION = 0.9  # fraction of a null direction that must lie in the null space there
 
 CORRELATED = 0.95
 
-LEVER = 1000.0
-"""Millimetres at which an angle counts when unknowns are named by their part in a direction."""
+LEVER = 1000.0  # millimetres at which an angle counts when unknowns are named by their part in a direction
 
 NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
 MEANING: dict[Kind, str] = {

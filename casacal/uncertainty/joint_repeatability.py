@@ -20,8 +20,7 @@ from casacal.uncertainty.figures import effective_unknowns, ratio_interval
 LACKING = 0.01
 """Chance of so large an F below which repeats are taken to share an error that the model does not describe."""
 
-EXACT = 1e-18
-"""Variance of repeats over that between places, below which they do not scatter at all: rounding."""
+EXACT = 1e-18  # variance of repeats over that between places, below which they do not scatter at all: rounding
 
 
 @dataclass(frozen=True)
@@ -98,11 +97,8 @@ def condensed(result: Result, again: Repeats) -> tuple[Array, float]:
 EXPECTED = 15e-6
 """What joints of an industrial arm do not repeat, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
 
-DOUBT = 2.5
-"""Times by which that may well be off."""
-
-KNOWN = 1.3
-"""Times by which the rest of the noise may well exceed what was stated, where the joints explain the noise."""
+DOUBT = 2.5  # times by which that may well be off
+KNOWN = 1.3  # times by which the rest of the noise may well exceed what was stated, where the joints explain the noise
 
 PARTS = (0.5, 0.8, 1.0, 1.2)
 """Parts of the noise beyond what was stated that are tried as the joints'; with weights of its own it may be more."""
@@ -113,11 +109,8 @@ WORTH_A_LOOK = 1.0
 WORTH = 2.0
 """Gain in the logarithm of the likelihood from which noise that is alike for all rows is put down to the joints."""
 
-SMALLEST = 1e-3
-"""Part of a row's variance that its own residual must hold to be judged by it."""
-
-MOST_ROWS = 4096
-"""Rows, evenly over all, at which is looked whether more should be tried."""
+SMALLEST = 1e-3  # part of a row's variance that its own residual must hold to be judged by it
+MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more should be tried
 
 
 def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:

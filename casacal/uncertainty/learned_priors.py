@@ -62,17 +62,13 @@ def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
     return problem.with_prior(stds)
 
 
-MOST = math.log(100.0)
-"""Logarithm of the times beyond which no prior is scaled."""
+MOST = math.log(100.0)  # logarithm of the times beyond which no prior is scaled
 
 ROUNDS, SETTLED = 6, 1e-3
 """How often fits are moved to where they stand under the scaled priors, and change of the logarithms that is none."""
 
-STEP = 0.05
-"""Step of the logarithms for the curvature, from which the intervals come."""
-
-NORMAL_95 = 1.959964
-"""Quantile of the normal distribution for 95 %."""
+STEP = 0.05  # step of the logarithms for the curvature, from which the intervals come
+NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
 
 Indices = NDArray[np.intp]
 

@@ -25,20 +25,14 @@ from casacal.uncertainty.figures import HALF_WEIGHT, leverages, noise_interval, 
 from casacal.uncertainty.joint_repeatability import PureError, condensed, pure_error, repeats_in
 from casacal.values import FrozenMapping, Value
 
-SETTLED = 0.003
-"""Relative change of the factor that ends the search."""
-
-MOST_ROUNDS = 30
-"""Fits to find it; each round leaves the part of its error that unknowns have of the rows."""
-
-UNEQUAL = 1e-3
-"""Chance of faces alike at which they are taken to differ in noise."""
+SETTLED = 0.003  # relative change of the factor that ends the search
+MOST_ROUNDS = 30  # fits to find it; each round leaves the part of its error that unknowns have of the rows
+UNEQUAL = 1e-3  # chance of faces alike at which they are taken to differ in noise
 
 SMOOTH = 4.0
 """Standard deviations beyond which the mean product of a face's neighbouring residuals is not that of noise."""
 
-FEWEST = 8.0
-"""Degrees of freedom of a face that can tell its own noise."""
+FEWEST = 8.0  # degrees of freedom of a face that can tell its own noise
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ from casacal.binding.marginal import Seen
 from casacal.least_squares.elimination import taken_out, triangle
 from casacal.uncertainty.figures import chance_beyond
 
-DULL = 1e-3
-"""Part of a prior's variance that samples must take away from a direction before it can be said to move."""
+DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
 
 
 @dataclass(frozen=True)
@@ -70,8 +69,7 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
     return PriorMoves(math.sqrt(total / decided), decided, chance_beyond(freedom * total / decided, freedom))
 
 
-MOST_ROWS = 20_000
-"""Rows that the scatter is worked out from; more add memory, not insight."""
+MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
 
 
 @dataclass(frozen=True)

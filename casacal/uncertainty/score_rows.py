@@ -13,15 +13,12 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
 from casacal.discrepancy import TransmissionError
-from casacal.instruments.dial_on_plane import dial_cycle, dial_gain
+from casacal.instruments.dial_parts import dial_cycle, dial_gain
 from casacal.problem.problem import Problem
 from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
 
-FLAT = 1e-3
-"""Slope of a residual by its reading below which that reading tells nothing."""
-
-STEP = 0.5
-"""Millimetres by which readings are shifted for their slope: a distance from a plane is linear in them."""
+FLAT = 1e-3  # slope of a residual by its reading below which that reading tells nothing
+STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
 
 REPEATS, JOINTS = "repeats", "repeatability"
 

@@ -22,8 +22,7 @@ from casacal.uncertainty.score_rows import JOINTS, REPEATS, Columns, Form, colum
 from casacal.uncertainty.scores import CLEAR, Ground, Score, ScoreTest
 from casacal.uncertainty.workspace import without_rigid, workspace_joints
 
-MOST_ROWS = 4096
-"""Rows, evenly over all, that tell of effects; more add time, not insight."""
+MOST_ROWS = 4096  # rows, evenly over all, that tell of effects; more add time, not insight
 
 
 def score_tests(bound: BoundProblem, problem: Problem) -> tuple[ScoreTest, ...]:

@@ -13,11 +13,8 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.uncertainty.quadratic_forms import chance_beyond, together
 from casacal.wording import sized
 
-CLEAR = 0.01
-"""Chance, after all that was tested, below which an effect is taken to be there."""
-
-SUSPICIOUS = 0.05
-"""Chance of one test alone below which an effect may be there."""
+CLEAR = 0.01  # chance, after all that was tested, below which an effect is taken to be there
+SUSPICIOUS = 0.05  # chance of one test alone below which an effect may be there
 
 
 @dataclass(frozen=True)
@@ -61,14 +58,9 @@ class ScoreTest:
 
 TINY = 1e-300
 
-SEEN = 1e-9
-"""Part of the squared length of a column that the geometry must leave for it to be seen at all."""
-
-TESTED = (1.0, 10.0)
-"""Times the expected size against which the tests are most powerful."""
-
-SIZES = np.exp(np.linspace(-7.0, 7.0, 1401))
-"""Times by which effects may be larger than expected, from a thousandth on."""
+SEEN = 1e-9  # part of the squared length of a column that the geometry must leave for it to be seen at all
+TESTED = (1.0, 10.0)  # times the expected size against which the tests are most powerful
+SIZES = np.exp(np.linspace(-7.0, 7.0, 1401))  # times by which effects may be larger than expected, from a thousandth on
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,8 @@ from casacal.uncertainty.effect_sizes import Told, evidence, told
 from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 
-MOST_FACES = 12
-"""Faces beyond which as many fits take long, and one face more or less says little."""
-
-MOST_ROWS = 5_000
-"""Rows beyond which they do, too."""
+MOST_FACES = 12  # faces beyond which as many fits take long, and one face more or less says little
+MOST_ROWS = 5_000  # rows beyond which they do, too
 
 
 @dataclass(frozen=True)
@@ -93,14 +90,9 @@ def _rms(values: Array) -> float:
 FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"
 """Splits that samples have of themselves; further ones have the names of columns."""
 
-MOST_PARTS = 12
-"""Parts of a split; where labels are more, some are left out together."""
-
-HALVINGS = 2
-"""How often the postures are halved into regions."""
-
-GONE = 1e12
-"""Times a prior's information by which an effect is taken away."""
+MOST_PARTS = 12  # parts of a split; where labels are more, some are left out together
+HALVINGS = 2  # how often the postures are halved into regions
+GONE = 1e12  # times a prior's information by which an effect is taken away
 
 """Rows that are looked at; more add memory, not insight."""
 

@@ -20,11 +20,8 @@ FEW_POSES = 10
 
 FEW_UNKNOWNS = 100
 
-OF_THE_FLANGE = 0.01
-"""Motion of the flange over that of the tip, below which an unknown is the tool's."""
-
-BLIND_FIELD = 1e-9
-"""Motion (mm per unit) below which a tip does not see an unknown."""
+OF_THE_FLANGE = 0.01  # motion of the flange over that of the tip, below which an unknown is the tool's
+BLIND_FIELD = 1e-9  # motion (mm per unit) below which a tip does not see an unknown
 
 
 def workspace_joints(robot: Robot, *, poses: int = WORKSPACE_POSES, seed: int = 0) -> Array:
@@ -116,8 +113,7 @@ def marginal_scale_std(bound: Seen) -> float:
     return float(1.0 / np.sqrt(max(left, 1e-300)))
 
 
-RANK_TOLERANCE = 1e-9
-"""Fraction of the largest singular value below which a direction counts as null."""
+RANK_TOLERANCE = 1e-9  # fraction of the largest singular value below which a direction counts as null
 
 
 FIELD_TOLERANCE = 1e-4

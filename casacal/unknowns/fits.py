@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from casacal.array_types import Array
 from casacal.unknowns.unknown import Unknown
 
-ON_A_LINE = 1e-9
-"""Fraction of the largest extent below which points count as lying on a line."""
+ON_A_LINE = 1e-9  # fraction of the largest extent below which points count as lying on a line
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ Expression: TypeAlias = Any
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 """Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
 
-LARGEST_STD = 1e12
-"""A standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does."""
+LARGEST_STD = 1e12  # a standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does
 
 START_STD = {"mm": 10.0, "rad": 0.01}
 """Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""

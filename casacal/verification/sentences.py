@@ -15,9 +15,16 @@ VERDICTS = {"accept": "Accepted", "reject": "Rejected", "undecided": "Undecided"
 WORTH_SAYING = 1.05  # noise over noise beyond which a difference is worth saying
 
 
-def told(found: Figures) -> list[str]:
-    """Paragraphs, the answer first."""
+def told(found: Figures, *, whole: bool = True) -> list[str]:
+    """Paragraphs, the answer first; statistics, faces and regions where the whole is asked for."""
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
+    statistics = [
+        f"Chi-square {found.chi_square:.4g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
+        f"arm alone {found.arm_chi_square:.4g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
+        f"are at least {LEVEL / 2:g}. The arm was not fitted; {found.fitted_words(f' ({shortened(found.own, 4)})')}.",
+        *(_face(found, face) for face in found.faces[:SHOWN]),
+        *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
+    ]
     return [
         _answer(found),
         *found.own_verdict,
@@ -27,13 +34,9 @@ def told(found: Figures) -> list[str]:
         ),
         f"{what}: {found.after_mm:.3g} {found.unit} RMS as calibrated, {found.predicted_mm:.3g} predicted, "
         f"{found.before_mm:.3g} as drawn; 95 % of the rows are within {found.quantile_mm:.3g}.",
-        f"Chi-square {found.chi_square:.4g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
-        f"arm alone {found.arm_chi_square:.4g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
-        f"are at least {LEVEL / 2:g}. The arm was not fitted; {found.fitted_words(f' ({shortened(found.own, 4)})')}.",
-        *(_face(found, face) for face in found.faces[:SHOWN]),
-        *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
+        *(statistics if whole else []),
         *_gross(found),
-        *_errors(found),
+        *(_errors(found) if whole else _errors(found)[:1]),
         *decision_told(found),
         _vouches(found),
         *_next(found),

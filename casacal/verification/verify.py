@@ -35,9 +35,9 @@ LEAST_RISK = 1e-4  # risk below which nobody knows the noise well enough
 class Verification(Figures):
     """What `verify` returns: whether the promise was kept, with every figure behind it."""
 
-    def summary(self) -> str:
-        """What `casacal verify` prints: a paragraph each line."""
-        return "\n".join(told(self))
+    def summary(self, *, whole: bool = True) -> str:
+        """What `casacal verify --verbose` prints, or without `whole` what it prints at first: a paragraph each line."""
+        return "\n".join(told(self, whole=whole))
 
     def to_dict(self) -> dict[str, Any]:
         """All of it in JSON's own types, as `casacal verify --json` prints it."""

@@ -1,0 +1,157 @@
+"""Dials that are set to zero anywhere: a travel of two ends, readings a little beyond it, zeros that were set anew."""
+
+import contextlib
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import casacal
+from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
+from casacal.cli.main import main
+from casacal.errors import ProblemError, SimulationError
+from casacal.tables.columns import Labels
+
+HSR = ROOT / "problems" / "hsr_jr680"
+MIDDLE = (-5.0, 5.0)
+ARM = "# convention: standard\nalpha_deg,a_mm,d_mm,theta_deg\n-90,0,300,0\n0,400,0,0\n90,0,0,0\n"
+
+
+@pytest.fixture(scope="module")
+def middle(hsr):
+    """The example arm with a dial that was set to zero in the middle, and its samples."""
+    problem = hsr.problem.with_settings({"travel": MIDDLE})
+    return problem, simulate(problem, hsr.cell, seed=0).samples
+
+
+def test_readings_on_both_sides_of_zero_are_as_good_as_others(middle, hsr):
+    problem, samples = middle
+    readings = samples.columns["reading"]
+    assert readings.min() < -4
+    assert readings.max() > 4
+    found = calibrate(problem, samples, method="lm", reference=False)
+    usual = simulate(hsr.problem, hsr.cell, seed=0).samples
+    assert found.tip_std[1] == pytest.approx(
+        calibrate(hsr.problem, usual, method="lm", reference=False).tip_std[1], rel=0.1
+    )
+
+
+def test_who_did_not_declare_it_is_told_the_option_that_does(middle, tmp_path, capsys):
+    _, samples = middle
+    path = tmp_path / "samples.csv"
+    lines = (HSR / "samples.csv").read_text(encoding="utf-8").splitlines()
+    (start,) = (k for k, line in enumerate(lines) if line.startswith("q1"))
+    rows = [
+        ",".join([*(f"{math.degrees(q):.9f}" for q in samples.joints[i]), f"{samples.columns['reading'][i]:.3f}",
+                  samples.labels["plane"][i]])
+        for i in range(len(samples))
+    ]  # fmt: skip
+    path.write_text("\n".join([*lines[: start + 1], *rows]) + "\n", encoding="utf-8")
+    options = ["calibrate", str(HSR), str(path), "--method", "lm", "--no-reference"]
+    assert main(options) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "outside 0 to 10 mm" in said
+    assert "(--set travel=-5:5)" in said
+    assert main([*options, "--set", "travel=-5:5"]) == 0
+    assert "Calibrated" in capsys.readouterr().out
+    assert main([*options, "--set", "travel=5:-5"]) == 2
+    assert "the smallest and the largest reading" in capsys.readouterr().err
+    assert main([*options, "--set", "sign=-1:1"]) == 2
+    assert "is one number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("beyond", "severity"), [(0.04, "warning"), (0.3, "error")])
+def test_a_little_beyond_the_travel_is_a_warning(hsr, beyond, severity):
+    samples = hsr.problem.read(HSR / "samples.csv")
+    reading = samples.columns["reading"].copy()
+    problem = hsr.problem.with_settings({"travel": float(reading.max()) - beyond})
+    (found,) = (each for each in check(problem, samples) if each.about == "readings outside travel")
+    assert found.severity == severity
+    assert len(found.lines) == int((reading > reading.max() - beyond).sum())
+
+
+@pytest.mark.parametrize("travel", [0.0, -3.0, math.nan, (5.0, -5.0), (1.0, 2.0, 3.0), ("a", "b"), (0.0, math.inf)])
+def test_travels_that_are_none(travel):
+    with pytest.raises(ProblemError, match="the smallest and the largest reading"):
+        DialOnPlane(noise_std=0.01, travel=travel)
+
+
+def test_a_cell_refuses_them_too(hsr):
+    with pytest.raises(SimulationError, match="the smallest and the largest reading"):
+        dataclasses.replace(hsr.cell, travel=(5.0, -5.0))
+    rows = simulate(hsr.problem, dataclasses.replace(hsr.cell, travel=(-2.0, -1.0)), samples=12, seed=0).samples
+    assert -2 < rows.columns["reading"].min() < rows.columns["reading"].max() < -1
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_shifted_zero_moves_the_residual_along_the_plunger(sign):
+    """By hand: n . (R (t + sign r u) + p) - h, and sign s n . R u for a zero that stands s elsewhere."""
+    angle, normal = 0.3, np.array([0.0, 0.6, 0.8])
+    pose = np.eye(4)
+    pose[1:3, 1:3] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    pose[:3, 3] = 100.0, 200.0, 300.0
+    tool, axis, reading, shift = np.array([1.0, 2.0, 120.0]), np.array([0.0, 0.0, 1.0]), 2.5, 0.7
+    away = pose[:3, :3] @ (tool + sign * (reading + shift) * axis) + pose[:3, 3]
+    dial = DialOnPlane(noise_std=0.01, sign=sign, zero_shift=dial_zero())
+    plane = SimpleNamespace(normal=ca.DM(normal), distance=lambda point: ca.dot(ca.DM(normal), point) - 50.0)
+    p = SimpleNamespace(tool=ca.DM(tool), plunger=ca.DM(axis), plane=plane, zero_shift=shift)
+    found = float(dial.residual(ca.DM(pose), p, SimpleNamespace(reading=reading)))
+    assert found == pytest.approx(normal @ away - 50.0, abs=1e-10)
+    tip = np.array(dial.tip(ca.DM(pose), p, SimpleNamespace(reading=reading))).ravel()
+    np.testing.assert_allclose(tip, away - sign * shift * pose[:3, :3] @ axis, atol=1e-10)
+
+
+def test_a_zero_that_was_set_anew_is_found(middle, hsr):
+    problem, samples = middle
+    later = np.arange(len(samples)) >= len(samples) // 2
+    reading = samples.columns["reading"] - 1.3 * later
+    labels = {**samples.labels, "session": Labels(("morning", "evening"), later.astype(int))}
+    both = dataclasses.replace(samples, columns={"reading": reading}, labels=labels)
+    dial = dataclasses.replace(problem.instrument, travel=(-8.0, 8.0), zero_shift=dial_zero())
+    found = calibrate(Problem(problem.robot, dial), both, method="lm", reference=False)
+    shifts = {name: x for name, x in zip(found.fit.names, found.x, strict=True) if name.startswith("zero_shift")}
+    assert shifts["zero_shift.evening"] - shifts["zero_shift.morning"] == pytest.approx(1.3, abs=0.01)
+    assert found.success
+    once = calibrate(problem, samples, method="lm", reference=False)
+    assert found.tip_std[1] > once.tip_std[1], "where the first zero stands is not known either"
+    unsaid = calibrate(Problem(problem.robot, dataclasses.replace(dial, zero_shift=None)), both, method="lm")
+    assert not unsaid.success
+
+
+def test_a_saved_result_knows_its_travel(middle, tmp_path):
+    problem, samples = middle
+    calibrate(problem, samples, method="lm", reference=False).save(tmp_path)
+    again = casacal.load(tmp_path)
+    assert again.arm.source.problem.instrument.probe.travel == MIDDLE
+    old = dataclasses.replace(problem.instrument.probe, travel=10.0)
+    assert old.travel == 10.0
+
+
+def test_certified_faces_take_it_as_well():
+    body = DialOnBody(noise_std=0.01, travel=MIDDLE, zero_shift=dial_zero(), normals={"a": (0, 0, 1), "b": (0, 1, 0)})
+    assert "zero_shift" in body.unknowns
+    assert body.probe.travel == MIDDLE
+    with pytest.raises(ProblemError, match="without a dial"):
+        DialOnPlane(noise_std=0.01, reading=False, zero_shift=dial_zero())
+
+
+@pytest.mark.parametrize(("said", "travel"), [("-5:5", (-5.0, 5.0)), ("12.5", 12.5), (None, 10.0)])
+def test_a_new_problem_knows_the_range_that_was_said(said, travel, tmp_path):
+    (tmp_path / "arm.csv").write_text(ARM)
+    given = [] if said is None else [f"--travel={said}"]
+    assert main(["new", "mine", "--dh", str(tmp_path / "arm.csv"), *given, "--out", str(tmp_path)]) == 0
+    assert casacal.load_problem(tmp_path / "mine").problem.instruments[0].travel == travel
+
+
+@pytest.mark.parametrize("said", ["5:-5", "0", "nan", "3:3"])
+def test_a_range_that_is_none_makes_no_folder(said, tmp_path, capsys):
+    (tmp_path / "arm.csv").write_text(ARM)
+    arguments = ["new", "mine", "--dh", str(tmp_path / "arm.csv"), f"--travel={said}", "--out", str(tmp_path)]
+    with contextlib.suppress(SystemExit):  # argparse leaves, the problem refuses
+        assert main(arguments) == 2
+    assert "travel" in capsys.readouterr().err
+    assert not (tmp_path / "mine").exists()
