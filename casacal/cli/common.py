@@ -65,8 +65,7 @@ INSTRUMENT = (
     "instrument whose tip is meant; default: the first, where a problem has several instruments",
 )
 FORCE = "--force", "accept a result that must not be used; the file says so"
-JSON = "--json", "print the answer as JSON, and nothing else"
-"""Arguments of several commands, as `add` takes them."""
+JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
 
 
 def add_frame(parser: argparse.ArgumentParser, words: str) -> None:

@@ -15,13 +15,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import (
-    FRAMES,
-    CalibratedArm,
-    infinite_variances,
-    local_coordinates,
-    row_constants,
-)
+from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates, row_constants
 from casacal.compensation.inverse_kinematics import PosedArm, joint_units, lengths, postures, turning
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from

@@ -162,13 +162,10 @@ class Rounding:
     degrees: bool = True
     decimals: int = 7
 
-    def factors(self, arm: PosedArm) -> Array:
-        """From rad and mm to what is written (n,)."""
-        return np.where(arm.robot.revolute, 180 / math.pi if self.degrees else 1.0, 1.0)
-
     def __call__(self, arm: PosedArm, joints: Array) -> Array:
         """Joint values as a reader of the file gets them; inside the limits where they were."""
-        factors, unit = self.factors(arm), 10.0**-self.decimals
+        unit, turn = 10.0**-self.decimals, 180 / math.pi if self.degrees else 1.0
+        factors = np.where(arm.robot.revolute, turn, 1.0)  # from rad and mm to what is written
         lower, upper = (limit * factors for limit in arm.robot.limits)
         written = np.round(joints * factors, self.decimals)
         written = np.where((written > upper + 1e-9 * unit) & (joints * factors <= upper), written - unit, written)

@@ -82,10 +82,8 @@ def values_of(
     symbols = problem.without_effects.symbols
     wanted = [key for key in symbols.value_functions["tip"].name_in() if key in symbols.unknowns]
     if unsure := set(wanted) & set(symbols.constants):
-        raise CasacalError(
-            f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label",
-            "Use tip_function() without free",
-        )
+        what = f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label"
+        raise CasacalError(what, "Use tip_function() without free")
     packed = [ca.SX(symbols.unknowns[key].packed(getattr(symbols.p, key))) for key in wanted]
     found = ca.Function("values", [symbols.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
     return {key: _array(matrix) for key, matrix in zip(wanted, found, strict=True)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
@@ -40,7 +39,7 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
         fix = other_forms(result.source.problem.robot)
         raise CasacalError(f"'{result.source.problem.robot.name}' was not built from a URDF", fix)
     data = _source_text(result, arm, source)
-    places = _Places.of(data)
+    joints, origins = _places(data)
     edits: list[tuple[int, int, bytes]] = []
     for joint, new in zip(arm.moving, arm.origins_at(arm_values(result)), strict=True):
         old = origin_matrix(joint)
@@ -50,7 +49,7 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
         if not np.allclose(new[:3, :3], old[:3, :3], rtol=0, atol=1e-12):
             changed["rpy"] = roll_pitch_yaw(new[:3, :3], joint.rpy)
         if changed:
-            edits += _edits(data, places, joint.name, changed)
+            edits += _edits(data, joints[joint.name], origins.get(joint.name), changed)
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
     return data.decode("utf-8")
@@ -84,15 +83,14 @@ def _check_source(path: Path, arm: UrdfChain) -> None:
 
 
 def _edits(
-    data: bytes, places: _Places, name: str, changed: dict[str, tuple[float, ...]]
+    data: bytes, joint: int, start: int | None, changed: dict[str, tuple[float, ...]]
 ) -> list[tuple[int, int, bytes]]:
-    """What to replace, as (start, end, text), so that a joint's origin has other xyz or rpy."""
-    if name not in places.origins:
-        at = _tag_end(data, places.joints[name])
+    """What to replace, as (start, end, text), so that the origin that begins there, if any, has other xyz or rpy."""
+    if start is None:
+        at = _tag_end(data, joint)
         indent = re.match(rb"\s*", data[at:])
         said = b"".join(b' %s="%s"' % (key.encode(), _numbers(values)) for key, values in changed.items())
         return [(at, at, (indent.group(0) if indent else b"") + b"<origin" + said + b"/>")]
-    start = places.origins[name]
     tag = data[start : _tag_end(data, start)]
     edits = []
     for key, values in changed.items():
@@ -130,27 +128,20 @@ def _tag_end(data: bytes, start: int) -> int:
     return found.end() if found else len(data)
 
 
-@dataclass
-class _Places:
-    """Where the joints of a URDF and their origins begin, in bytes."""
+def _places(data: bytes) -> tuple[dict[str, int], dict[str, int]]:
+    """Where the joints of a URDF, and where their origins begin, in bytes."""
+    joints, origins, path = dict[str, int](), dict[str, int](), list[tuple[str, str]]()
+    parser = expat.ParserCreate()
 
-    joints: dict[str, int] = field(default_factory=dict)
-    origins: dict[str, int] = field(default_factory=dict)
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        path.append((tag, attributes.get("name", "")))
+        tags = [entry[0] for entry in path]
+        if tags == ["robot", "joint"]:
+            joints[path[1][1]] = parser.CurrentByteIndex
+        elif tags == ["robot", "joint", "origin"]:
+            origins[path[1][1]] = parser.CurrentByteIndex
 
-    @staticmethod
-    def of(data: bytes) -> _Places:
-        places, path = _Places(), []
-        parser = expat.ParserCreate()
-
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            path.append((tag, attributes.get("name", "")))
-            tags = [entry[0] for entry in path]
-            if tags == ["robot", "joint"]:
-                places.joints[path[1][1]] = parser.CurrentByteIndex
-            elif tags == ["robot", "joint", "origin"]:
-                places.origins[path[1][1]] = parser.CurrentByteIndex
-
-        parser.StartElementHandler = start
-        parser.EndElementHandler = lambda _: path.pop()
-        parser.Parse(data, True)
-        return places
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: path.pop()
+    parser.Parse(data, True)
+    return joints, origins

@@ -10,13 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    CalibratedArm,
-    covariance_of,
-    local_coordinates,
-    named_covariance,
-    row_constants,
-)
+from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates, named_covariance, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.remark import remark

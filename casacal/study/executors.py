@@ -52,10 +52,8 @@ def errands(study: Study, tasks: Sequence[Task], file: str | Path | None, quick:
     try:
         luggage = pickle.dumps(study)
     except Exception as error:  # closures and whatever else a user's methods hold
-        raise StudyError(
-            f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}",
-            "Write it to a file, or run it here",
-        ) from error
+        what = f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}"
+        raise StudyError(what, "Write it to a file, or run it here") from error
     return [Errand(task, partial(_unpacked, luggage)) for task in tasks]
 
 
@@ -80,10 +78,8 @@ def _loaded(luggage: bytes) -> Study:
 def _read(path: str, quick: bool, trials: int, task: Task) -> Study:
     """The study of a file; raises StudyError when it, or what is beneath it, is not that of the task."""
     if tuple(_key(path, quick, trials, task.setting, method) for method in task.methods) != task.fingerprints:
-        raise StudyError(
-            "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks",
-            "Give all of them the same",
-        )
+        what = "A worker has another study file, casacal, Python, casadi, numpy or scipy than the one that asks"
+        raise StudyError(what, "Give all of them the same")
     return _study(path, quick, trials)
 
 

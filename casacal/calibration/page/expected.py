@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,16 @@ from casacal.wording import METRE
 SQUARES = 24  # squares along the longer side of a view
 MARKED = 240  # touches drawn on the maps, of all faces together
 POSTURES = 8192  # random postures within the joint limits that the map is made of; a multiple of the kernels' block
+
+
+TITLES = {"error": "Expected tip error", "correction": "Correction"}
+CAPTIONS = {
+    "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
+    "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
+    "dark before you rely on it.",
+    "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
+    "the calibration changes.",
+}
 
 
 def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Box | None) -> dict[str, Any]:
@@ -48,10 +58,10 @@ def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Bo
         rms, most = accuracy_in_box(motion.arm, motion.x, box, motion.off)
         ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", box, strict=True))
         rows.append([f"After, inside the box {ranges} mm", mm(rms), mm(most)])
-    error = _maps("error", "expected tip error, mm", workspace.tips, workspace.error, marks, box)
+    error = _maps("error", "expected tip error, mm", workspace.error, workspace.tips, marks, box)
     words = "distance of the calibrated from the nominal tip, mm"
-    correction = _maps("correction", words, workspace.tips, workspace.correction, marks, box)
-    return {"rows": rows, "moved": moved, "maps": [("Expected tip error", error), ("Correction", correction)]}
+    correction = _maps("correction", words, workspace.correction, workspace.tips, marks, box)
+    return {"rows": rows, "moved": moved, "maps": [(TITLES["error"], error), (TITLES["correction"], correction)]}
 
 
 def _bounded(value: float) -> str:
@@ -59,62 +69,42 @@ def _bounded(value: float) -> str:
     return mm(value) if value < METRE else "unbounded"
 
 
-def _maps(name: str, words: str, tips: Array, values: Array, marks: Array, box: Box | None) -> Markup:
-    finite = bool(np.isfinite(values).all())
-    scale = Scale.of_sizes(values)
-    title = "Expected tip error" if name == "error" else "Correction"
-    caption = {
-        "error": f"Expected tip error after calibration, from {POSTURES:,} random postures within the joint limits; "
-        "black dots are where it touched. Each square is the RMS over the postures that lead there. Verify where it is "
-        "dark before you rely on it.",
-        "correction": "How far the calibrated tip lies from the nominal one, apart from the position of the base: what "
-        "the calibration changes.",
-    }[name]
-    if box is not None:
-        caption += " The black frame is the box that was asked for."
+def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:
+    """Values (N,) at tips from the side and from the top, where the box is drawn."""
+    scale, title = Scale.of_sizes(values), TITLES[name]
+    caption = CAPTIONS[name] + (" The black frame is the box that was asked for." if box is not None else "")
+
+    def view(side: str, points: Array, seen: Array, across: str, up: str, *drawn: Box) -> Markup:
+        squares = in_squares(points, values**2, SQUARES)
+        panel = Panel.square(
+            (float(squares.x.min()), float(squares.x.max()) + squares.side),
+            (float(squares.y.min()), float(squares.y.max()) + squares.side),
+        )
+        parts = [
+            cells(panel, squares.x[rows], squares.y[rows], squares.side, colour)
+            for colour, rows in scale.parts(np.sqrt(squares.values))
+        ]
+        frames = [
+            line(panel, np.array([x0, x1, x1, x0, x0]), np.array([y0, y0, y1, y1, y0]), "box")
+            for (x0, x1), (y0, y1), _ in drawn
+        ]
+        return picture(
+            f"{name}-{side}",
+            f"{title}, {side} view",
+            f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
+            panel.height,
+            axes(panel, across, f"{side} view: {up}", upright=True),
+            *parts,
+            *(dots(panel, seen[:, 0], seen[:, 1], look) for look in ("touch-halo", "touch")),
+            *frames,
+        )
+
+    of_tips, of_marks = (np.column_stack([np.hypot(*each[:, :2].T), each[:, 2]]) for each in (tips, marks))
     return figure(
         caption,
-        _view(f"{name}-side", f"{title}, side view", side_view, tips, values, marks, None, scale),
-        _view(f"{name}-top", f"{title}, top view", top_view, tips, values, marks, box, scale),
-        key=scale.key(f"{name}-key", words, unbounded=not finite),
-    )
-
-
-def _view(
-    name: str,
-    title: str,
-    view: Callable[[Array], Array],
-    tips: Array,
-    values: Array,
-    marks: Array,
-    box: Box | None,
-    scale: Scale,
-) -> Markup:
-    points, seen = view(tips), view(marks)
-    squares = in_squares(points, values**2, SQUARES)
-    panel = Panel.square(
-        (float(squares.x.min()), float(squares.x.max()) + squares.side),
-        (float(squares.y.min()), float(squares.y.max()) + squares.side),
-    )
-    parts = [
-        cells(panel, squares.x[rows], squares.y[rows], squares.side, colour)
-        for colour, rows in scale.parts(np.sqrt(squares.values))
-    ]
-    frame = None
-    if box is not None:
-        (x0, x1), (y0, y1), _ = box
-        frame = line(panel, np.array([x0, x1, x1, x0, x0]), np.array([y0, y0, y1, y1, y0]), "box")
-    titles = ("distance from the base's axis, mm", "height, mm") if view is side_view else ("x, mm", "y, mm")
-    return picture(
-        name,
-        title,
-        f"Root mean square by square of {squares.side:.0f} mm; from {mm(values.min())} to {mm(values.max())}.",
-        panel.height,
-        axes(panel, titles[0], f"{title.partition(', ')[2]}: {titles[1]}", upright=True),
-        *parts,
-        dots(panel, seen[:, 0], seen[:, 1], "touch-halo"),
-        dots(panel, seen[:, 0], seen[:, 1], "touch"),
-        frame,
+        view("side", of_tips, of_marks, "distance from the base's axis, mm", "height, mm"),
+        view("top", tips[:, :2], marks[:, :2], "x, mm", "y, mm", *([] if box is None else [box])),
+        key=scale.key(f"{name}-key", words, unbounded=not bool(np.isfinite(values).all())),
     )
 
 
@@ -144,13 +134,3 @@ class Workspace:
         frame_moved = (frame_tips - arm.tips(arm.x0, frame_joints)).reshape(-1, 1)
         correction = np.linalg.norm(up_to_base(moved, tips, frame_moved, frame_tips).reshape(-1, 3), axis=1)
         return Workspace(tips, error, correction)
-
-
-def side_view(points: Array) -> Array:
-    """Distance from the base's z axis, and height (N, 2; mm)."""
-    return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
-
-
-def top_view(points: Array) -> Array:
-    """x and y of the base frame (N, 2; mm)."""
-    return np.asarray(points[:, :2])
