@@ -22,7 +22,6 @@ from casacal.samples.samples import Samples
 from casacal.study.description import Method, Run, Study
 
 KINDS = (STATED, RANDOM, BLOCKED)
-QUICK_FOLDS = 1
 QUICK_ROWS = 100  # rows at most of a set in the quick form
 
 
@@ -110,7 +109,7 @@ def benchmark(
         samples = rows_of(each, data, each.problem, quick=quick)
         for kind in (BLOCKED,) if quick else KINDS:
             count = len(folds(samples, kind, each.blocks, each.stated))
-            for number in range(min(count, QUICK_FOLDS) if quick else count):
+            for number in range(min(count, 1) if quick else count):
                 settings[setting_name(each.name, kind, number)] = Fold(each, str(data), kind, number, quick)
     methods = {name: Method(partial(estimate, way=way)) for name, way in ways.items()}
     return Study("bench", settings, methods, trials=1, details=0)

@@ -176,19 +176,15 @@ class BenchmarkSet(Value):
         """Its arm and instrument."""
         return load_problem(self.folder).problem
 
-    def place(self, data: Path) -> Path:
-        """Where its measurements are among the data; raises CasacalError unless they are there as they were."""
+    def read(self, data: Path, problem: Problem) -> Samples:
+        """Its rows among the data; raises CasacalError unless they are there as they were."""
         path = data / self.file
         if not path.is_file():
             raise CasacalError(f"The measurements of '{self.name}' are not at {path}", f"Get them from {self.source}")
         if hashlib.sha256(path.read_bytes()).hexdigest() != self.sha256:
             fix = "Fetch it again, or correct its hash"
             raise CasacalError(f"{path} is not the file that '{self.name}' describes", fix)
-        return path
-
-    def read(self, data: Path, problem: Problem) -> Samples:
-        """Its rows; raises CasacalError as `place` does."""
-        return problem.read(self.place(data))
+        return problem.read(path)
 
 
 def read_set(folder: str | Path) -> BenchmarkSet:

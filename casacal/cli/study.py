@@ -74,7 +74,8 @@ def _study(options: argparse.Namespace) -> int:
                 f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
             )
             return DONE
-    say_paragraphs(f"Written: {write_report(source, run, _options(options)).as_posix()}")
+    said = (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
+    say_paragraphs(f"Written: {write_report(source, run, said).as_posix()}")
     return DONE
 
 
@@ -119,11 +120,6 @@ def _shard(text: str | None) -> tuple[int, int]:
     if not 1 <= number <= count:
         raise CasacalError(f"--shard {text} is not I/N", "Give part/parts, such as 2/3")
     return number, count
-
-
-def _options(options: argparse.Namespace) -> str:
-    """The options that decide what is in the report."""
-    return (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
 
 
 class _Progress:

@@ -113,3 +113,12 @@ def check_joint(file: str, joint: UrdfJoint) -> None:
 
 def _said(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:g}" for value in values)
+
+
+def numbers_in(text: str, count: int) -> list[float]:
+    """So many finite numbers between blanks; none where the text is anything else."""
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        return []
+    return values if len(values) == count and all(map(math.isfinite, values)) and "_" not in text else []

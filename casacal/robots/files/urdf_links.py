@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.robots.files.urdf import ZERO, Triple
+from casacal.robots.files.urdf import ZERO, Triple, numbers_in
 from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.urdf_chain import MM, beside_base, hangs, placed
 from casacal.values import Value
@@ -146,10 +146,7 @@ def _shapes(
 
 
 def _numbers(path: str | Path, what: str, text: str, count: int, units: str = "") -> list[float]:
-    try:
-        values = [float(part) for part in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not np.isfinite(values).all():
+    values = numbers_in(text, count)
+    if not values:
         raise ProblemError(f"{path}: the {what} is '{text}'", f"Give {count} number{'s' if count > 1 else ''}{units}")
     return values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import NoReturn
 from xml.parsers import expat
 
 from casacal.errors import ProblemError
-from casacal.robots.files.urdf import ZERO, Triple, UrdfFile, UrdfJoint
+from casacal.robots.files.urdf import ZERO, Triple, UrdfFile, UrdfJoint, numbers_in
 
 ATTRIBUTES = {
     "origin": ("xyz", "rpy"),
@@ -156,11 +155,8 @@ class _Reader:
     def _numbers(self, text: str, whose: str, count: int) -> list[float]:
         if "${" in text or "$(" in text:
             self._refuse(f"is xacro ({whose} is '{text}')", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
-        try:
-            values = [float(part) for part in text.split()]
-        except ValueError:
-            values = []
-        if len(values) != count or not all(math.isfinite(value) for value in values) or "_" in text:
+        values = numbers_in(text, count)
+        if not values:
             self._refuse(f"has {whose} '{text}'", f"Give {count} number{'s' if count > 1 else ''} in metres or radians")
         return values
 
