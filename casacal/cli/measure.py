@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_problem(parser)
     add_instrument(parser, "which one takes the readings")
     add(parser, "--plan FILE", "what casacal plan wrote", required=True)
-    add(parser, "--out FILE", "samples to write; those to check with go to FILE_check", required=True)
+    add(parser, "--out FILE", "samples to write; those kept to verify go to FILE_check", required=True)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
     add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
@@ -119,6 +119,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
 
     for sentence in doubt(session):
         say_paragraph(sentence)
+    say_paragraph("h: help; q: end")
     typed, sizes = _lines(line), file.sizes()
     while True:
         proposed = session.next()
