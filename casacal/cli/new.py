@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         say_paragraph(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
     say_paragraph(f"Written: {place}")
-    following = f"casacal simulate {place} --out out/{options.name}.csv"
+    following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
     for words in given.missing:
         say_paragraph(f"To fill in: {words}")
     say_paragraph(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")
