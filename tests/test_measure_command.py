@@ -181,7 +181,7 @@ def alike(one: Touch, two: Touch) -> bool:
 
 
 def test_a_session_by_pipe(planned, tmp_path, monkeypatch, capsys):
-    """A sign slips in a late touch; it is named and put right; the rest is as if it had not been."""
+    """A sign slips, which the dial cannot show, then a turn; it is named and put right, also after a pause."""
     path, route, world = planned
     late = [number for number in range(26, 34) if route.purposes[number - 1] == "fit"]
     wrong, lines = max(late, key=lambda number: world.readings[number - 1]), []
@@ -189,14 +189,21 @@ def test_a_session_by_pipe(planned, tmp_path, monkeypatch, capsys):
         _, reading, _ = world.touch(number)
         joints = " ".join(f"{value:.4f}" for value in np.degrees(world.joints[number - 1]))
         if number == wrong:
-            lines += [f"{joints} {-reading}", "12", "c"]
+            turned = reading + (1.0 if reading < 5 else -1.0)
+            lines += [f"{joints} {-reading}", f"{joints} {turned}", "c"]
         else:
             lines.append(f"{joints} {reading}")
-    feed(monkeypatch, lines)
-    assert main(["measure", str(HSR), "--plan", str(path), "--out", str(tmp_path / "s.csv")]) == 0
+    command = ["measure", str(HSR), "--plan", str(path), "--out", str(tmp_path / "s.csv")]
+    feed(monkeypatch, lines[: wrong + 1])
+    assert main(command) == 1
     said = capsys.readouterr().out
-    assert f"warning: touch {wrong} is off by" in said
-    assert said.count("the sign of the reading") == 2, "said once more where a number came in place of an answer"
+    assert "outside the dial's range of 0 to 10 mm" in said
+    assert f"touch {wrong} is still in doubt" in said
+    feed(monkeypatch, ["12", *lines[wrong + 1 :]])
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert said.count(f"warning: touch {wrong} is off by") == 2, "asked anew, and where a number came as the answer"
+    assert re.search(rf"1\. touch {wrong}: a turn of the pointer", said)
     assert "put right" in said
     assert re.search(r"36 touches: tip error [\d.]+ mm expected, below", said)
     read = read_both(tmp_path / "s.csv")

@@ -9,9 +9,10 @@ import pytest
 from conftest import ROOT
 from measured_world import World, taken
 from scipy.optimize import least_squares
+from scipy.stats import multivariate_normal
 
 from casacal import CasacalError, Session, bind, lm, load_problem, plan
-from casacal.measuring.linear import error_below, expected_error, spectrum
+from casacal.measuring.linear import LinearRows, error_below, expected_error, spectrum
 from casacal.measuring.touch import rows_of
 from casacal.planning.clearance import Clearance, nodes_of
 from casacal.uncertainty.expectation import expected_accuracy
@@ -429,3 +430,13 @@ def test_touches_beyond_the_plan_keep_clear(hsr, route, world):
     there = nodes_of(hsr.problem.robot, kept.next().joints[None])[0, -1]
     assert free.number is None
     assert any(not low <= value <= high for value, (low, high) in zip(there, box, strict=True))
+
+
+def test_the_evidence_of_rows_is_their_density_with_the_arm_integrated_out():
+    """log N(r - J m; 0, I + J J'), dense, by SciPy; no formula shared."""
+    rng = np.random.default_rng(4)
+    r, slope, mean = rng.normal(size=(5, 2)), rng.normal(size=(5, 2, 4)), rng.normal(size=4)
+    flat = slope.reshape(10, 4)
+    dense = multivariate_normal(cov=np.eye(10) + flat @ flat.T).logpdf(r.ravel() - flat @ mean)
+    told = LinearRows(r, slope, np.ones((5, 2))).told(mean)
+    assert told.evidence == pytest.approx(dense + 5 * math.log(2 * math.pi), rel=1e-12)

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *PROBLEM)
     add(parser, "--instrument NAME", "which one takes the readings, where a problem has several instruments")
     add(parser, "--plan FILE", "what casacal plan wrote", required=True)
-    add(parser, "--out FILE", "samples to write; those to check with go to FILE_check", required=True)
+    add(parser, "--out FILE", "samples to write; those kept to verify go to FILE_check", required=True)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
     add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
@@ -116,7 +116,7 @@ def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | No
     """The session after its operator ended it, or it was at its end."""
     from casacal.measuring.conversation import answered, doubt, ended, posture
 
-    say_paragraphs(*doubt(session))
+    say_paragraphs(*doubt(session), "h: help; q: end")
     typed, sizes = _lines(line), file.sizes()
     while True:
         proposed = session.next()

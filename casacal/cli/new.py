@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
         say_paragraphs(f"{arm.name}: {len(arm.moving)} joints from '{arm.chain[0].parent}' to '{arm.chain[-1].child}'")
     place = folder.as_posix()
     say_paragraphs(f"Written: {place}")
-    following = f"casacal simulate {place} --out out/{options.name}.csv"
+    following = f"casacal simulate {place} --out out/{options.name}_samples.csv"
     for words in given.missing:
         say_paragraphs(f"To fill in: {words}")
     say_paragraphs(f"Next: {f'fill these in {place}/problem.py, then ' if given.missing else ''}{following}")

@@ -115,6 +115,8 @@ class Words:
 Travel: TypeAlias = float | tuple[float, float]
 """Largest reading of a dial that begins at zero, or its smallest and largest, mm."""
 
+OVERTRAVEL = 0.01  # part of its travel by which a dial may show more
+
 
 def readings_within(travel: Travel) -> tuple[float, float]:
     """Smallest and largest reading, mm."""

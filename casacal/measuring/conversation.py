@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
+from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
@@ -108,6 +109,23 @@ def _labels(typed: tuple[str, ...], layout: Layout, planned: Touch | None) -> tu
     return typed if typed or planned is None else tuple(planned.labels[name] for name in layout.labels)
 
 
+def _refuse_beyond_travel(session: Session, typed: Typed) -> None:
+    """Raise CasacalError for a reading that the dial cannot show; calibrate would not take it."""
+    probe = session.problem.instrument.probe
+    if probe is None or probe.column is None:
+        return
+    low, high = readings_within(probe.travel)
+    reading, spare = (
+        typed.readings[list(session.problem.layout().columns).index(probe.column)],
+        OVERTRAVEL * (high - low),
+    )
+    if not low - spare <= reading <= high + spare:
+        raise CasacalError(
+            f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm",
+            "Check sign, point and unit; if the dial does show this, declare its travel in the problem file",
+        )
+
+
 @dataclass(frozen=True)
 class Answer:
     """The session after a line, sentences, whether touches were added or changed, whether that was the end."""
@@ -128,6 +146,7 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) 
             return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
         typed = touch_of(line, layout, proposed, gauge)
+        _refuse_beyond_travel(session, typed)
         after = session.take(
             typed.joints,
             dict(zip(layout.columns, typed.readings, strict=True)),
@@ -176,7 +195,7 @@ def posture(touch: Touch, layout: Layout) -> str:
         f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
         for name, kind in layout.columns.items()
     )
-    purpose = {"again": "once more", "check": "to check with"}.get(touch.purpose, "")
+    purpose = {"again": "once more", "check": "kept to verify"}.get(touch.purpose, "")
     parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints_shown(touch.joints, layout))}", expected)
     return "; ".join(part for part in parts if part)
 
@@ -188,7 +207,7 @@ def _told(session: Session) -> str:
     if state.off is not None and state.std is not None:
         off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
         sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
-        said.append(f"off by {sign}{off:.3g} mm; {std:.3g} expected")
+        said.append(f"{sign}{off:.3g} mm from what was expected (standard deviation {std:.3g} mm)")
     elif len(session) - 1 in session.waiting:
         said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
     if session.tip_error is not None and session.tip_error_below is not None:

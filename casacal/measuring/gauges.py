@@ -109,7 +109,7 @@ class SerialLine:
         try:
             import serial
         except ImportError:
-            raise CasacalError("pyserial is not installed", 'Install it with pip install "casacal[serial]"') from None
+            raise CasacalError("pyserial is not installed", "Install it with pip install pyserial") from None
         try:
             self._line: serial.Serial = serial.Serial(port, baud, bits, parity, stops, timeout=0.2)
         except (serial.SerialException, ValueError, OSError) as error:

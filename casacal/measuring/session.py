@@ -102,8 +102,9 @@ class Session(Standing):
         return replace(self, skipped=self.skipped | {number})
 
     def resumed(self, touches: Sequence[Touch]) -> Session:
-        """The session after touches that were made earlier, such as those of a file."""
-        return self._after(tuple(touches))
+        """The session after touches that were made earlier, such as those of a file; the last is judged as new."""
+        made = tuple(touches)
+        return self._after(made[:-1])._after(made, new=True) if made else self._after(made)
 
     def _after(self, touches: tuple[Touch, ...], *, new: bool = False) -> Session:
         """The session with these touches; `new` says that the last one has just come."""

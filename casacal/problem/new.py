@@ -36,9 +36,9 @@ Made by `casacal new`; edit it as you like.
 
 What such touches could tell, before anyone moves the arm, and what they do tell:
 
-    casacal simulate {folder} --out out/{name}.csv
-    casacal check {folder} out/{name}.csv
-    casacal calibrate {folder} out/{name}.csv --out out/{name}
+    casacal simulate {folder} --out out/{name}_samples.csv
+    casacal check {folder} out/{name}_samples.csv
+    casacal calibrate {folder} out/{name}_samples.csv --out out/{name}_fit
 
 Your own samples go into samples.csv beside this file.
 """
