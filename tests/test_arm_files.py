@@ -119,7 +119,7 @@ def test_the_block_alone(file):
         ("# parallel: 2, 3", "# coupling: 3 9 1", "two different joints of 1 to 6"),
         ("# parallel: 2, 3", "# offsets_deg: 1 2", "offsets_deg has 2 numbers for 6 joints"),
         ("# parallel: 2, 3", "# offsets_mm: 1 0 0 0 0 0", "gives 1 for joint 1, which is revolute"),
-        ("alpha_deg", "alpha", "there is no field 'alpha'. Did you mean 'alpha_"),
+        ("alpha_deg", "alpha", "there is no field 'alpha'. Say the unit: alpha_deg or alpha_rad"),
         ("theta_deg,", "gamma_deg,", "there is no field 'gamma_deg'"),
         ("alpha_deg", "alpha_rad", "line 6: alpha_rad is 90"),
         ("1,90,", "1,1.5708,", "line 6: alpha_deg is 1.5708, which is 1 quarter turns"),

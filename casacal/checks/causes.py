@@ -119,6 +119,7 @@ def _turned(matrix: Array) -> Callable[[Problem, Samples], Undone]:
 
 SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
 BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
+EXPLAINED = 50.0  # misfit that noise and effects leave at most; what leaves more explains nothing
 CHANCE = 1.3  # a misfit of this size is chance: whatever leaves no more explains it all
 ALIKE = 1.5  # within this factor a fault and its absence cannot be told apart
 PROMISING = 12  # faults, or pairs of them, that a first look finds best and that are fitted to the end
@@ -160,9 +161,9 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     if best.size > max(BETTER * base, SUSPICIOUS) and gross:
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
-        if both is not None and both.size < BETTER * min(best.size, base):
+        if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
             return _told(both, base, pairs)
-    return _told(best, base, tried) if best.size <= max(BETTER * base, CHANCE) else None
+    return _told(best, base, tried) if best.size <= max(min(BETTER * base, EXPLAINED), CHANCE) else None
 
 
 def _tried(problem: Problem, samples: Samples) -> Iterator[_Trial]:

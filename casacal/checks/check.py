@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.checks.causes import ALIKE, SUSPICIOUS, Cause, explained, flips
+from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained, flips
 from casacal.checks.finding import Finding, misfit
 from casacal.checks.fitted_faults import beside_geometry, tool_moved
 from casacal.checks.numbers import wrong_number
@@ -125,6 +125,8 @@ def _unexplained(base: float, findings: list[Finding]) -> Finding:
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause"
     )
+    if base > EXPLAINED:  # more than any arm errs
+        fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
     return Finding("error", "misfit", cause, fix)
 
 

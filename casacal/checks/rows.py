@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.checks.finding import Finding, Severity
-from casacal.instruments.description import readings_within
+from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.problem.problem import Problem
 from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
@@ -22,7 +22,6 @@ from casacal.wording import counted
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
-LITTLE = 0.01  # part of its travel by which a dial may show more
 
 
 def repeated(samples: Samples) -> list[Finding]:
@@ -45,7 +44,7 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
         bad = beyond > 0
         if bad.any():
             least, most = float(reading.min()), float(reading.max())
-            little = float(beyond.max()) <= LITTLE * (high - low)
+            little = float(beyond.max()) <= OVERTRAVEL * (high - low)
             cause = (
                 f"{counted(int(bad.sum()), 'reading')} outside {low:g} to {high:g} mm (from {least:g} to {most:g} mm)"
             )

@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         import shtab
     except ImportError:
-        fix = 'Install the extra: pip install "casacal[completion]"'
+        fix = "Install it with pip install shtab"
         raise CasacalError("Completion scripts are written by shtab, which is not installed", fix) from None
     for action in _actions(options.parser):
         if action.metavar in PLACES:

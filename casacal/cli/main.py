@@ -39,9 +39,8 @@ COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, e
 
 EPILOG = (
     "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
-    "are in mm "
-    "and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not be used, a "
-    "check failed or a target was not reached; 2 bad input."
+    "are in mm and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not "
+    "be used, a check failed or a target was not reached; 2 bad input."
 )
 
 
@@ -55,7 +54,7 @@ class _Parser(argparse.ArgumentParser):
         raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
 
 
-NEGATIVE_RANGE = re.compile(r"-[\d.]+:")  # how a box begins whose first range is below zero
+NEGATIVE = re.compile(r"-[\d.]+[:,]")  # how a box, a range or a point begins whose first number is below zero
 
 
 def build_parser() -> _Parser:
@@ -121,7 +120,7 @@ def _ranges_joined(typed: list[str]) -> list[str]:
     """--box -100:100,... as --box=-100:100,...: argparse takes what begins with a minus for an option."""
     found = list[str]()
     for each in typed:
-        if found and found[-1].startswith("--") and "=" not in found[-1] and NEGATIVE_RANGE.match(each):
+        if found and found[-1].startswith("--") and "=" not in found[-1] and NEGATIVE.match(each):
             found[-1] += f"={each}"
         else:
             found.append(each)

@@ -63,7 +63,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         say_json(found.to_dict())
     else:
-        say_paragraphs(*found.summary().split("\n"))
+        say_paragraphs(*found.summary(whole=options.verbose).split("\n"))
+        if not options.verbose:
+            say_paragraphs("Faces, regions and statistics: --verbose")
     return DONE if found.passed else FAILED
 
 

@@ -11,11 +11,10 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError
-from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
-from casacal.measuring.touch import Touch
+from casacal.measuring.touch import Touch, refuse_beyond_travel
 from casacal.planning.route import joints_shown
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
@@ -109,23 +108,6 @@ def _labels(typed: tuple[str, ...], layout: Layout, planned: Touch | None) -> tu
     return typed if typed or planned is None else tuple(planned.labels[name] for name in layout.labels)
 
 
-def _refuse_beyond_travel(session: Session, typed: Typed) -> None:
-    """Raise CasacalError for a reading that the dial cannot show; calibrate would not take it."""
-    probe = session.problem.instrument.probe
-    if probe is None or probe.column is None:
-        return
-    low, high = readings_within(probe.travel)
-    reading, spare = (
-        typed.readings[list(session.problem.layout().columns).index(probe.column)],
-        OVERTRAVEL * (high - low),
-    )
-    if not low - spare <= reading <= high + spare:
-        raise CasacalError(
-            f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm",
-            "Check sign, point and unit; if the dial does show this, declare its travel in the problem file",
-        )
-
-
 @dataclass(frozen=True)
 class Answer:
     """The session after a line, sentences, whether touches were added or changed, whether that was the end."""
@@ -146,10 +128,11 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) 
             return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
         layout = session.problem.layout()
         typed = touch_of(line, layout, proposed, gauge)
-        _refuse_beyond_travel(session, typed)
+        columns = dict(zip(layout.columns, typed.readings, strict=True))
+        refuse_beyond_travel(session.problem, columns)
         after = session.take(
             typed.joints,
-            dict(zip(layout.columns, typed.readings, strict=True)),
+            columns,
             dict(zip(layout.labels, typed.labels, strict=True)),
             number=None if proposed is None else proposed.number,
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.planning.route import FIT, Route
 from casacal.problem.problem import Problem
 from casacal.samples.layout import LARGEST, Layout
@@ -119,6 +120,17 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
         if not isinstance(label, str) or not label:
             raise CasacalError(f"The touch has no {name}", "Name it")
     return found
+
+
+def refuse_beyond_travel(problem: Problem, columns: Mapping[str, float]) -> None:
+    """Raise CasacalError for a reading that the dial cannot show; calibrate would not take it."""
+    probe = problem.instrument.probe
+    if probe is None or probe.column is None:
+        return
+    reading, (low, high) = columns[probe.column], readings_within(probe.travel)
+    if max(low - reading, reading - high) > OVERTRAVEL * (high - low):
+        fix = "Check sign, point and unit; if the dial does show this, declare its travel in the problem file"
+        raise CasacalError(f"{reading:g} mm is outside the dial's range of {low:g} to {high:g} mm", fix)
 
 
 SHOWN = 3  # decimals of a reading in mm as people type it, and of a joint value in degrees or mm

@@ -146,7 +146,7 @@ def on_cluster(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], add
         from dask.distributed import Client, as_completed
         from distributed import KilledWorker
     except ImportError:
-        raise StudyError("Dask is not installed", 'Install the extra: pip install "casacal[cluster]"') from None
+        raise StudyError("Dask is not installed", "Install it with pip install distributed") from None
     try:
         client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:

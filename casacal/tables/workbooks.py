@@ -42,7 +42,7 @@ def read_workbook(path: str | Path) -> Table:
         import openpyxl
     except ImportError:
         raise CasacalError(
-            f"{path} is an Excel workbook, which needs a library", 'Install casacal with the extra: "casacal[excel]"'
+            f"{path} is an Excel workbook, which needs a library", "Install it with pip install openpyxl"
         ) from None
     file = str(path)
     try:

@@ -57,7 +57,8 @@ def table_of(fields: Fields) -> DHTable:
     convention = fields.block.get("convention")
     if convention not in ("standard", "modified"):
         came = "does not say its convention" if convention is None else f"has the convention '{convention}'"
-        raise ProblemError(f"{fields.file}: the file {came}", "Write convention standard or modified (Craig's)")
+        fix = "Say standard or modified (Craig's): '# convention: standard' above a CSV's header, 'convention' in TOML"
+        raise ProblemError(f"{fields.file}: the file {came}", fix)
     if not fields.rows:
         raise ProblemError(f"{fields.file}: there is no joint", "Give one row per joint")
     for row, place in zip(fields.rows, fields.places, strict=True):
@@ -164,8 +165,11 @@ def check_names(names: Row, known: Sequence[str], where: str) -> None:
     """Refuse a name that is none of the known ones; never a silent guess."""
     for name in names:
         if name not in known:
+            units = [each for each in known if each.startswith(f"{name}_")]
             close = [MISNAMED[name]] if MISNAMED.get(name) in known else get_close_matches(name, known, n=1)
             hint = f"Did you mean '{close[0]}'? " if close else ""
+            if units:
+                hint = f"Say the unit: {' or '.join(units)}. "
             raise ProblemError(f"{where}: there is no field '{name}'", f"{hint}Known: {', '.join(known)}")
 
 
