@@ -116,7 +116,7 @@ def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int,
     lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
     if lines:
         off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
-        fix = "Measure them again or remove them; calibrate leaves them out if they are few"
+        fix = "Measure them again or remove them; calibrate leaves them out where they are few"
         cause = f"{off}; more than {found.limit:.1f} is not chance"
         findings.append(Finding("error", "outliers", cause, fix, lines, name))
     return findings

@@ -42,6 +42,8 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     lines.append("# joint values of the problem = signs * (the controller's + coupling) + offsets")
     if best.simplest == Conventions.plain(len(best.simplest.signs)):
         lines.append("# nothing to change: the controller's joint values are those of the problem")
+    else:
+        lines.append("# goes into a DH table in TOML, or as conventions=Conventions(...) into problem.py")
     return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
 
 
