@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
     add(parser, "--report FILE", "write a self-contained HTML page")
     add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")
+    add(parser, "--verbose", "faces, regions of the workspace and statistics as well")
     add(parser, *JSON)
 
 
