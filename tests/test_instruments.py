@@ -115,6 +115,13 @@ def test_every_socket_is_simulated_at_every_place():
     assert len(pairs) == 9
 
 
+def test_a_bar_is_proposed_where_the_tips_show_its_zero():
+    bar = Sockets(noise_std=0.05, along={"a": 0.0, "b": 50.0, "c": 90.0}, tool=tool_point(0, 0, 100, prior_std=1.0))
+    along, way, start = np.array([50.0, 90.0, 90.0, 0.0]), np.array([0.6, 0.0, -0.8]), np.array([300.0, -100.0, 40.0])
+    sight = Sight(np.zeros((4, 4, 4)), start + along[:, None] * way, {"along": along}, None)
+    np.testing.assert_allclose(bar.propose("start", sight), start, atol=1e-9)
+
+
 def test_a_rigid_fit_finds_the_motion_that_was_made():
     rng = np.random.default_rng(4)
     points, turn, shift = rng.normal(size=(7, 3)), Rotation.from_rotvec([0.4, -2.0, 0.7]).as_matrix(), [50.0, -7.0, 3.0]
