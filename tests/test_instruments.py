@@ -20,6 +20,7 @@ from casacal import (
     Problem,
     ProblemError,
     Samples,
+    Sight,
     Sockets,
     bind,
     check,
