@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import textwrap
 from collections.abc import Sequence
 
@@ -31,7 +32,7 @@ def next_step(
         return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
-    return f"correct joint targets with casacal compensate {out}/result.json TARGETS --out FILE."
+    return f"correct joint targets with casacal compensate {shlex.quote(f'{out}/result.json')} TARGETS --out FILE."
 
 
 def best_cure(calibration: Calibration) -> str:

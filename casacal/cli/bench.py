@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
 
     data = options.data or os.environ.get(WHERE, "")
     if not data or not Path(data).is_dir():
-        raise CasacalError(f"'{data}' is no folder of measurements", f"Name theirs with --data, or in {WHERE}")
+        came = f"'{data}' is no folder of measurements" if data else "No folder of measurements was named"
+        raise CasacalError(came, f"Name theirs with --data, or in {WHERE}; the sets say where to get them")
     one = (Path(options.sets) / DESCRIPTION).is_file()
     sets = (read_set(options.sets),) if one else read_sets(options.sets)
     if options.only:
