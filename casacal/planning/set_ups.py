@@ -85,7 +85,7 @@ def _step(touches: Touches, tilt: float) -> Iterator[Offer]:
     if stepped is None:
         return
     cell = _cell((first, block_on(first, label)), tilt)
-    words = f"{EXTRA_TOUCHES} planned touches on a {STEP:g} mm step, on the gauge block and beside it"
+    words = f"{EXTRA_TOUCHES} planned touches on a gauge block (a {STEP:g} mm step) and beside it"
     yield Offer("step", words, Problem(touches.problem.robot, stepped), cell)
 
 
