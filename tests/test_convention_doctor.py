@@ -175,6 +175,13 @@ def test_the_twin_of_a_spherical_wrist_is_equivalent_and_the_simplest_is_given()
     assert len(found.meanings[0].conventions) == 2
 
 
+def test_a_quarter_turn_back_is_not_called_three_forward():
+    table = radians(TABLES["hsr"])
+    back = (np.ones(6, dtype=int), np.array([0, -1, 0, 0, 0, 0]), ())
+    rows = rows_of(table, back, "ZYX", np.random.default_rng(1).uniform(-2, 2, (3, 6)))
+    assert diagnose(robot_of(table), rows).meanings[0].simplest.offsets == (0.0, -math.pi / 2, 0.0, 0.0, 0.0, 0.0)
+
+
 def test_conventions_that_hardly_differ_are_not_called_certain():
     alpha, a, d, theta = radians(TABLES["hsr"])
     table = (alpha, (*a[:4], 0.05, 0.0), d, theta)  # a wrist that is nearly spherical: its twin is nearly the same

@@ -10,6 +10,7 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
+from casacal.checks.outliers import studentised_outliers
 from casacal.checks.rows import odd_labels, outside
 from casacal.checks.setup import tells_a_wrong_sign
 from casacal.cli.adjust import number_or_range
@@ -143,6 +144,8 @@ def test_leverages_by_parts_are_those_of_the_whole(hsr, corner_simulation, monke
     basis, _ = np.linalg.qr(stacked)
     expected = (basis[: bound.rows] ** 2).sum(axis=1)
     np.testing.assert_allclose(leverages(bound, result), expected, rtol=1e-9)
+    alike = np.abs(bound.residual(result.x)) / np.sqrt(1 - expected)  # Cook and Weisberg: of the same spread
+    assert studentised_outliers(bound, result).scale == pytest.approx(1.4826 * np.median(alike), rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -19,6 +19,7 @@ from casacal.calibration.page import report_page
 from casacal.calibration.page.expected import Workspace
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.result_json import calibration_document
+from casacal.calibration.tables import parameters
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.pages.drawing import Panel, nice_ceiling, tag, ticks
@@ -51,6 +52,16 @@ def document(written):
 def calibration(hsr):
     samples = hsr.problem.read(HSR / "samples.csv")
     return calibrate(hsr.problem, samples, method="lm", holdout=0.25, seed=1)
+
+
+def test_the_share_of_the_prior_is_what_is_left_of_it(calibration):
+    table, held = parameters(calibration, denied=False)
+    names = list(calibration.fit.names)
+    for row in table.rows:
+        j = names.index(row[0])
+        left, prior = calibration.result.std[j], calibration.fit.prior_std[j]
+        assert row[6] == f"{100 * left / prior:.0f} %"
+    assert len(table.rows) + len(held) == len(list(calibration.fit.parameters()))
 
 
 def of(calibration, source, **options):
