@@ -11,7 +11,8 @@ from conftest import ROOT
 from oracles import dh_chain
 from scipy.spatial.distance import pdist
 
-from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, load_problem, simulate
+from casacal import Cell, DialOnPlane, Disturbances, Problem, TrackedPoint, bind, load_problem, simulate
+from casacal.binding.noise_scale import SHARED
 from casacal.cli.main import main
 from casacal.errors import SimulationError
 from casacal.simulation.faults import form_error
@@ -343,3 +344,11 @@ def test_a_cell_is_compared_and_written_as_before():
     assert Cell(faces=faces, gear_waves={1: 1e-4}) == Cell(faces=faces, gear_waves=[(1, 1e-4)])
     assert hash(Cell(faces=faces, gear_waves={1: 1e-4}))
     assert json.dumps(dataclasses.asdict(Cell(faces=faces, gear_waves={1: 1e-4}))["gear_waves"]) == "[[1, 0.0001]]"
+
+
+def test_repeats_that_share_noise_weigh_like_a_cluster(hsr):
+    """Kish: m rows whose errors correlate by c have a mean of variance (1 + (m - 1) c) / m."""
+    bound = bind(hsr.problem, made(hsr, repeats=3).samples)
+    stated, shared = bound.block.noise, bound.with_noise({SHARED: 0.4}).block.noise
+    correlated = np.full((3, 3), 0.4) + 0.6 * np.eye(3)
+    np.testing.assert_allclose((shared / stated) ** 2 / 3, correlated.mean(), rtol=1e-12)
