@@ -155,3 +155,11 @@ def test_a_range_that_is_none_makes_no_folder(said, tmp_path, capsys):
         assert main(arguments) == 2
     assert "travel" in capsys.readouterr().err
     assert not (tmp_path / "mine").exists()
+
+
+def test_a_zero_of_each_session_is_simulated_with_one_session_and_fits_its_truth(hsr):
+    dial = dataclasses.replace(hsr.problem.instrument, travel=MIDDLE, zero_shift=dial_zero(per="session"))
+    simulation = simulate(Problem(hsr.problem.robot, dial), hsr.cell, seed=2)
+    bound = casacal.bind(simulation.problem, simulation.samples)
+    assert simulation.samples.labels["session"].names == ("session",)
+    assert np.sqrt((bound.residual(simulation.truth(bound)) ** 2).mean()) == pytest.approx(1.0, abs=0.25)

@@ -86,7 +86,9 @@ def touched_rows(
     if probe.column is not None:
         shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=samples) * noise + outlier
         columns[probe.column] = rounded(shown, cell.resolution)
-    labels = {probe.label: Labels([face.label for face in cell.faces], plan.which)} if probe.label is not None else {}
+    labels = {name: Labels([name], np.zeros(samples, dtype=np.intp)) for name in problem.layout().labels}  # one of each
+    if probe.label is not None:
+        labels[probe.label] = Labels([face.label for face in cell.faces], plan.which)
     recorded = rounded(said, cell.encoder_step)
     rows = Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name)
     return rows, local, arm, dial
