@@ -14,7 +14,9 @@ import casacal
 from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
 from casacal.cli.main import main
 from casacal.errors import ProblemError, SimulationError
+from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
+from casacal.uncertainty.workspace import without_rigid, workspace_joints
 
 HSR = ROOT / "problems" / "hsr_jr680"
 MIDDLE = (-5.0, 5.0)
@@ -163,3 +165,34 @@ def test_a_zero_of_each_session_is_simulated_with_one_session_and_fits_its_truth
     bound = casacal.bind(simulation.problem, simulation.samples)
     assert simulation.samples.labels["session"].names == ("session",)
     assert np.sqrt((bound.residual(simulation.truth(bound)) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_doubtful_as_its_prior(middle):
+    problem, samples = middle
+    later = np.arange(len(samples)) >= len(samples) // 2
+    labels = {**samples.labels, "session": Labels(("morning", "evening"), later.astype(int))}
+    reading = samples.columns["reading"] - 1.3 * later
+    both = dataclasses.replace(samples, columns={"reading": reading}, labels=labels)
+    dial = dataclasses.replace(problem.instrument, travel=(-8.0, 8.0), zero_shift=dial_zero())
+    found = calibrate(Problem(problem.robot, dial), both, method="lm", reference=False)
+    few = Samples.of_joints(workspace_joints(problem.robot))
+
+    def tip_in(session):
+        labels = {"session": Labels((session,), np.zeros(len(few), dtype=int))}
+        return found.predict(dataclasses.replace(few, labels=labels), frame="tip", std=True)
+
+    morning, evening, tomorrow = (tip_in(session) for session in ("morning", "evening", "tomorrow"))
+    along = morning.poses[:, :3, 2] * problem.instrument.sign  # the plunger stands along the flange's z
+    shifts = dict(zip(found.fit.names, found.x, strict=True))
+    apart = shifts["zero_shift.evening"] - shifts["zero_shift.morning"]
+    np.testing.assert_allclose(evening.positions - morning.positions, apart * along, atol=1e-9)
+    bare = found.predict(few, frame="tip", std=True)
+    np.testing.assert_allclose(tomorrow.positions, bare.positions, atol=1e-12)
+    assert morning.std.mean() < bare.std.mean(), "tool and zero err together, and their sum is known best"
+    turned = without_rigid(10.0 * along.ravel(), bare.positions).reshape(-1, 3)
+    doubt = np.hypot(bare.std, np.linalg.norm(turned, axis=1))
+    np.testing.assert_allclose(tomorrow.std, doubt, rtol=1e-6)
+    shown = dataclasses.replace(few, columns={"reading": np.zeros(len(few))})
+    with pytest.raises(casacal.CasacalError, match="for each session"):
+        found.predict(shown, frame="tip")
+    assert len(found.predict(shown)) == len(few)

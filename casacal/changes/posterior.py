@@ -10,8 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.compensation.arm import CalibratedArm, corrected_values
-from casacal.compensation.predict import all_motion, with_effects
+from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, with_effects
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.estimators import lm
 from casacal.least_squares.objective import LeastSquares

@@ -156,6 +156,31 @@ def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     return covariance.reshape(len(names), len(names)), list(names)
 
 
+def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
+    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
+
+    By name, in the order of the covariance; None where a result says nothing of effects.
+    """
+    said = result.discrepancy
+    if "covariance" not in said:
+        return None
+    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+
+
+def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) of all that a result says of arm, cell and effects that move the tip, and their names."""
+    found = with_effects(result)
+    return named_covariance(result) if found is None else (found[0], list(found[1]))
+
+
+def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """The same of all that a result corrects and of its other unknowns.
+
+    Raises CasacalError where it holds none.
+    """
+    return all_motion(result) if result.corrected else named_covariance(result)
+
+
 def numbers(rows: Sequence[Sequence[float | None]]) -> Array:
     """A table of numbers as JSON holds it, null where one is infinite."""
     return np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
@@ -177,18 +202,22 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
     """Local coordinates of an unknown at the result; zero for those that differ by label."""
     if nominal or unknown.per is not None or not unknown.size:
         return np.zeros(unknown.size)
-    if isinstance(unknown, Parameter):
-        known = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
-    else:
-        known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
-        if not known.keys() & set(unknown.names(key)):  # held by the calibration
-            return np.zeros(unknown.size)
-    if alone:
-        known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
+    known = found_values(result, alone=alone)
+    if not isinstance(unknown, Parameter) and not known.keys() & set(unknown.names(key)):  # held by the calibration
+        return np.zeros(unknown.size)
     missing = [name for name in unknown.names(key) if name not in known]
     if missing:
         raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
     return np.array([known[name] for name in unknown.names(key)])
+
+
+def found_values(result: CalibratedArm, *, alone: bool) -> dict[str, float]:
+    """Local coordinates of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
+    known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", ())}
+    known |= {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
+    if alone:
+        known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
+    return known
 
 
 def corrected_values(result: CalibratedArm) -> Mapping[str, float]:

@@ -12,25 +12,21 @@ from casacal.array_types import Array
 from casacal.compensation.arm import (
     FRAMES,
     CalibratedArm,
-    covariance_of,
+    found_values,
     local_coordinates,
-    named_covariance,
-    numbers,
     row_constants,
 )
 from casacal.compensation.result_file import arm_from
-from casacal.discrepancy.effect import Site
+from casacal.compensation.spread import RowZeros, position_stds
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
-from casacal.problem.compile import RowModel
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Columns
 from casacal.tables.read import is_frame, read_columns, table_of_frame
-from casacal.uncertainty.workspace import tip_stds, up_to_base, workspace_joints
 from casacal.values import Value, frozen
 
 
@@ -79,7 +75,9 @@ def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
         for name, dimension in asked.columns.items()
         if any(column == name or column.startswith(f"{name}_") for column in columns.header)
     }
-    return Samples.from_columns(columns, Layout(asked.joints, present))
+    probe = source.problem.instrument.probe
+    zero = () if probe is None or probe.zero_label not in columns.header else (probe.zero_label,)
+    return Samples.from_columns(columns, Layout(asked.joints, present, zero))
 
 
 def joints_from(q: Any, source: ProblemFile) -> Samples:
@@ -110,7 +108,9 @@ def predict(
         result: a calibration or a truth.
         joints: rows of joint values, also as numbers, a frame or a file; columns that are absent (a reading) count as
             zero.
-        frame: "flange" is `robot.pose`; "tip" is where the instrument touches.
+        frame: "flange" is `robot.pose`; "tip" is where the instrument touches. Where a dial was set to zero anew for
+            each session, the tip is that of the row's session; of rows that name none, and have no reading, it is the
+            tool's point as the problem declares it.
         nominal: use nominal values instead of the estimate.
         std: whether to add standard deviations.
 
@@ -119,7 +119,7 @@ def predict(
         in mm where asked for. The quaternions are those of the flange for both frames.
 
     Raises CasacalError for standard deviations of the nominal arm, of a result that holds no covariance, or of one that
-    is not to be used.
+    is not to be used, and for readings of a dial of which no row says when it was set to zero.
 
     """
     from scipy.spatial.transform import Rotation
@@ -138,32 +138,18 @@ def predict(
     constants = row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
+    zeros = RowZeros.of(instrument, joints) if frame == "tip" else None
+    if zeros is not None and not nominal:
+        found = found_values(result, alone=not model.effects)
+        shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
+        positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     spread = None
     if std:
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-        spread = _spread(result, data, frame)
+        spread = position_stds(result, data, frame, zeros)
     return Prediction(positions, np.roll(xyzw, 1, axis=1), spread)
-
-
-def _spread(result: CalibratedArm, data: Array, frame: str) -> Array:
-    """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
-
-    Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
-    corrected count as errors, by what they do and by how well that is known.
-    """
-    arm, joints = moved_arm(result), len(result.source.problem.robot.axes)
-    evaluate = arm.model.batch.tip_jacobian if frame == "tip" else arm.model.batch.flange_jacobian
-    constants, workspace = arm.constants, workspace_joints(result.source.problem.robot)
-    fields = []
-    for given in (data, workspace):
-        rows = np.tile(np.concatenate([np.zeros(joints), arm.elsewhere]), (len(given), 1))
-        rows[:, : given.shape[1]] = given
-        points, slopes = evaluate(arm.z, constants, rows)
-        fields.append((slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns], points))
-    stds = tip_stds(arm.covariance, up_to_base(*fields[0], *fields[1]), arm.off)
-    return np.asarray(np.linalg.norm(stds, axis=1))
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:
@@ -173,78 +159,3 @@ def write_prediction(path: str | Path, prediction: Prediction) -> None:
         cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
         lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))
     write_text(path, "\n".join(lines) + "\n")
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """A model of the arm with all that moves it, z (nz,) at the result, and which of z (k,) are known how well (k, k).
-
-    off: by how much these (k,) are elsewhere than the arm is said to be. elsewhere: columns of a row at any posture.
-    constants: c (nc,) of the model.
-    """
-
-    model: RowModel
-    z: Array
-    columns: list[int]
-    covariance: Array
-    off: Array | None
-    elsewhere: Array
-    constants: Array
-
-
-def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
-    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
-
-    By name, in the order of the covariance; None where a result says nothing of effects.
-    """
-    said = result.discrepancy
-    if "covariance" not in said:
-        return None
-    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
-
-
-def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
-    """Covariance (n, n) of all that a result says of arm, cell and effects that move the tip, and their names."""
-    found = with_effects(result)
-    return named_covariance(result) if found is None else (found[0], list(found[1]))
-
-
-def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
-    """The same of all that a result corrects and of its other unknowns.
-
-    Raises CasacalError where it holds none.
-    """
-    return all_motion(result) if result.corrected else named_covariance(result)
-
-
-def moved_arm(result: CalibratedArm) -> Moved:
-    """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
-    problem, found = result.source.problem, with_effects(result)
-    covariance, columns = covariance_of(result)
-    if found is None:
-        index = [j for _, j in columns]
-        model, z = problem.model, local_coordinates(result, of=problem)
-        elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
-        return Moved(model, z, [i for i, _ in columns], covariance[np.ix_(index, index)], None, elsewhere, constants)
-    model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
-    names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
-    if lost:
-        what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
-        raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
-    whole, off = found
-    places = {name: j for j, name in enumerate(off)}
-    at = [i for i, name in enumerate(names) if name in places]
-    index = [places[names[i]] for i in at]
-    known = dict.fromkeys(model.names, 0.0)
-    for effect in model.effects:
-        known |= effect.away(site)
-    return Moved(
-        model,
-        local_coordinates(result, of=problem.with_kit),
-        at,
-        whole[np.ix_(index, index)],
-        np.array([off[names[i]] for i in at]),
-        np.array(list(known.values())),
-        row_constants(result, problem.with_kit),
-    )

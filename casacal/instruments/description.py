@@ -133,7 +133,8 @@ class Probe:
     largest reading, mm, or the largest alone where the smallest is zero. label: the column that names the faces, None
     where there is one face for all. moves: keys of the instrument's unknowns that tip and plunger depend on.
     knows_angles: whether the faces' angles to one another are certified. steps: labels of faces at a known height on
-    another one. turn: what one turn of a pointer shows, mm; zero where there is none.
+    another one. turn: what one turn of a pointer shows, mm; zero where there is none. zero, zero_label: key of the
+    unknown that says where its zero stands, and the column whose values have one each; None where it was set once.
     """
 
     noise_std: float
@@ -146,3 +147,5 @@ class Probe:
     knows_angles: bool = False
     steps: tuple[str, ...] = ()
     turn: float = 0.0
+    zero: str | None = None
+    zero_label: str | None = None

@@ -171,6 +171,8 @@ class DialOnPlane(Instrument):
             moves=("tool", "plunger", *self.own_errors),
             steps=tuple(self.steps),
             turn=self.turn if self.reading else 0.0,
+            zero=None if self.zero_shift is None else "zero_shift",
+            zero_label=None if self.zero_shift is None else self.zero_shift.per,
         )
 
     @property

@@ -14,8 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, corrected_values, sizes_of
-from casacal.compensation.predict import known_motion
+from casacal.compensation.arm import CalibratedArm, corrected_values, known_motion, sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
