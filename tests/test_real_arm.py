@@ -137,6 +137,8 @@ def test_a_prior_of_any_arm_does_not_ruin_it_where_effects_are_known(motoman, mo
     found, ratios = as_used(motoman, motoman_data, contacts, ANY_ARM, noise_std)
     assert max(ratios) <= 0.85
     assert found.corrected == ()  # sag, told by faces but not by regions of postures
+    # no length is another than drawn: the rows are likelier with errors that they share
+    assert verdict_of(found).level == ("use with care" if noise_std > 0.1 else "do not use")
 
 
 @pytest.mark.long
@@ -147,7 +149,10 @@ def test_rows_that_err_together_hide_no_gross_row(motoman, contacts):
         for each in ("none", "kit")
     )
     assert found.corrected == ("give",)
-    assert {103, 485} <= set(found.aside_lines)
+    assert set(found.aside_lines) == {103, 485}  # and not 288 to 290, three touches of one place that are off together
+    motion = found.unjudged.motion
+    assert motion.off is not None
+    assert np.abs(motion.off).max() > 0, "sag at the largest size that is believed counts as an error, corrected or not"
     assert 485 not in alone.aside_lines
 
 

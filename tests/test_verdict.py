@@ -532,3 +532,32 @@ def test_a_parameter_absurdly_far_beyond_its_prior_is_refused_by_name(hsr):
     assert verdict.level == "do not use"
     assert f"{found.fit.names[int(far.argmax())]} moved by {far.max():.0f} prior" in verdict.words
     assert "state wider priors" in verdict.words
+
+
+@pytest.mark.parametrize(
+    ("off", "together", "gross_rows"),
+    [(0.1, True, []), (0.1, False, [0]), (0.6, True, [0, 1, 2, 3])],
+    ids=["a region", "one row of it", "misread alike"],
+)
+def test_rows_of_one_region_that_are_off_together_are_no_outliers(hsr, off, together, gross_rows):
+    """Four touches of one place, the wrist turned between them, as they should be, and then off by so much."""
+    samples = in_cell(hsr, seed=0)
+    found, rng, four = lm(bind(hsr.problem, samples)), np.random.default_rng(1), np.arange(4)
+    at = np.concatenate([np.delete(np.arange(len(samples)), 40), np.full(4, 40)])
+    joints = samples.joints[at].copy()
+    joints[-4:, 5] += np.array([-0.9, 0.4, 1.1, 0.1])
+    joints[-4:, :5] += rng.normal(scale=1e-4, size=(4, 5))
+    rows = dataclasses.replace(samples.take(at), joints=joints, lines=tuple(range(2, len(at) + 2)))
+
+    def left(reading):
+        of = dataclasses.replace(rows, columns={"reading": reading})
+        return of, found.problem.on(of).plain_residual(found.x)
+
+    reading, noise = rows.columns["reading"].copy(), rng.normal(scale=0.01, size=4)
+    for _ in range(3):  # readings at which the arm as fitted touches
+        here, there = left(reading)[1], left(reading + 1e-4)[1]
+        reading[-4:] -= 1e-4 * here[-4:] / (there - here)[-4:]
+    reading[-4:] += noise + off * (together | (four == 0))
+    bad, _ = gross(bind(hsr.problem, left(reading)[0]))
+    assert not bad[:-4].any()
+    assert np.flatnonzero(bad[-4:]).tolist() == gross_rows

@@ -11,11 +11,12 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.marginal import Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
-from casacal.calibration.motion import HiddenTool, Motion, among, hidden_tool, used_arm
+from casacal.calibration.motion import HiddenTool, Motion, among, doubtful, hidden_tool, used_arm
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
+from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
 from casacal.uncertainty.identifiability import Identifiability, NullDirection, WeakDirection, identifiability
 from casacal.uncertainty.noise import noise_over_stated
@@ -57,7 +58,9 @@ class Calibration(Fitted):
     @cached_property
     def motion(self) -> Motion:
         """All that moves the tip: geometry, and effects beside it."""
-        return Motion.of(self.fit, self.result, self.used_x)
+        doubted = doubtful(self.fit, self.corrected)
+        sure = used_arm(self.fit, self.result, set(self.corrected) - doubted) if doubted else None
+        return Motion.of(self.fit, self.result, self.used_x, sure=sure)
 
     @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
@@ -166,11 +169,12 @@ class Calibration(Fitted):
         """How far each unknown (n,) moved from its nominal, in prior standard deviations; 0 under a flat prior.
 
         As far as it moves under geometry alone, if that is farther: effects beside it may explain a fault away, but
-        they have sizes and no nominal, and do not count themselves.
+        they have sizes and no nominal, and do not count themselves. Where what rows err by together is what was stated
+        as their noise, geometry alone takes them for more than they are, and does not count.
         """
         moved, effects = _moves(self.result), np.array(self.fit.beside, dtype=bool)
         moved[effects] = 0.0
-        if effects.any() and self.plain.converged:
+        if effects.any() and self.plain.converged and not errors_are_shared(self.fit):
             moved[~effects] = np.fmax(moved[~effects], _moves(self.plain))
         return moved
 

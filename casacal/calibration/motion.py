@@ -43,11 +43,16 @@ class Motion:
     covariance: Array
 
     @staticmethod
-    def of(fit: BoundProblem, result: Result, used: Array) -> Motion:
-        """Of a fit, and of the arm as used (n,)."""
+    def of(fit: BoundProblem, result: Result, used: Array, *, sure: Array | None = None) -> Motion:
+        """Of a fit, and of the arm as used (n,); `sure` is what it would be without corrections that are in doubt.
+
+        These are counted as errors by all that they do.
+        """
         arm, estimate = moving(fit, result.x)
-        x = used[arm.shared] if isinstance(arm, Marginal) else used
-        off = estimate - x
+        x, less = (
+            each[arm.shared] if isinstance(arm, Marginal) else each for each in (used, used if sure is None else sure)
+        )
+        off = estimate - less
         return Motion(arm, x, off if off.any() else None, among(result, arm))
 
 
@@ -71,6 +76,14 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
     used[arm.shared[geometry]] += moves * arm.start_std[geometry]
     faces = Restricted(fit, fit.datum, used)
     return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
+
+
+def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
+    """Corrected effects of the largest size that is believed: something else may stand behind them.
+
+    None where rows see the tip itself, which such a correction brings nearer whatever it is.
+    """
+    return set() if sees_the_tip(fit) else {effect.key for effect in at_most(fit)} & set(corrected)
 
 
 def sees_the_tip(fit: BoundProblem) -> bool:

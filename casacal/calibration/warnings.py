@@ -245,6 +245,6 @@ def larger_than_any(calibration: Calibration) -> Doubt | None:
     return Doubt(
         f"{named} reached the largest size that casacal accepts",
         f"{capital(named)} reached {found[0].most:g} times the usual size, the largest that casacal accepts. Something "
-        "else probably errs as well, and the figures count only part of it. casacal check looks for the cause; touches "
-        "in other postures and on other faces separate the effects.",
+        "else probably errs as well, which no figure counts. What is corrected of it counts as an error all the same. "
+        "casacal check looks for the cause; touches in other postures and on other faces separate the effects.",
     )

@@ -10,11 +10,15 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.noise_scale import times
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.effect_sizes import evidence, told
 from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import DULL
 from casacal.unknowns import Parameter
 
@@ -42,7 +46,8 @@ def wrong_number(bound: BoundProblem) -> list[Finding]:
     """An error where one number of the arm, and no other, contradicts its prior.
 
     A prior that holds a number back from where it is leaves residuals that look like noise, and once they count as
-    noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated.
+    noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated. Where the rows are
+    likelier with the number as drawn and larger effects beside the geometry, it is not said to be another.
     """
     if bound.groups is not None:
         return []
@@ -55,13 +60,25 @@ def wrong_number(bound: BoundProblem) -> list[Finding]:
         found = lm(freed)
         j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
         by, std = float(found.x[j]), math.sqrt(found.covariance[j, j]) * noise
-        if found.converged and abs(by) > WRONG * float(bound.prior_std[j]) + SURE * std:
+        prior = float(bound.prior_std[j])
+        if found.converged and abs(by) > WRONG * prior + SURE * std:
+            wide = bind(bound.problem.with_prior({name: abs(by)}), *bound.samples)
+            if _likelihood(wide) < _likelihood(stated):  # errors that rows share pull a number far as well
+                return []
             cause = (
                 f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
-                f"{abs(by) / float(bound.prior_std[j]):.2g} prior standard deviations; no other parameter is so far off"
+                f"{abs(by) / prior:.2g} prior standard deviations; no other parameter is so far off"
             )
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit))]
     return []
+
+
+def _likelihood(bound: BoundProblem) -> float:
+    """Logarithm of the marginal likelihood of rows where effects beside the geometry are as large as they show."""
+    fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
+    found = lm(fit)
+    fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
+    return evidence(told(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
 
 
 def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import times
+from casacal.binding.nominal import nominal_sight
 from casacal.checks.finding import Finding
 from casacal.estimators import lm
 from casacal.instruments.description import readings_within
@@ -23,6 +25,9 @@ from casacal.wording import counted
 FEWEST_OF_A_FACE = 12  # rows of a face that can tell how rough it is
 WORTH_A_LOOK = 0.05
 """Chance of the largest residual of a plain fit, were all normal, below which a robust fit looks for outliers."""
+REGION = 0.1  # part of a face's spread of touches within which these are of one region
+ALONG = math.cos(math.radians(10))  # of the angle up to which plungers stand alike
+SHARED_BY_FEW = 15.0  # standard deviations beyond which a row is wrong even where its neighbours are off as well
 CHANCE = 1e-4  # chance that a clean set has any row called an outlier (Bonferroni)
 
 
@@ -56,7 +61,8 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     """Rows whose deleted residual is larger than chance allows, at a robust fit.
 
     Externally studentised: r_k over its own standard deviation with the row's leverage taken out, the noise from the
-    other rows (Cook and Weisberg 1982). The robust scale keeps several outliers from hiding each other.
+    other rows (Cook and Weisberg 1982). The robust scale keeps several outliers from hiding each other. Rows of one
+    region that are off together are none: what they share is the arm's or the face's.
     """
     r = bound.residual(result.x)
     leverage = np.minimum(leverages(bound, result), 0.999)
@@ -66,8 +72,36 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     size = alike / _scale_of_rows(bound, alike, scale)
     limit = most_by_chance(bound.rows, free)
     bad = np.flatnonzero(size > limit)
+    bad = bad[~_of_a_region(bound, np.sign(r) * size, bad)]
     rows = tuple(dict.fromkeys(bound.sample_of[bad[np.argsort(-size[bad])]].tolist()))
     return Outliers(rows, float(size.max()), limit, scale)
+
+
+def _of_a_region(bound: BoundProblem, sizes: Array, bad: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which of some residuals (m,) are off as most touches of their region are: to the same side, by a third or more.
+
+    sizes: of all residuals (rows,), signed, in standard deviations. A region is a part of one face that was touched
+    with the plunger along nearly one line. No region of an arm is off by as much as a misread dial.
+    """
+    found = np.zeros(bad.size, dtype=bool)
+    for i, samples in enumerate(bound.samples):
+        own = bound.sample_rows(i)
+        here = [k for k in np.flatnonzero(np.abs(sizes[bad]) < SHARED_BY_FEW) if own.start <= bad[k] < own.stop]
+        if not here or bound.problem.instruments[i].probe is None:
+            continue
+        sight, faces = nominal_sight(bound.problem, i, samples), samples.faces(bound.problem.instruments[i].groups)
+        signed = sizes[own]
+        for k in here:
+            row = bad[k] - own.start
+            face = faces.codes == faces.codes[row]
+            spread = float(np.sqrt(sight.tips[face].var(axis=0).sum()))
+            near = face & (np.linalg.norm(sight.tips - sight.tips[row], axis=1) < REGION * spread)
+            if sight.plungers is not None:
+                near &= sight.plungers @ sight.plungers[row] > ALONG
+            near[row] = False
+            agree = signed[near] * np.sign(signed[row]) >= abs(signed[row]) / 3
+            found[k] = agree.sum() > (~agree).sum()
+    return found
 
 
 def most_by_chance(rows: int, free: float) -> float:
