@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.checks.finding import Fault, Undo, Undone
-from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere, tool_keys
+from casacal.checks.fitted_faults import drifting, geared, scaled, somewhere_moved, tool_elsewhere, tool_keys
 from casacal.checks.numbers import numbers
 from casacal.instruments import Suspect
 from casacal.instruments.description import UNIT_MISTAKES, readings_within
@@ -94,6 +94,11 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
     if probe is not None and probe.column is not None:
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
         yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
+    lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
+    if probe is None and lengths:
+        fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
+        undo = partial(scaled, columns=lengths)
+        yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
         yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
