@@ -58,9 +58,6 @@ def times(ratio: float) -> str:
     return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.2g}"
 
 
-in_two = times  # any positive number
-
-
 def with_spread(value: float, spread: float, most: int) -> tuple[str, str]:
     """A signed number and its spread, with the decimals that leave the spread two figures, and no more than `most`."""
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), most) if 0 < spread < math.inf else most

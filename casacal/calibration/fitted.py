@@ -21,7 +21,7 @@ from casacal.checks.check import labels_alike
 from casacal.checks.fitted_faults import tool_elsewhere_at
 from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, repeated, rounded
-from casacal.checks.setup import sign_before_fit, steps_upside_down
+from casacal.checks.setup import sign_before_fit, upside_down
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
@@ -210,7 +210,7 @@ class Fitted(Value):
         found = list[Finding]()
         for alone in self._each_bare():
             told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
-            told += steps_upside_down(alone, prior_scatter(alone, flat_counts=True).rms)
+            told += upside_down(alone, prior_scatter(alone, flat_counts=True).rms)
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in told]
         if self.result.loss is None and not any(each.about == "labels exchanged" for each in found):

@@ -18,14 +18,7 @@ from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded
 from casacal.checks.set_aside import strays
-from casacal.checks.setup import (
-    NO_LENGTH,
-    WRONG_SIGN,
-    enough_rows,
-    setup_findings,
-    sign_before_fit,
-    steps_upside_down,
-)
+from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
@@ -73,8 +66,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
-    if upside_down := steps_upside_down(some, scatter):
-        return _in_order([*upside_down, *findings])
+    if steps := upside_down(some, scatter):
+        return _in_order([*steps, *findings])
     bad, stray = strays(problem, samples, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)

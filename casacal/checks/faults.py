@@ -23,8 +23,6 @@ from casacal.tables.columns import Labels
 ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-DOCTOR_TELLS = "casacal doctor compares the problem with poses on the pendant"
-
 
 MOST_FACES = 12  # faces beyond which their labels are not exchanged two by two
 
@@ -132,11 +130,11 @@ def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Ite
         which = f"up to {most / factor:.3g}" if factor > 1 else f"beyond {most:g}"
         cause, fix = f"the readings {which} mm seem to be {words}", "Write all readings in one unit"
         changed = {**samples.columns, column: np.where(other, factor * reading, reading)}
+        yield Fault("unit of some readings", cause, fix, partial(_instead, columns=changed), 1, False)
 
-        def undo(problem: Problem, samples: Samples, changed: dict[str, Array] = changed) -> Undone:
-            return Undone(problem, replace(samples, columns=changed))
 
-        yield Fault("unit of some readings", cause, fix, undo, 1, common=False)
+def _instead(problem: Problem, samples: Samples, *, columns: dict[str, Array]) -> Undone:
+    return Undone(problem, replace(samples, columns=columns))
 
 
 def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
@@ -146,9 +144,8 @@ def _exchanged(problem: Problem, samples: Samples) -> Iterator[Fault]:
         return
     names = samples.faces(column).names
     known = {*probe.steps, *(problem.instrument.instance("plane", step) for step in probe.steps)}
-    for one, two in combinations(names if len(names) <= MOST_FACES else (), 2):
-        if not known & {one, two}:
-            continue
+    pairs = combinations(names if len(names) <= MOST_FACES else (), 2)
+    for one, two in (pair for pair in pairs if known & set(pair)):
 
         def undo(problem: Problem, samples: Samples, one: str = one, two: str = two) -> Undone:
             faces, other = samples.faces(column), {one: two, two: one}
@@ -164,13 +161,9 @@ def _zeros(problem: Problem) -> Iterator[Fault]:
     for i in np.flatnonzero(problem.robot.revolute).tolist():
         for turn in (90, -90, 180):
             cause = f"the zero of joint {i + 1} seems to be {turn} degrees from where the problem has it"
-            fix = f"Add {turn} degrees to column q{i + 1}, or to theta of that joint; {DOCTOR_TELLS}"
-            shift = np.zeros(len(problem.robot.axes))
-            shift[i] = math.radians(turn)
-
-            def undo(problem: Problem, samples: Samples, shift: Array = shift) -> Undone:
-                return Undone(problem, replace(samples, joints=samples.joints + shift))
-
+            fix = f"Add {turn} degrees to column q{i + 1}, or to theta of that joint; casacal doctor finds it as well"
+            same = np.eye(len(problem.robot.axes))
+            undo = _turned(same, math.radians(turn) * same[i])
             yield Fault(f"zero of joint {i + 1}", cause, fix, undo, 1, common=False)
 
 
@@ -190,5 +183,5 @@ def _rewritten(suspect: Suspect) -> Undo:
     return undo
 
 
-def _turned(matrix: Array) -> Callable[[Problem, Samples], Undone]:
-    return lambda problem, samples: Undone(problem, replace(samples, joints=samples.joints @ matrix.T))
+def _turned(matrix: Array, shift: Array | float = 0.0) -> Callable[[Problem, Samples], Undone]:
+    return lambda problem, samples: Undone(problem, replace(samples, joints=samples.joints @ matrix.T + shift))

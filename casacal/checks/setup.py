@@ -89,7 +89,7 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
     return findings
 
 
-def steps_upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
+def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
     """An error where a step lies as far below the face it stands on as it should stand out, seen from the tool.
 
     A fit cannot tell: with the plane's normal the other way round, all rows fit. scatter: distance (mm) that prior

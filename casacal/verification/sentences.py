@@ -6,7 +6,8 @@ import math
 
 from casacal.verification.decision import Decision
 from casacal.verification.figures import LEVEL, FaceVerification, Figures, PartError
-from casacal.wording import capital, chance, counted, in_two, mm, numbered_lines, shortened
+from casacal.wording import capital, chance, counted, mm, numbered_lines, shortened
+from casacal.wording import times as in_two
 
 SHOWN = 12  # faces, or lines of rows, that are named one by one
 CERTAIN = 0.9999  # probability beyond which nobody asks how near to one
