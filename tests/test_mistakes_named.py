@@ -91,6 +91,15 @@ def test_a_column_of_labels_that_is_missing(scara):
     assert said.reasons[0].startswith("Labels absent")
 
 
+def test_one_face_that_needs_no_labels_is_not_accused_of_having_none(scara):
+    """Measured sets of one anchor miss by some times their noise: an arm that errs, not a column that is missing."""
+    problem, samples = scara
+    rows = samples.take(samples.labels["plane"].rows()["near"])
+    noisy = rows.columns["reading"] + np.random.default_rng(1).normal(0, 0.1, len(rows))
+    (found,) = errors(problem, labelled(REPLACE(rows, columns={"reading": noisy}), ["plane"] * len(rows)))
+    assert found.about == "misfit"
+
+
 def test_half_of_the_rows_in_inches(scara):
     problem, samples = scara
     half = np.arange(len(samples)) % 2 == 0

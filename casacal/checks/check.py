@@ -130,9 +130,9 @@ def _evenly(count: int, most: int) -> NDArray[np.intp]:
 
 
 def _unlabelled(problem: Problem, samples: Samples, base: float) -> Finding | None:
-    """An error where nothing says which face a row touched, and one face does not explain them."""
+    """An error where nothing says which face a row touched, and one face leaves more than any arm errs."""
     column = problem.instrument.groups
-    if column is None or samples.faces(column).names != (column,):
+    if column is None or samples.faces(column).names != (column,) or base <= EXPLAINED:
         return None
     what = problem.instrument.words.group
     cause = (
