@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 LEAST_CHANCE = 1e-6  # chance below which nobody asks how small it is
 METRE = 1000.0  # millimetres from which an error is no figure any more: it says that nothing holds the tip
+UNBOUNDED = "unbounded"
 
 SMALL_UNITS = {"mm": ("um", 1e3), "rad": ("urad", 1e6), "1": ("parts per million", 1e6)}
 
@@ -57,12 +58,18 @@ def times(ratio: float) -> str:
     return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.2g}"
 
 
+def with_spread(value: float, spread: float, most: int) -> tuple[str, str]:
+    """A signed number and its spread, with the decimals that leave the spread two figures, and no more than `most`."""
+    decimals = min(max(1 - math.floor(math.log10(spread)), 0), most) if 0 < spread < math.inf else most
+    return f"{value:+.{decimals}f}", f"{spread:.{decimals}f}"
+
+
 def mm(value: float, figures: int = 2) -> str:
     """A length in so many significant figures, at least down to a micrometre: "0.62 mm", "9.9 mm", "17 mm"."""
     if math.isnan(value):
         return "unknown"
     if abs(value) >= METRE:
-        return "more than 1 m" if math.isfinite(value) else "unbounded"
+        return "more than 1 m" if math.isfinite(value) else UNBOUNDED
     size = math.floor(math.log10(abs(value))) if value else 0
     decimals = min(max(figures - 1 - size, 0), 4)
     # 0.996 in two figures is 1.0, not 1.00

@@ -120,7 +120,7 @@ MISTAKES: dict[str, tuple[str, ...]] = {
     "radians as degrees": ("unit of the joints",),
     "inches as mm": ("unit of the readings",),
     "joints swapped": ("swapped",),
-    "tool elsewhere": ("tool elsewhere",),
+    "tool elsewhere": ("tool elsewhere", "tool offset"),
     "coupling missing": ("coupled",),
     "three wrong labels": ("labels exchanged",),
     "drift": ("drift",),

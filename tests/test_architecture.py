@@ -100,6 +100,15 @@ def test_imports_point_down_one_ordered_list():
             assert PLACE[other.split(".")[0]] <= place, f"{name} imports {other}, which stands above it"
 
 
+def test_no_module_asks_for_a_public_name():
+    """Such an import would wait for the lock of `casacal.__getattr__` while it holds a lock of Python's own."""
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module == "casacal":
+                assert all(_is_module(f"casacal.{alias.name}") for alias in node.names), name_of(path)
+            assert not (isinstance(node, ast.Import) and any(alias.name == "casacal" for alias in node.names))
+
+
 def test_the_list_names_what_exists():
     found = {path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in FILES} - {"__init__"}
     assert found == set(ORDER)

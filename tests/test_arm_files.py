@@ -123,6 +123,8 @@ def test_the_block_alone(file):
         ("theta_deg,", "gamma_deg,", "there is no field 'gamma_deg'"),
         ("alpha_deg", "alpha_rad", "line 6: alpha_rad is 90"),
         ("1,90,", "1,1.5708,", "line 6: alpha_deg is 1.5708, which is 1 quarter turns"),
+        ("1,90,", "1,270,", "line 6: alpha_deg is 270; a twist is within half a turn. Write -90, which is the same"),
+        ("1,90,", "1,9000,", "line 6: alpha_deg is 9000; a twist"),
         ("_mm", "_m", "the largest length is 425000 mm"),
         ("1,90,", "1,,", "line 6: there is no alpha"),
         ("1,90,", "1,ninety,", "line 6, 'alpha_deg': 'ninety' is not a number"),

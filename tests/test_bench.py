@@ -90,6 +90,7 @@ def test_figures_are_those_of_the_residuals_that_a_method_returns(place, capsys)
     lines = (place / "out" / "records.jsonl").read_text(encoding="utf-8").splitlines()
     made = {record["setting"] for record in map(json.loads, lines)}
     assert len(made) == 1 + 5 + 4
+    assert "bench: 30 of 30 records" in capsys.readouterr().err
     assert ran(place, *words) == 2, "records stand there"
     assert ran(place, *words, "--resume") == 0
     capsys.readouterr()

@@ -237,6 +237,17 @@ def test_rows_of_another_robot_are_not_explained():
         assert not found.certain
 
 
+def test_the_other_convention_of_a_table_is_tried_too():
+    """Rows of a standard table (NumPy's, above) and a file that says modified."""
+    table, truth, kind, rng = true_case(1)
+    rows = rows_of(table, truth, kind, rng.uniform(-2.9, 2.9, (4, 6)))
+    columns = dict(zip(("alpha", "a", "d", "theta"), map(tuple, table), strict=True))
+    found = diagnose(Robot.from_dh("arm", **columns, convention="modified"), rows)
+    assert (found.meanings, found.convention) == ((), "standard")
+    assert "They fit with the DH table read as standard" in diagnosis_text(found)
+    assert diagnose(robot_of(table), rows).convention == ""
+
+
 def test_a_slip_of_the_pen_is_found():
     table, truth, _, rng = true_case(0)
     rows = rows_of(table, truth, "ZYX", rng.uniform(-2.9, 2.9, (5, 6)))

@@ -156,3 +156,31 @@ def test_refusals_leave_nothing_behind(place, capsys, arguments, says):
     assert (out, err.count("\n")) == ("", 1)
     assert says in err
     assert sorted(place.iterdir()) == before
+
+
+def test_remarks_that_look_like_settings_are_told_and_travel_is_to_be_filled_in(place, capsys):
+    (place / "noted.csv").write_text(UR5_CSV.replace("# convention", "# units: m\n# convention", 1))
+    assert main(["new", "noted", "--dh", "noted.csv"]) == 0
+    said = capsys.readouterr().out
+    assert "Taken for remarks, not for settings: units. Known are name, convention" in " ".join(said.split())
+    assert "To fill in: the dial's travel: 0 to 10 mm is assumed" in said
+    text = (place / "noted" / "problem.py").read_text()
+    assert "travel=10, " in text
+    assert text.count("TO FILL IN") == 4
+    assert main(["new", "known", "--dh", "noted.csv", "--travel=-5:5"]) == 0
+    assert "travel is to" not in capsys.readouterr().out
+    text = (place / "known" / "problem.py").read_text()
+    assert ("travel=(-5, 5), " in text, text.count("TO FILL IN")) == (True, 3)
+
+
+@pytest.mark.parametrize(("travel", "says"), [("nan", "'nan' is no number"), ("1:2:3", "'1:2:3' is no number")])
+def test_a_travel_that_is_none_is_called_by_its_option(place, capsys, travel, says):
+    assert main(["new", "mine", "--dh", "ur5.csv", "--travel", travel]) == 2
+    said = capsys.readouterr().err
+    assert f"--travel: {says}" in said
+    assert "number_or_range" not in said
+
+
+def test_a_travel_of_nothing_names_no_file_that_is_not_there(place, capsys):
+    assert main(["new", "mine", "--dh", "ur5.csv", "--travel", "1e-300"]) == 2
+    assert capsys.readouterr().err.startswith("casacal: The dial's travel is 1e-300. Give its range")

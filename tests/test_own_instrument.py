@@ -3,11 +3,13 @@
 import json
 import math
 import sys
+from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from own_instrument import SOURCES, written
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +19,9 @@ from casacal import (
     Instrument,
     Parameter,
     Plane,
+    Problem,
     ProblemError,
+    SimulationError,
     bind,
     calibrate,
     check,
@@ -28,6 +32,7 @@ from casacal import (
 from casacal.calibration.given import METHODS
 from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
+from casacal.kinematics import position, rotation
 
 
 @pytest.fixture(scope="module", params=SOURCES)
@@ -309,3 +314,44 @@ def test_a_slip_in_an_own_instrument_is_one_line(tmp_path, capsys, changed, says
     said = capsys.readouterr().err
     assert says in said
     assert len(said.splitlines()) == 1
+
+
+LIMITS = {"range": (0.0, 3000.0)}
+
+
+def laser(**declared):
+    """A laser on the flange that looks at walls; a line of numbers alone says how far it is from one."""
+
+    class Laser(Instrument):
+        residual_std = 0.05
+
+        def residual(self, pose, p, row):
+            return p.wall.distance(position(pose) + row.range * rotation(pose)[:, 2])
+
+    walls = {"wall": Plane((1, 0, 0), (2500, 0, 0), per="wall")}
+    for name, value in {"columns": {"range": "length"}, "unknowns": walls, **declared}.items():
+        setattr(Laser, name, value)
+    return Problem(load_problem(ROOT / "problems" / "hsr_jr680").problem.robot, Laser())
+
+
+def test_simulated_readings_keep_to_what_a_device_can_show():
+    free = simulate(laser(), Disturbances(resolution=0.0), samples=60, seed=1).samples.columns["range"]
+    kept = simulate(laser(reading_limits=LIMITS), Disturbances(resolution=0.0), samples=60, seed=1).samples
+    assert (free < 0).mean() > 0.2
+    assert 0 < kept.columns["range"].min() < kept.columns["range"].max() < 3000
+    with pytest.raises(SimulationError, match=r"inside the limits of .* and its readings"):
+        simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "about", "says"),
+    [(-1.0, "sign of the lengths", "Reverse the sign"), (1.01, "scale of the readings", "by +1.0")],
+)
+def test_sign_and_scale_of_ones_own_instrument_are_named(factor, about, says):
+    problem = laser(reading_limits=LIMITS)
+    rows = simulate(problem, Disturbances(resolution=0.0), samples=120, seed=1).samples
+    assert not check(problem, rows)
+    wrong = replace(rows, columns={"range": factor * rows.columns["range"]})
+    (found,) = check(problem, wrong)
+    assert (found.severity, found.about) == ("error", about)
+    assert says in str(found)

@@ -4,11 +4,13 @@ import functools
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 
 import numpy as np
 import pytest
 from test_kernels import BACKENDS
 
+import casacal
 from casacal import annealing, bind, calibrate, check, ekf, ipopt, lm, load_problem, sckf, simulate
 from casacal.errors import ProblemError
 from casacal.least_squares.losses import huber
@@ -85,6 +87,24 @@ def test_threads_are_counted(monkeypatch):
     monkeypatch.setenv("CASACAL_THREADS", "many")
     with pytest.raises(ProblemError, match="'many' threads"):
         thread_count()
+
+
+def test_public_names_are_imported_by_one_thread_at_a_time(monkeypatch):
+    """Two threads that enter a package by different doors would make Python give up (_DeadlockError)."""
+    inside, most = [], []
+
+    def slow(name):
+        inside.append(name)
+        time.sleep(0.01)
+        most.append(len(inside))
+        inside.remove(name)
+        return import_module(name)
+
+    monkeypatch.setattr(casacal, "import_module", slow)
+    with ThreadPoolExecutor(16) as pool:
+        found = list(pool.map(lambda name: getattr(casacal, name), casacal.__all__))
+    assert set(most) == {1}
+    assert all(each is not None for each in found)
 
 
 def bits_of(calibration):

@@ -14,6 +14,8 @@ from casacal.calibration.warnings import VERIFY, doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
 
+WORSE = 1.5  # expected error of the flange over that of the tip from which it is the tip that is worth correcting
+
 
 def next_step(
     calibration: Calibration, verdict: Verdict, *, about: str = "PROBLEM SAMPLES", out: str | None = None
@@ -32,7 +34,9 @@ def next_step(
         return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
-    return f"correct joint targets with casacal compensate {shlex.quote(f'{out}/result.json')} TARGETS --out FILE."
+    frame = "" if calibration.flange_std[1] <= WORSE * calibration.tip_std[1] else " --frame tip"
+    where = f"{shlex.quote(f'{out}/result.json')} TARGETS{frame} --out FILE"
+    return f"correct joint targets with casacal compensate {where}."
 
 
 def best_cure(calibration: Calibration) -> str:

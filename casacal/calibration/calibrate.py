@@ -17,6 +17,7 @@ from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
 from casacal.calibration.motion import tried_corrections
 from casacal.checks import Finding
+from casacal.checks.check import labels_alike
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
 from casacal.estimators import ipopt, lm, plane_only
@@ -136,7 +137,12 @@ class _Bound:
 
     def geometry(self, rows: Measurements) -> tuple[BoundProblem, tuple[Finding, ...]]:
         """The rows under the geometry alone, and what is wrong with those that were set aside."""
-        bare = bind(self.problem.without_effects, *rows.sets, backend=self.backend, threads=self.threads)
+        try:
+            bare = bind(self.problem.without_effects, *rows.sets, backend=self.backend, threads=self.threads)
+        except CasacalError as error:
+            for slip in labels_alike(self.problem, rows)[:1]:
+                raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None
+            raise
         aside: tuple[Finding, ...] = ()
         _refuse_too_few(bare)
         if self.aside and self.loss is None:

@@ -117,8 +117,9 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def message(self) -> str:
-        """How the method ended, as a sentence that says what to do next."""
-        return self.result.message
+        """The verdict, unless it is simply "calibrated", and how the method ended: sentences that say what to do."""
+        said = verdict_of(self)
+        return self.result.message if said.level == "calibrated" else f"{said.words} {self.result.message}"
 
     @property
     def nfev(self) -> int:

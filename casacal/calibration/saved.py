@@ -197,8 +197,9 @@ class SavedCalibration(Value, AsArm):
 
     @property
     def message(self) -> str:
-        """How the method ended."""
-        return str(self.found.document.get("status", ""))
+        """The verdict, unless it is simply "calibrated", and how the method ended."""
+        said, ended = self.found.document.get("verdict") or {}, str(self.found.document.get("status", ""))
+        return ended if said.get("level", "calibrated") == "calibrated" else f"{said.get('words', '')} {ended}"
 
     @property
     def cost(self) -> float:

@@ -61,6 +61,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _tool_elsewhere,
         _far_parameters,
         _repeated_rows,
+        _labels_alike,
         _lack_of_fit,
         _noise,
         _loose_priors,
@@ -102,8 +103,7 @@ def _what_check_says(calibration: Calibration) -> str:
 
 
 def _rows_set_aside(calibration: Calibration) -> Doubt | None:
-    found = calibration.aside
-    if not found:
+    if not (found := calibration.aside):
         return None
     rows = calibration.aside_lines
     said = "1 row was set aside" if len(rows) == 1 else f"{len(rows)} rows were set aside"
@@ -124,11 +124,15 @@ def _tool_elsewhere(calibration: Calibration) -> Doubt | None:
 
 
 def _repeated_rows(calibration: Calibration) -> Doubt | None:
-    if not (again := calibration.repeated):
-        return None
-    said = " ".join(str(finding).removeprefix("warning: ").removesuffix(".") for finding in again)
-    sentence = f"{said}; each was counted once."
-    return Doubt("some rows are copies of others", sentence, "remove the copies, or touch those places again")
+    said = " ".join(str(finding).removeprefix("warning: ").removesuffix(".") for finding in calibration.repeated)
+    step = "remove the copies, or touch those places again"
+    return Doubt("some rows are copies of others", f"{said}; each was counted once.", step) if said else None
+
+
+def _labels_alike(calibration: Calibration) -> Doubt | None:
+    said = " ".join(str(finding).removeprefix("warning: ") for finding in calibration.labels_alike)
+    step = "write one label where they are the same, and calibrate again"
+    return Doubt("some labels hardly differ from others", capital(said), step) if said else None
 
 
 def _lack_of_fit(calibration: Calibration) -> Doubt | None:
@@ -145,9 +149,8 @@ def _lack_of_fit(calibration: Calibration) -> Doubt | None:
 
 
 def _noise(calibration: Calibration) -> Doubt | None:
-    noise = calibration.noise
+    noise, fit = calibration.noise, calibration.fit
     ratio, low, high = noise.ratio, noise.low, noise.high
-    fit = calibration.fit
     if (low <= NOISE_BAND[1] and high >= NOISE_BAND[0]) or (ratio < 1 and errors_are_shared(fit)):
         return None
     if is_usual(fit, NOISE_BAND[1]):
@@ -219,12 +222,8 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
 
 def _dial_is_off(calibration: Calibration) -> Doubt | None:
     """The rows show an error of the dial that the problem does not know, and it bends the arm by more than promised."""
-    now = calibration.tip_std[1]
-    shown = [
-        test
-        for test in calibration.score_tests
-        if test.key in OF_THE_DIAL and test.p_holm < CLEAR and test.tip_mm > now
-    ]
+    tests = (test for test in calibration.score_tests if test.key in OF_THE_DIAL)
+    shown = [test for test in tests if test.p_holm < CLEAR and test.tip_mm > calibration.tip_std[1]]
     if not shown:
         return None
     worst = max(shown, key=lambda test: test.tip_mm)

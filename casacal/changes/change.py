@@ -10,7 +10,7 @@ from casacal.array_types import Array
 from casacal.samples.samples import Samples
 from casacal.values import Value, frozen
 from casacal.verification.figures import Judged
-from casacal.wording import capital, chance, listed, numbered_lines, times
+from casacal.wording import capital, chance, listed, numbered_lines, times, with_spread
 
 INTERVAL = 1.96  # standard deviations of an interval of 95 %
 NOTHING, CHANGED, ROWS, UNDECIDED = "nothing", "changed", "rows", "undecided"
@@ -59,9 +59,10 @@ class CauseFound(Value):
         for label, unit, shift, std in zip(self.labels, self.units, self.shift, self.std, strict=True):
             said = f"{label} " if len(self.units) > 1 else ""
             if unit == "rad":
-                said += f"{1e3 * shift:+.2f} mrad +- {1e3 * INTERVAL * std:.2f} ({math.degrees(shift):+.4f} degrees)"
+                said += " mrad +- ".join(with_spread(1e3 * shift, 1e3 * INTERVAL * std, 2))
+                said += f" ({with_spread(math.degrees(shift), math.degrees(INTERVAL * std), 4)[0]} degrees)"
             else:
-                said += f"{shift:+.3f} mm +- {INTERVAL * std:.3f}"
+                said += " mm +- ".join(with_spread(shift, INTERVAL * std, 3))
             parts.append(said)
         return ", ".join(parts)
 

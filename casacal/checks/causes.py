@@ -3,119 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain, combinations, permutations
 
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.checks.finding import FIRST_STEPS, STEPS, Fault, Finding, Undo, Undone, misfit
-from casacal.checks.fitted_faults import drifting, geared, somewhere_moved, tool_elsewhere, tool_keys
-from casacal.checks.numbers import numbers
+from casacal.checks.faults import suspected
+from casacal.checks.finding import FIRST_STEPS, STEPS, Fault, Finding, Undone, misfit
 from casacal.errors import CasacalError
-from casacal.instruments import Suspect
-from casacal.instruments.description import readings_within
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.wording import times
-
-ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
-
-DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
-
-
-def columns_and_joints(problem: Problem) -> Iterator[Fault]:
-    """Mistakes in whole columns: sign, units, joints counted the other way or swapped."""
-    turns = problem.robot.revolute
-    for suspect in problem.instrument.suspects:
-        yield Fault(suspect.about, suspect.cause, suspect.fix, _rewritten(suspect))
-    if turns.any():
-        for factor, words in ANGLE_UNITS.items():
-            cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
-            yield Fault("unit of the joints", cause, fix, _turned(np.diag(np.where(turns, factor, 1.0))))
-    yield from flips(problem)
-    for i, j in combinations(range(len(turns)), 2):
-        if turns[i] == turns[j]:
-            order = np.eye(len(turns))
-            order[[i, j]] = order[[j, i]]
-            cause, fix = f"columns q{i + 1} and q{j + 1} seem to be swapped", "Swap the two column names"
-            yield Fault(f"joints {i + 1} and {j + 1} swapped", cause, fix, _turned(order))
-
-
-def flips(problem: Problem) -> Iterator[Fault]:
-    """Each joint counted the other way."""
-    count = len(problem.robot.axes)
-    for i in range(count):
-        signs = np.ones(count)
-        signs[i] = -1.0
-        cause = f"joint {i + 1} seems to be counted in the other direction"
-        fix = f"Reverse the sign of column q{i + 1}, or of the joint in the problem"
-        yield Fault(f"joint {i + 1} flipped", cause, fix, _turned(np.diag(signs)))
-
-
-def parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
-    """Mistakes that concern the tool, one face, two joints, or the order of the rows."""
-    probe, turns = problem.instrument.probe, problem.robot.revolute
-    if names := ",".join(tool_keys(problem)):
-        fix = f"Measure the tool again, and correct it in the problem (--free {names} --prior {names}=20 tries it)"
-        cause = "the tool seems to be elsewhere"
-        yield Fault("tool elsewhere", cause, fix, tool_elsewhere, 3)
-    if probe is not None and probe.column is not None:
-        yield from _signs_of_faces(samples, probe.column, probe.label, sum(readings_within(probe.travel)))
-    yield from numbers(problem)
-    for i, j in permutations(range(len(turns)), 2):
-        about = f"joint {j + 1} coupled to joint {i + 1}"
-        if turns[i] == turns[j]:
-            for factor in (1.0, -1.0):
-                coupled = np.eye(len(turns))
-                coupled[j, i] = factor
-                said = "turns" if turns[j] else "slides"
-                cause = f"joint {j + 1} seems to {said[:-1]} {'with' if factor > 0 else 'against'} joint {i + 1}"
-                yield Fault(about, cause, DOCTOR, _turned(coupled), common=False)
-        elif turns[i]:
-            cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
-            yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
-    if probe is not None and probe.column is not None:
-        fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
-        yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
-    if problem.instrument.groups is not None:
-        fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
-        yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)
-
-
-def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: float) -> Iterator[Fault]:
-    """The reading of one face counted the other way, from zero or from the other end; both ends add up to `ends`."""
-    faces = samples.faces(label)
-    if len(faces.names) < 2:
-        return
-    for name in faces.names:
-        cause = f"the readings on '{name}' seem to have the wrong sign"
-        fix = f"Reverse the sign of the readings on '{name}'"
-        for end in dict.fromkeys((0.0, ends)):
-
-            def undo(problem: Problem, samples: Samples, name: str = name, end: float = end) -> Undone:
-                reading, rows = samples.columns[column].copy(), samples.faces(label).rows()[name]
-                reading[rows] = end - reading[rows]
-                return Undone(problem, replace(samples, columns={**samples.columns, column: reading}))
-
-            yield Fault(f"dial sign of '{name}'", cause, fix, undo)
-
-
-def _rewritten(suspect: Suspect) -> Undo:
-    def undo(problem: Problem, samples: Samples) -> Undone:
-        order = suspect.order or suspect.columns
-        pairs = zip(suspect.columns, order, strict=True)
-        scaled = {name: samples.columns[true] * suspect.factor for name, true in pairs}
-        return Undone(problem, replace(samples, columns={**samples.columns, **scaled}))
-
-    return undo
-
-
-def _turned(matrix: Array) -> Callable[[Problem, Samples], Undone]:
-    return lambda problem, samples: Undone(problem, replace(samples, joints=samples.joints @ matrix.T))
-
 
 SUSPICIOUS = 2.0  # misfit, in stated standard deviations, above which something systematic is looked for
 BETTER = 0.25  # an undone fault must shrink the misfit to this part to be believed
@@ -167,7 +65,7 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
 
 
 def _tried(problem: Problem, samples: Samples) -> Iterator[_Trial]:
-    for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, samples)):
+    for fault in suspected(problem, samples):
         yield from _one(fault, _Trial((), Undone(problem, samples), 0.0))
 
 
@@ -184,7 +82,18 @@ def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
 def _looked_at_closely(tried: list[_Trial]) -> list[_Trial]:
     """The same trials, the most promising of them fitted to the end."""
     closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
-    return [replace(trial, size=_left(trial.undone, STEPS)) if id(trial) in closer else trial for trial in tried]
+    return [_to_the_end(trial) if id(trial) in closer else trial for trial in tried]
+
+
+def _to_the_end(trial: _Trial) -> _Trial:
+    """The same trial with its final misfit: infinite where joints mixed up among the rows would fit about as well."""
+    size = _left(trial.undone, STEPS)
+    if size > EXPLAINED:
+        return replace(trial, size=size)
+    samples = trial.undone.samples
+    mixed = replace(samples, joints=np.random.default_rng(0).permuted(samples.joints, axis=0))
+    says_nothing = misfit(trial.undone.problem, mixed, start=trial.undone.start) * BETTER < max(size, SUSPICIOUS)
+    return replace(trial, size=math.inf if says_nothing else size)
 
 
 def _left(undone: Undone, steps: int) -> float:
@@ -199,7 +108,7 @@ def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
     first = [trial for k, trial in enumerate(best) if k < PAIRED or trial.faults[0].about in usual]
     found: list[_Trial] = []
     for trial in first:
-        for fault in chain(columns_and_joints(problem), parts_of_the_cell(problem, trial.undone.samples)):
+        for fault in suspected(trial.undone.problem, trial.undone.samples):
             if fault.about != trial.faults[0].about and fault.common:
                 found += _one(fault, trial)
     return _looked_at_closely(found)
@@ -207,9 +116,9 @@ def _pairs(tried: list[_Trial], problem: Problem) -> list[_Trial]:
 
 def _simplest(tried: list[_Trial]) -> _Trial | None:
     """Of those that explain about as well as the best, the one of least freedom, then the first."""
-    if not tried:
+    least = min((trial.size for trial in tried), default=math.inf)
+    if least == math.inf:
         return None
-    least = min(trial.size for trial in tried)
     return min((trial for trial in tried if trial.size <= ALIKE * least), key=lambda trial: trial.freedom)
 
 

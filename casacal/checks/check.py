@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained, flips
+from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
+from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit
 from casacal.checks.fitted_faults import beside_geometry, tool_moved
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
-from casacal.checks.rows import absent_labels, odd_labels, outside, repeated, rounded
+from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded
 from casacal.checks.set_aside import strays
-from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit
+from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
@@ -65,6 +66,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
     some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
     scatter = prior_scatter(some, flat_counts=True).rms
+    if steps := upside_down(some, scatter):
+        return _in_order([*steps, *findings])
     bad, stray = strays(problem, samples, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
@@ -72,26 +75,37 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
     cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
-        return _in_order(_with_cause(findings, cause, some))
+        return _in_order(_with_cause(findings, cause, some, few))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
     if base > SUSPICIOUS:
-        return _in_order([*findings, _unexplained(base, findings)])
+        return _in_order([_unlabelled(problem, samples, base) or _unexplained(base, findings), *findings])
     findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
     return _in_order(findings)
 
 
-def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem) -> list[Finding]:
+def labels_alike(problem: Problem, measured: Measurements) -> tuple[Finding, ...]:
+    """Warnings of labels that may be slips of others, such as Floor beside floor."""
+    alone = each_alone(problem, measured.sets)
+    found = (finding for each in alone for finding in odd_labels(each.problem, each.samples))
+    return tuple(finding for finding in found if finding.about == LABELS_ALIKE)
+
+
+def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem, few: Samples) -> list[Finding]:
     """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
     undone = cause.undone
     told = {finding.about for finding in outside(undone.problem, undone.samples)}
-    kept = [finding for finding in findings if finding.severity == "error" or "joint" not in finding.about]
-    kept += [finding for finding in findings if finding not in kept and finding.about in told]
+    explained_too = {finding.about for finding in outside(bound.problem, few)} - told
+    kept = [finding for finding in findings if finding.about not in explained_too]
     found = cause.finding
-    if found.about == WRONG_SIGN:
+    if found.about == WRONG_SIGN and OUTSIDE in explained_too:
+        found = replace(found, cause=f"the readings have a minus and should not: {found.cause.partition(': ')[2]}",
+                        fix="Write the readings without the minus")  # fmt: skip
+    elif found.about == WRONG_SIGN:
         found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
-    weak = setup_findings(bind(undone.problem, undone.samples))
+    faces = few if "something moved" in found.about else undone.samples  # which calls those touched later by new names
+    weak = setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
     return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
 
 
@@ -113,6 +127,20 @@ def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
 def _evenly(count: int, most: int) -> NDArray[np.intp]:
     """Places of so many of `count` things, evenly over all; all where there are fewer."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
+
+
+def _unlabelled(problem: Problem, samples: Samples, base: float) -> Finding | None:
+    """An error where nothing says which face a row touched, and one face leaves more than any arm errs."""
+    column = problem.instrument.groups
+    if column is None or samples.faces(column).names != (column,) or base <= EXPLAINED:
+        return None
+    what = problem.instrument.words.group
+    cause = (
+        f"there is no column '{column}', so all rows count as of one {what}, and with that the residuals are "
+        f"{times(base)} times the stated noise"
+    )
+    fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
+    return Finding("error", "labels absent", cause, fix)
 
 
 def _unexplained(base: float, findings: list[Finding]) -> Finding:

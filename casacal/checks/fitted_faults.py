@@ -21,6 +21,7 @@ from casacal.uncertainty.prior_moves import chance_of_move
 from casacal.uncertainty.scores import CLEAR
 from casacal.unknowns import Parameter
 
+MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
 ROUNDS = 4  # Gauss-Newton steps for a fault of one number; all are nearly linear in it
 
 PLACES = 12
@@ -64,6 +65,19 @@ def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
 
     size = _fitted(problem, samples, less)
     return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
+
+
+def scaled(problem: Problem, samples: Samples, *, columns: Sequence[str]) -> Undone:
+    """Readings less a part of each by which all are too large, or too small."""
+
+    def less(samples: Samples, size: float) -> Samples:
+        changed = {name: samples.columns[name] * (1 - size) for name in columns}
+        return replace(samples, columns={**samples.columns, **changed})
+
+    size = _fitted(problem, samples, less)
+    if abs(size) > MOST_SCALE:
+        return Undone(problem, samples)
+    return Undone(problem, less(samples, size), f", by {100 * size:+.3g} %")
 
 
 def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) -> Undone:

@@ -19,6 +19,7 @@ from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.wording import counted
 
+OUTSIDE, LABELS_ALIKE = "readings outside travel", "labels alike"
 GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
@@ -49,9 +50,9 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
                 f"{counted(int(bad.sum()), 'reading')} outside {low:g} to {high:g} mm (from {least:g} to {most:g} mm)"
             )
             fix = "Dials show a little more than their travel; see that the plunger was not at its end there"
-            fix = fix if little else _declared(least, most, low)
+            fix = fix if little else _declared(least, most, low, high)
             severity: Severity = "warning" if little else "error"
-            findings.append(Finding(severity, "readings outside travel", cause, fix, _lines(samples, bad)))
+            findings.append(Finding(severity, OUTSIDE, cause, fix, _lines(samples, bad)))
     for i, (lower, upper) in enumerate(zip(*problem.robot.limits, strict=True)):
         bad = (samples.joints[:, i] < lower - 0.02) | (samples.joints[:, i] > upper + 0.02)
         if bad.any():
@@ -61,16 +62,18 @@ def outside(problem: Problem, samples: Samples) -> list[Finding]:
     return findings
 
 
-def _declared(least: float, most: float, low: float) -> str:
-    """What to do about readings from least to most (mm) where the smallest should be `low`."""
-    ends = f"{math.floor(min(least, low)):g}:{math.ceil(most):g}"
+def _declared(least: float, most: float, low: float, high: float) -> str:
+    """What to do about readings from least to most (mm) where they should be from low to high."""
+    rest = "otherwise check these rows and the unit of the column"
+    top = math.ceil(most if low == 0 else max(most, high))  # two ends that were declared are kept where they suffice
+    ends = f"{math.floor(min(least, low)):g}:{top:g}"
     if least >= low:
-        longer = f"{math.ceil(most)}" if low == 0 else ends
-        return f"Check the column's unit and the dial's zero, or declare its travel (--set travel={longer})"
+        longer = f"{top:g}" if low == 0 else ends
+        return f"If the dial is longer, or its zero elsewhere, declare its travel (--set travel={longer}); {rest}"
     middle = f"If the dial was set to zero within its travel, declare it (--set travel={ends})"
     if most < 0 <= low:
         return f"{middle}. If the sign of the column is reversed, write the readings without the minus"
-    return f"{middle}; otherwise check these rows and the unit of the column"
+    return f"{middle}; {rest}"
 
 
 def rounded(bound: BoundProblem) -> list[Finding]:
@@ -174,7 +177,7 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
             cause = f"'{name}' ({counted(counts[name])}) hardly differs from '{other}' ({counted(counts[other])})"
             what = problem.instrument.words.group
             fix = f"Write '{other}' there if it is the same {what}; now it counts as a separate {what}"
-            findings.append(Finding("warning", "labels alike", cause, fix, lines))
+            findings.append(Finding("warning", LABELS_ALIKE, cause, fix, lines))
         elif said := _rare(problem, name, counts, column, totals.get(name, counts[name])):
             findings.append(Finding("warning", "rare label", *said, lines))
     return findings

@@ -18,6 +18,7 @@ SMALLEST_TILT = 5.0
 SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
 SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
 ROWS_PER_UNKNOWN = 2.0
+CLEARLY = 4.0  # times as far or as near as it might be by chance
 NO_LENGTH = "no length was measured"
 
 
@@ -88,6 +89,32 @@ def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Findi
     return findings
 
 
+def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
+    """An error where a step lies as far below the face it stands on as it should stand out, seen from the tool.
+
+    A fit cannot tell: with the plane's normal the other way round, all rows fit. scatter: distance (mm) that prior
+    errors of the arm explain.
+    """
+    probe, samples, instrument = bound.problem.instrument.probe, bound.block.samples, bound.problem.instrument
+    if probe is None or not probe.steps:
+        return []
+    rows, sight = samples.faces(probe.label).rows(), nominal_sight(bound.problem, 0, samples)
+    assert sight.plungers is not None
+    found = []
+    for step, height in instrument.known_columns["height"].items():
+        on = instrument.instance("plane", step)
+        if step not in rows or on not in rows or abs(height) < CLEARLY * scatter:
+            continue
+        plane = fitted_plane(sight.tips[rows[on]])
+        towards = -np.sign(float((sight.plungers[rows[on]] @ plane.normal).mean()))
+        stands = towards * float(((sight.tips[rows[step]] - plane.centre) @ plane.normal).mean())
+        if plane.flat and abs(stands + height) < abs(stands - height) / CLEARLY:
+            cause = f"'{step}' should stand {height:g} mm out of '{on}' and stands {stands:.0f} mm out of it"
+            fix = "Exchange the two labels in all rows, or correct the sign of the step's height"
+            found.append(Finding("error", "labels exchanged", cause, fix))
+    return found
+
+
 WRONG_SIGN = "wrong dial sign"
 
 
@@ -135,4 +162,4 @@ def sign_before_fit(bound: BoundProblem) -> list[Finding]:
 
 def tells_a_wrong_sign(slope: float, std: float) -> bool:
     """Whether residuals follow the reading with slope 2, not 0; an arm far from its drawing lies between."""
-    return slope >= 5 * std and slope + 3 * std >= 2.0
+    return slope >= 5 * std and slope - 3 * std <= 2.0 <= slope + 3 * std

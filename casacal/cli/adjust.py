@@ -87,7 +87,7 @@ def _read(
             raise CasacalError(f"{option} gives '{name.strip()}' twice", "Give it once")
         try:
             found[name.strip()] = read(value)
-        except ValueError:
+        except (ValueError, argparse.ArgumentTypeError):
             raise CasacalError(f"{option} {setting} is not {form}", f"Give {example}") from None
     return found
 
@@ -113,11 +113,14 @@ def _number(text: str) -> float:
 
 
 def number_or_range(text: str) -> float | tuple[float, float]:
-    """10, or -5:5; raises ValueError for anything else, as argparse asks."""
-    if ":" not in text:
-        return _number(text)
-    low, high = (_number(part) for part in text.split(":"))
-    return low, high
+    """10, or -5:5; raises ArgumentTypeError for anything else, as argparse asks."""
+    try:
+        if ":" not in text:
+            return _number(text)
+        low, high = (_number(part) for part in text.split(":"))
+        return low, high
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number, nor a range of two such as -5:5") from None
 
 
 def add_clearance(parser: argparse.ArgumentParser) -> None:

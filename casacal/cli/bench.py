@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, add
+from casacal.cli.study import Progress
 from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError, UnknownNameError
 
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well"
     add(parser, "--methods FILE", words)
     add(parser, "--method NAME ...", "this method; may be repeated")
-    add(parser, "--quick", "few rows, one block of each set: less than a minute")
+    add(parser, "--quick", "few rows, one block of each set: a minute or two")
     add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
     add(parser, "--resume", "keep the records in DIR and run only what is missing")
     add(parser, "--out DIR", "folder for records and report", default="out/bench")
@@ -62,7 +63,10 @@ def run(options: argparse.Namespace) -> int:
             raise UnknownNameError("method of the benchmark", name, list(ways))
     ways = {name: way for name, way in ways.items() if not options.method or name in options.method}
     study, out = benchmark(sets, data, ways, quick=options.quick), Path(options.out)
-    made = runs.run(study, out, quick=options.quick, workers=options.workers, resume=options.resume)
+    with Progress("bench", lambda: None) as progress:
+        made = runs.run(
+            study, out, quick=options.quick, workers=options.workers, resume=options.resume, progress=progress
+        )
     path = out / "report.md"
     write_text(path, "\n".join(bench_lines(made, sets)) + "\n")
     say_paragraphs(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")

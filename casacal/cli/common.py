@@ -172,7 +172,7 @@ def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tu
 
 def add_samples(parser: argparse.ArgumentParser) -> None:
     """The samples a command reads, and readings that come apart from them."""
-    add(parser, "[SAMPLES]", "CSV, .xlsx, .npy or .npz; default: samples.csv beside the problem")
+    add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
     words = (
         "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
         "samples-dial.csv and so on beside the problem"

@@ -11,6 +11,7 @@ from casacal.cli.terminal import say_json, say_paragraphs
 
 if TYPE_CHECKING:
     from casacal.compensation.targets import Compensation
+    from casacal.robots.robot import Robot
 
 HELP = "correct joint targets for the calibrated arm"
 SHOWN = 5  # targets not reached that are named one by one
@@ -60,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     )
     write_text(options.out, text_of(compensation, options.format, result))
     missed = [i for i, outcome in enumerate(compensation.outcomes) if outcome is not Outcome.REACHED]
-    lost = [_lost(compensation, i) for i in missed]
+    lost = [_lost(compensation, i, result.source.problem.robot) for i in missed]
     said = [f"{note[0].upper()}{note[1:]}" for note in notes(compensation, result)]
     if options.json:
         verdict = result.verdict
@@ -77,13 +78,25 @@ def run(options: argparse.Namespace) -> int:
     return FAILED if missed else DONE
 
 
-def _lost(compensation: Compensation, i: int) -> dict[str, Any]:
+def _lost(compensation: Compensation, i: int, robot: Robot) -> dict[str, Any]:
     """A target that is not reached."""
-    outcome = compensation.outcomes[i]
+    from casacal.compensation.compensate import ROUNDED
+    from casacal.compensation.targets import Outcome
+
+    outcome, which = compensation.outcomes[i], ""
+    if outcome is Outcome.OUTSIDE:
+        ends = zip(compensation.start[i].tolist(), *(limit.tolist() for limit in robot.limits), robot.axes, strict=True)
+        shown = [
+            f"q{k} is {q * unit:g} {name}, its limits {low * unit:g} to {high * unit:g}"
+            for k, (q, low, high, axis) in enumerate(ends, 1)
+            for unit, name in [(math.degrees(1), "degrees") if axis.turns else (1.0, "mm")]
+            if not low - ROUNDED <= q <= high + ROUNDED
+        ]
+        which = f" ({', '.join(shown)})"
     return {
         "line": compensation.targets.lines[i],
         "outcome": outcome.value,
-        "meaning": outcome.meaning,
+        "meaning": f"{outcome.meaning}{which}",
         "residual_mm": float(compensation.residual_mm[i]),
         "residual_mrad": 1e3 * float(compensation.residual_rad[i]),
     }

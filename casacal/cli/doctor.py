@@ -76,6 +76,7 @@ def _document(found: Diagnosis) -> dict[str, Any]:
         "further": None if found.further is None else asdict(found.further),
         "nearest": None if found.nearest is None else asdict(found.nearest),
         "odd_lines": found.odd_lines,
+        "convention": found.convention,
         "slips": [asdict(slip) for slip in found.slips],
     }
 

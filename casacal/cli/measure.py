@@ -10,6 +10,7 @@ import re
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from casacal.measuring.gauges import Gauge, SerialLine
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
+    from casacal.planning.route import Route
     from casacal.problem.problem_file import ProblemFile
 
 HELP = "take touches at the machine, each judged at once"
@@ -40,6 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--instrument NAME", "which one takes the readings, where a problem has several instruments")
     add(parser, "--plan FILE", "what casacal plan wrote", required=True)
     add(parser, "--out FILE", "samples to write; those kept to verify go to FILE_check", required=True)
+    words = "label of these touches where the problem tells sessions apart; default: the operator is asked"
+    add(parser, "--session NAME", words)
     add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
     add_where(parser)
     add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
@@ -80,7 +84,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     from casacal.planning.route import read_route
 
     layout = source.problem.layout()
-    route = read_route(options.plan, layout)
+    route = _labelled(read_route(options.plan, layout), source, options.session)
     session = Session(
         source.problem,
         route,
@@ -102,6 +106,27 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
             session = session.resumed(touches)
             say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
     return session, file
+
+
+def _labelled(route: Route, source: ProblemFile, session: str | None) -> Route:
+    """The plan's touches under the labels of today, such as the session's; the operator is asked for what is not said.
+
+    No plan knows these. An empty answer leaves what it says.
+    """
+    from casacal.tables.columns import Labels
+
+    samples = route.samples
+    for column in source.problem.layout().labels:
+        if column == source.problem.instrument.groups:
+            continue
+        said = session
+        if said is None:
+            prompt(f"{column} (Enter: {samples.labels[column][0]}): ")
+            said = sys.stdin.readline().strip()
+        if said:
+            labels = {**samples.labels, column: Labels.alike(said, len(samples))}
+            samples = replace(samples, labels=labels)
+    return replace(route, samples=samples)
 
 
 def _refuse_plan_of_another(path: str, name: str) -> None:

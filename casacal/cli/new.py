@@ -33,6 +33,8 @@ def run(options: argparse.Namespace) -> int:
     """Write a problem folder for a DH table or a URDF; returns 0."""
     from casacal.problem.new import new_from_dh, new_from_urdf
     from casacal.problem.problem_text import Given
+    from casacal.robots.files.dh_fields import BLOCK_FIELDS
+    from casacal.robots.files.dh_file import unread_keys
 
     sign = None if options.sign is None else int(options.sign)
     tool = None if options.tool is None else _triple(options.tool)
@@ -42,6 +44,9 @@ def run(options: argparse.Namespace) -> int:
             raise CasacalError("--tip and --base name links of a URDF", "Leave them out with --dh")
         folder, table = new_from_dh(options.name, options.dh, options.out, given=given)
         say_paragraphs(f"{table.name}: {len(table.joints)} joints, {table.convention} DH")
+        if unread := unread_keys(options.dh):
+            known = ", ".join(BLOCK_FIELDS)
+            say_paragraphs(f"Taken for remarks, not for settings: {', '.join(unread)}. Known are {known}")
         if table.parallel:
             axes = ", ".join(f"{row} and {row + 1}" for row in table.parallel)
             say_paragraphs(f"Parallel axes: {axes}; there Hayati's angle beta is calibrated in place of d")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -137,7 +138,14 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
         for language in dict.fromkeys(options.program):
             text = program_text(problem, found, ways, language, name)
             texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
-        blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k]]
+        held = [math.isnan(retreat) for retreat in ways.retreat.tolist()]
+        blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k] and not held[k]]
+        if any(held) and not options.json:
+            lost = ", ".join(str(k + 1) for k in range(len(found)) if held[k])
+            say_paragraphs(
+                f"warning: from touch {lost} the arm cannot draw back by {options.retreat:g} mm inside its joint "
+                "limits; the program leaves it out. A smaller --retreat may do"
+            )
         if blocked and not options.json:
             say_paragraphs(
                 f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "

@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
+    from casacal.wording import METRE, UNBOUNDED
 
     out = Path(options.out)
     _spare_measurements(out)
@@ -94,7 +95,8 @@ def run(options: argparse.Namespace) -> int:
     say_paragraphs(f"Simulated, not measured: {', '.join(each)} {where}")
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
-        f"{before:.2f} to {after:.2f} mm RMS, if the stated noise and priors are right"
+        f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
+        "right"
     )
     if simulation.moves_beyond_geometry:
         say_paragraphs(

@@ -94,7 +94,7 @@ def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespac
             complain(f"{runs.missing(study, found)} records are missing; --resume makes them")
         return found
     made_here = machine(options.workers, cluster=options.scheduler is not None)
-    with _Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+    with Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
         return runs.run(
             study,
             out,
@@ -122,17 +122,18 @@ def _shard(text: str | None) -> tuple[int, int]:
     return number, count
 
 
-class _Progress:
+class Progress:
     """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
 
     def __init__(self, name: str, started: Callable[[], None]) -> None:
         self.name, self.started = name, started
         self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
 
-    def __enter__(self) -> _Progress:
+    def __enter__(self) -> Progress:
         return self
 
     def __call__(self, done: int, total: int) -> None:
+        """Say so now and then."""
         now, looked_at = time.monotonic(), sys.stderr.isatty()
         if not self.shown:
             self.began, self.shown, self.at_first = now, now, done

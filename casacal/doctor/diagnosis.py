@@ -15,6 +15,7 @@ from casacal.doctor.same_arm import MOST_MEANINGS, FurtherPose, Meaning, changes
 from casacal.doctor.search import Halves, poses_of
 from casacal.doctor.slips import Slip, slips_in
 from casacal.errors import CasacalError
+from casacal.robots.dh_table import DHTable
 from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
 from casacal.robots.robot import Robot
 
@@ -45,7 +46,8 @@ class Diagnosis:
     meanings: all that fit, the simplest first; empty when none does. more: whether there are more than were looked at.
     postures: how many different ones the rows hold. further: the pose that would settle it, None where nothing is open.
     nearest: how far off the best is when none fits. odd_lines: rows without which one would.
-    slips: single numbers in them that, changed, would let all rows fit, the best first.
+    slips: single numbers in them that, changed, would let all rows fit, the best first. convention: of a DH table,
+    "standard" or "modified", in which it would fit when none does as the table is read.
     """
 
     rows: PendantRows
@@ -57,6 +59,7 @@ class Diagnosis:
     nearest: Miss | None
     odd_lines: tuple[int, ...] = ()
     slips: tuple[Slip, ...] = ()
+    convention: str = ""
 
     @property
     def certain(self) -> bool:
@@ -116,11 +119,8 @@ def diagnose(
         )
     if not tolerance > 0:
         raise CasacalError(f"The tolerance is {tolerance:g} mm", "Give a positive number of mm")
-    axes = axes_of(robot)
-    if tool is not None:
-        axes = replace(axes, turn=axes.turn @ tool[:3, :3], place=axes.turn @ tool[:3, 3] + axes.place)
-    known = _Known(axes, Halves.of(axes), np.eye(4) if base is None else base)
-    reach = REACH * np.linalg.norm(axes.poses(random_joints(robot, 500, np.random.default_rng(0)))[1], axis=1).max()
+    known, reach = _known_arm(robot, base, tool)
+    axes = known.axes
     meanings, more = _meanings(known, rows, tolerance, reach)
     if meanings:
         found = Diagnosis(rows, tolerance, meanings, more, _postures(axes, rows, meanings[0]), None, None)
@@ -130,7 +130,21 @@ def diagnose(
     if more:
         return Diagnosis(rows, tolerance, (), True, 0, None, None)
     odd, slips = _odd(known, rows, tolerance, reach) if len(rows) in WORTH_LEAVING_OUT else ((), ())
-    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows, reach), odd, slips)
+    convention, other = "", robot.in_other_convention()
+    if other is not None and isinstance(other.arm, DHTable):
+        known_other, far = _known_arm(other, base, tool)
+        convention = other.arm.convention if _meanings(known_other, rows, tolerance, far)[0] else ""
+    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows, reach), odd, slips, convention)
+
+
+def _known_arm(robot: Robot, base: Array | None, tool: Array | None) -> tuple[_Known, float]:
+    """The arm between base and tool, and the distance (mm) from the base that rules out a unit of length."""
+    axes = axes_of(robot)
+    if tool is not None:
+        axes = replace(axes, turn=axes.turn @ tool[:3, :3], place=axes.turn @ tool[:3, 3] + axes.place)
+    places = axes.poses(random_joints(robot, 500, np.random.default_rng(0)))[1]
+    far = REACH * float(np.linalg.norm(places, axis=1).max())
+    return _Known(axes, Halves.of(axes), np.eye(4) if base is None else base), far
 
 
 def _odd(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tuple[tuple[int, ...], tuple[Slip, ...]]:

@@ -144,6 +144,9 @@ def _nothing_fits(found: Diagnosis) -> Iterable[str]:
         yield f"Give {ENOUGH} rows or more in which every joint has a different value, none at zero"
         return
     yield f"{len(found.rows)} rows of {found.rows.file}: no convention fits within {found.tolerance:g} mm and mrad"
+    if found.convention:
+        yield f"They fit with the DH table read as {found.convention}: correct the convention that the problem states"
+        return
     if found.slips:
         yield _slip(found)
         return

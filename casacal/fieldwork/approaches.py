@@ -32,6 +32,7 @@ class Approaches(Value):
     """Joint values (N, n; rad, mm) above each touch, and whether the way from the touch before it is clear (N,).
 
     retreat: how far above (N,), mm. via: joint values (N, n) through which the way leads, NaN where it is straight.
+    Of a touch from which the arm cannot draw back all are NaN, and it is not clear; the way leads past it.
     """
 
     above: Array
@@ -53,7 +54,7 @@ def approaches(
     Where the straight way of the joints from one to the next would come near a face, both stand back further, up to
     eight times as far; then it leads through a place high above another touch. What is not clear then is said.
 
-    Raises CasacalError for an instrument without a plunger, and where the arm cannot draw back.
+    Raises CasacalError for an instrument without a plunger, and where the arm can draw back from no touch.
     """
     probe = problem.instrument.probe
     if probe is None:
@@ -64,16 +65,15 @@ def approaches(
     samples = route.samples
     arm, readings, tips, axes = drawn_touch(problem, probe, samples)
     levels = [_above(arm, samples.joints, readings, tips, axes, retreat * times) for times in HIGHER]
-    if not np.isfinite(levels[0]).all():
-        k = int(np.flatnonzero(~np.isfinite(levels[0]).all(axis=1))[0])
-        raise CasacalError(
-            f"From touch {k + 1} the arm cannot draw back by {retreat:g} mm inside its joint limits",
-            "Give a smaller --retreat, or leave the touch out",
-        )
-    chosen, clear = np.zeros(len(samples), dtype=int), np.ones(len(samples), dtype=bool)
+    back = np.isfinite(levels[0]).all(axis=1)
+    if not back.any():
+        what = f"From no touch can the arm draw back by {retreat:g} mm inside its joint limits"
+        raise CasacalError(what, "Give a smaller --retreat")
+    levels = [level[back] for level in levels]
+    chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
         looked = _Looked(arm, still, clearance)
-        for k in range(1, len(samples)):
+        for k in range(1, len(clear)):
             clear[k] = _raised(looked, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
     via = np.full_like(above, np.nan)
@@ -83,7 +83,13 @@ def approaches(
             found = _through(looked, places, above[k - 1], above[k])
             if found is not None:
                 via[k], clear[k] = found, True
-    return Approaches(above, retreat * np.array(HIGHER)[chosen], via, clear)
+
+    def of_all(found: Array) -> Array:
+        whole = np.full((len(samples), *found.shape[1:]), np.nan)
+        whole[back] = found
+        return whole
+
+    return Approaches(of_all(above), of_all(retreat * np.array(HIGHER)[chosen]), of_all(via), of_all(clear) == 1)
 
 
 def _through(looked: _Looked, places: Array, start: Array, end: Array) -> Array | None:

@@ -82,7 +82,8 @@ PROGRAMS: Mapping[str, Program] = FrozenMapping(
 def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:
     """A plan as a program: comments, then for each touch a move above it, the touch, a wait, and back.
 
-    name: of the problem. Where no clear way leads to a touch, the program stops before it. Raises CasacalError for a
+    name: of the problem. Where no clear way leads to a touch, the program stops before it; from where the arm cannot
+    draw back, it does not go. Raises CasacalError for a
     robot whose joints the language does not hold, UnknownNameError for a language that there is not.
     """
     if language not in PROGRAMS:
@@ -101,6 +102,9 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     labels = list(route.samples.labels.values())
     for k, purpose in enumerate(route.purposes):
         where = printable(" ".join(label[k] for label in labels)).replace('"', "'")
+        if np.isnan(ways.retreat[k]):
+            lines.append(f"  {form.language.comment} touch {k + 1} is left out: the arm cannot draw back from it")
+            continue
         if not ways.clear[k]:
             add(form.wait, f"no clear way to touch {k + 1} was found: jog the arm above it, then go on")
         for place in (ways.via[k], ways.above[k]):

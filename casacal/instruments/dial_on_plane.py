@@ -187,7 +187,7 @@ class DialOnPlane(Instrument):
             ("reading",),
             -1.0,
         )
-        return (sign, *super().suspects)
+        return (sign, *(each for each in super().suspects if each.factor > 0))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
         """The same with a plane for each label."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.instruments.description import Sight, Suspect, Words
+from casacal.instruments.description import Sight, Words
 from casacal.instruments.tool_tip import ToolTip, centre_of, proposed_point, tool_point
 from casacal.kinematics import Expression
 from casacal.unknowns import Parameter
@@ -94,13 +94,6 @@ class Distance(ToolTip):
     columns = FrozenMapping({"length": "length"})
     datum = ("anchor", "zero")
     words = Words("residual of the length", "mm", "lengths", "anchors and zero fitted alone", group="anchor")
-
-    @property
-    def suspects(self) -> tuple[Suspect, ...]:
-        """Units, and a wire that counts down."""
-        fix = "Reverse the sign of the lengths; the zero takes up the rest"
-        cause = "a longer way seems to be read as a shorter one"
-        return (*super().suspects, Suspect("sign of the lengths", cause, fix, ("length",), -1.0))
 
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
         """Predicted minus read length, mm."""

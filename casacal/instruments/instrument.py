@@ -88,6 +88,11 @@ class Instrument(Portable, ABC):
         """Readings from which simulated ones are looked for, where zero is none."""
         return {}
 
+    @property
+    def reading_limits(self) -> Mapping[str, tuple[float, float]]:
+        """Smallest and largest reading of columns that have one, which simulated ones keep to; mm, rad or own unit."""
+        return {}
+
     def as_read(self, columns: Mapping[str, Array]) -> Mapping[str, Array]:
         """Simulated readings (N,) by name as a device would say them: of those that mean the same, one."""
         return columns
@@ -154,15 +159,18 @@ class Instrument(Portable, ABC):
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
-        """Mistakes in its columns that `check` undoes one by one to see whether all fits then: units, by default."""
+        """Mistakes in its columns that `check` undoes one by one to see whether all fits then: sign and units."""
         lengths = tuple(name for name, dimension in self.columns.items() if dimension == "length")
         if not lengths:
             return ()
+        cause, fix = "a longer way seems to be read as a shorter one", "Reverse the sign of the readings"
+        sign = Suspect("sign of the lengths", cause, fix, lengths, -1.0)
         fix = "Correct the unit in the column's name"
-        return tuple(
+        units = (
             Suspect("unit of the readings", f"the readings seem to be {words}", fix, lengths, factor)
             for factor, words in UNIT_MISTAKES.items()
         )
+        return (sign, *units) if len(lengths) == 1 else tuple(units)
 
     def with_faces_by_label(self) -> Instrument | None:
         """The same with a face of its own for each label, for `cures` that add one; None where that means nothing."""

@@ -91,9 +91,8 @@ class Session(Standing):
         alarm = self._asked()
         chosen = alarm.suspects[0] if suspect is None else suspect
         if chosen.slip is None:
-            raise CasacalError(
-                f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}", "Take it back with undo()"
-            )
+            what = f"Nothing that could be corrected explains touch {self.shown(chosen.touch)}"
+            raise CasacalError(what, "Take it back, or keep it as it is")
         return self._after(self._with(chosen.touch, chosen.slip.touch))
 
     def skip(self, number: int) -> Session:

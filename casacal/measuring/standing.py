@@ -160,8 +160,9 @@ class Standing(Value):
 
     def checked(self) -> tuple[Array, Array] | None:
         """By how much touches kept for checking are off, and its standard deviation (touches, m), mm, or None."""
-        kept = [touch for touch in self.touches if touch.purpose == CHECK]
-        return None if self.state.known is None or not kept else innovations_at(self.state.known, kept)
+        known, of_check = self.state.known, (touch for touch in self.touches if touch.purpose == CHECK)
+        kept = [touch for touch in of_check if known is not None and known.knows(touch)]
+        return None if known is None or not kept else innovations_at(known, kept)
 
     @cached_property
     def field(self) -> Array | None:

@@ -12,8 +12,9 @@ from casacal.files import write_text
 from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
-from casacal.planning.set_ups import SetUp
+from casacal.planning.set_ups import POOL, SetUp
 from casacal.samples.layout import Layout
+from casacal.wording import METRE, UNBOUNDED
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
 
@@ -25,20 +26,24 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
+    alone = f"{plan.before:.3g} mm" if plan.before < METRE else UNBOUNDED
     left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
     left += f"; more than {flat[0]} gain little" if flat else ""
     said = [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
-        f"noise and priors are right. {without}: {plan.before:.3g} mm; the same number at random: "
+        f"noise and priors are right. {without}: {alone}; the same number at random: "
         f"{plan.at_random:.3g} mm; all {pool} candidates: {plan.best:.3g} mm. On arms that differ from the drawing as "
         f"the priors allow: "
         f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
         f"Number of fitted touches and expected tip error, mm: {left}",
     ]
     if compared:
-        said.append(f"Other set-ups, each with {fitted} fitted touches:")
+        said.append(
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with nothing to keep clear of and none "
+            f"made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+        )
     for each in compared:
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
         said.append(f"  {reach}: {each.words}")

@@ -28,8 +28,8 @@ Made by `casacal new`; edit it as you like.
 - Prior: 0.7 mm and 1 mrad on each of the {count} parameters of the arm ({keys}),
   unless problem.py states the maker's accuracy; flat on the planes.
 {more}- Noise: 0.01 mm along the plunger.
-- Lines of problem.py marked TO FILL IN hold assumptions: where the tool's tip is, which way the dial counts, how
-  accurate the maker says the arm is.
+- Lines of problem.py marked TO FILL IN hold assumptions: where the tool's tip is, which way the dial counts and
+  how far, how accurate the maker says the arm is.
 - Limits: those of the file{limits}. The simulated cell uses them.
 - Cell: none is defined, so `casacal simulate` looks for three faces in reach: at right angles, or, for an arm that
   cannot tilt its tool, such as a SCARA, each inclined another way. problem.py may define one of your own.

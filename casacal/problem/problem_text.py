@@ -22,9 +22,10 @@ tool = tool_point({tool}, prior_std=1.0)
 
 # sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger
 # reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
+# travel is the range of the dial, mm: 10, or (-5, 5) where it was set to zero in the middle.{todo[travel]}
 # A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
 # of planes cannot tell.
-dial = DialOnPlane(noise_std=0.01, sign={sign}, {travel}tool=tool, gain=dial_gain(0.15))
+dial = DialOnPlane(noise_std=0.01, sign={sign}, travel={travel}, tool=tool, gain=dial_gain(0.15))
 
 {problem}
 """
@@ -58,7 +59,7 @@ class Given:
         if self.sign not in (None, 1, -1):
             raise CasacalError(f"The dial's sign is {self.sign!r}", "Give 1 or -1")
         low, high = readings_within(10.0 if self.travel is None else self.travel)
-        if not -math.inf < low < high < math.inf:
+        if not -math.inf < low < high < math.inf or plain(low) == plain(high):
             raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
         if self.accuracy is not None and not 0 < self.accuracy < math.inf:
             raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", "Give a positive number of mm")
@@ -76,7 +77,7 @@ class Given:
         return DIAL.format(
             tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             sign="+1" if self.sign == 1 else "-1",
-            travel="" if self.travel is None else f"travel={_ends(self.travel)}, ",
+            travel=_ends(10.0 if self.travel is None else self.travel),
             todo=todo,
             problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
         )
@@ -87,6 +88,7 @@ class Given:
         assumed = {
             "tool": "the tool: the tip is assumed at the flange's origin, pointing along its z axis",
             "sign": "the dial's sign: -1 is assumed, a plunger that is pushed in reads more",
+            "travel": "the dial's travel: 0 to 10 mm is assumed",
             "accuracy": "the maker's accuracy: errors of 0.7 mm and 1 mrad are assumed for every parameter",
         }
         return [words for name, words in assumed.items() if getattr(self, name) is None]

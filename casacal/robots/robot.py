@@ -73,10 +73,8 @@ class Robot(Value):
     @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits, each (n,); rad, mm."""
-        return (
-            read_only(np.array([joint.lower for joint in self.axes])),
-            read_only(np.array([joint.upper for joint in self.axes])),
-        )
+        lower, upper = np.array([(joint.lower, joint.upper) for joint in self.axes]).T.copy()
+        return read_only(lower), read_only(upper)
 
     @cached_property
     def traced(self) -> TracedPose:
@@ -86,6 +84,12 @@ class Robot(Value):
     def with_gear_ratios(self, *ratios: float) -> Robot:
         """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""
         return replace(self, joints=geared(self.axes, ratios))
+
+    def in_other_convention(self) -> Robot | None:
+        """The arm that its DH table makes in the other convention; None where it has no table."""
+        other = self.arm.in_other_convention() if isinstance(self.arm, DHTable) else None
+        kept = {key: unknown for key, unknown in self.parameters.items() if key != "beta"}
+        return None if other is None else replace(self, pose=other.pose, parameters=kept, arm=other)
 
     def __eq__(self, other: object) -> bool:
         """Whether both are the same arm: names, joints, parameters, and the graph that the pose function builds."""

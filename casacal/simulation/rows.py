@@ -177,20 +177,22 @@ def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
     robot, count = bench.problem.robot, len(target)
     n = len(robot.axes)
     free = np.full((count, n + bench.read), np.nan)
-    waiting = np.arange(count)
+    waiting, instrument = np.arange(count), bench.problem.instrument
+    ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
+    least, most = np.array(ends).reshape(-1, 2).T
     for _ in range(ROUNDS):
         start = _starts(bench, target, waiting, rng)
         found, met = _met(bench, start, target[waiting], waiting)
         lower, upper = robot.limits
         inside = ((found[:, :n] >= lower) & (found[:, :n] <= upper)).all(axis=1)
-        inside &= bench.beyond(found, waiting) < 1e-6
+        inside &= (bench.beyond(found, waiting) < 1e-6) & ((found[:, n:] >= least) & (found[:, n:] <= most)).all(axis=1)
         free[waiting[met & inside]] = found[met & inside]
         waiting = waiting[~(met & inside)]
         if not waiting.size:
             return free
     raise SimulationError(
-        f"No posture inside the joint limits of '{robot.name}' makes the residual of "
-        f"{type(bench.problem.instrument).__name__} vanish in {len(waiting)} of {count} rows",
+        f"No posture inside the limits of '{robot.name}' and its readings makes the residual of "
+        f"{type(instrument).__name__} vanish in {len(waiting)} of {count} rows",
         "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
     )
 

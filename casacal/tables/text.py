@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from casacal.tables.grammar import (
     rows_set_aside,
 )
 
+STANDARD_INPUT = "-"
 KEY = "pose"  # column by which readings find their pose, unless another one is named
 
 
@@ -91,13 +93,14 @@ def read_table(path: str | Path) -> Table:
     A comment that may be a row, because rows begin with text and it has a cell for each column, is refused.
 
     Understands UTF-8 with or without a byte-order mark and UTF-16 with one; commas, semicolons or tabs; decimal
-    commas where the delimiter is not a comma.
+    commas where the delimiter is not a comma. "-" is standard input.
 
     Raises SamplesError for anything else.
     """
-    file = str(path)
+    piped = str(path) == STANDARD_INPUT
+    file = "standard input" if piped else str(path)
     try:
-        data = Path(path).read_bytes()
+        data = sys.stdin.buffer.read() if piped else Path(path).read_bytes()
     except FileNotFoundError:
         raise SamplesError(file, "there is no such file", "Check the path") from None
     except (OSError, ValueError) as error:

@@ -7,6 +7,7 @@ import math
 from casacal.verification.decision import Decision
 from casacal.verification.figures import LEVEL, FaceVerification, Figures, PartError
 from casacal.wording import capital, chance, counted, mm, numbered_lines, shortened
+from casacal.wording import times as in_two
 
 SHOWN = 12  # faces, or lines of rows, that are named one by one
 CERTAIN = 0.9999  # probability beyond which nobody asks how near to one
@@ -19,8 +20,8 @@ def told(found: Figures, *, whole: bool = True) -> list[str]:
     """Paragraphs, the answer first; statistics, faces and regions where the whole is asked for."""
     what = "Error of the tip, all three axes" if found.accuracy else f"Residual on these {found.things}"
     statistics = [
-        f"Chi-square {found.chi_square:.4g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
-        f"arm alone {found.arm_chi_square:.4g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
+        f"Chi-square {found.chi_square:.3g} with {found.freedom} degrees of freedom, {chance(found.p)}; of the "
+        f"arm alone {found.arm_chi_square:.3g} with {found.seen}, {chance(found.arm_p)}. The promise is kept if both p "
         f"are at least {LEVEL / 2:g}. The arm was not fitted; {found.fitted_words(f' ({shortened(found.own, 4)})')}.",
         *(_face(found, face) for face in found.faces[:SHOWN]),
         *([f"{len(found.faces) - SHOWN} more faces with --json."] if len(found.faces) > SHOWN else []),
@@ -32,8 +33,8 @@ def told(found: Figures, *, whole: bool = True) -> list[str]:
             "of {} repeat others to the last digit and count once",
             "of {} are among those that the arm was calibrated from and do not count",
         ),
-        f"{what}: {found.after_mm:.3g} {found.unit} RMS as calibrated, {found.predicted_mm:.3g} predicted, "
-        f"{found.before_mm:.3g} as drawn; 95 % of the rows are within {found.quantile_mm:.3g}.",
+        f"{what}: {in_two(found.after_mm)} {found.unit} RMS as calibrated, {in_two(found.predicted_mm)} predicted, "
+        f"{in_two(found.before_mm)} as drawn; 95 % of the rows are within {in_two(found.quantile_mm)}.",
         *(statistics if whole else []),
         *_gross(found),
         *(_errors(found) if whole else _errors(found)[:1]),
@@ -46,7 +47,7 @@ def told(found: Figures, *, whole: bool = True) -> list[str]:
 def _answer(found: Figures) -> str:
     if not found.kept:
         if found.p < LEVEL / 2:
-            times = f"{math.sqrt(found.chi_square / max(found.freedom, 1)):.3g} times what was predicted"
+            times = f"{in_two(math.sqrt(found.chi_square / max(found.freedom, 1)))} times what was predicted"
             return f"Promise not kept: the residuals of {found.said} are {times} ({chance(found.p)})."
         return f"Promise not kept: {found.said} do not agree with the arm as calibrated ({chance(found.arm_p)})."
     verdict = ""
@@ -58,9 +59,9 @@ def _answer(found: Figures) -> str:
 
 def _face(found: Figures, face: FaceVerification) -> str:
     return (
-        f"  {face.label}: {counted(face.rows, 'row')}, {face.after_mm:.3g} {found.unit} RMS, {face.predicted_mm:.3g} "
-        f"predicted (as drawn: {face.before_mm:.3g}); chi-square {face.chi_square:.4g} / {face.freedom}, "
-        f"{chance(face.p)}"
+        f"  {face.label}: {counted(face.rows, 'row')}, {in_two(face.after_mm)} {found.unit} RMS, "
+        f"{in_two(face.predicted_mm)} predicted (as drawn: {in_two(face.before_mm)}); chi-square "
+        f"{face.chi_square:.3g} / {face.freedom}, {chance(face.p)}"
     )
 
 
@@ -101,11 +102,11 @@ def _errors(found: Figures) -> list[str]:
 
 def _interval(part: PartError) -> str:
     after, before = (
-        f"{each.mm:.3g}{unit} ({each.low_mm:.3g} to "
-        + (f"{each.high_mm:.3g})" if math.isfinite(each.high_mm) else "without bound)")
+        f"{in_two(each.mm)}{unit} ({in_two(each.low_mm)} to "
+        + (f"{in_two(each.high_mm)})" if math.isfinite(each.high_mm) else "without bound)")
         for each, unit in ((part.after, " mm"), (part.before, ""))
     )
-    promised = "" if math.isnan(part.promised_mm) else f", {part.promised_mm:.3g} promised"
+    promised = "" if math.isnan(part.promised_mm) else f", {in_two(part.promised_mm)} promised"
     return f"{after} as calibrated{promised}; {before} as drawn"
 
 

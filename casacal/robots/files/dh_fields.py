@@ -39,6 +39,7 @@ ROW_FIELDS = (
 OFFSETS = tuple(f"offsets_{unit}" for unit in (*ANGLE, *LENGTH))
 BLOCK_FIELDS = ("name", "convention", "parallel", "signs", *OFFSETS, "coupling")
 MISNAMED = {"type": "kind", "joint_type": "kind"}  # what other tables call a field that is called otherwise here
+HALF_TURN = math.pi * (1 + 1e-6)
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic"}
 
 
@@ -135,6 +136,10 @@ def quantity(row: Row, field: str, units: Mapping[str, float], where: str) -> fl
     if unit == "deg" and 0.5 < turns < 4.5 and abs(turns - round(turns)) < 1e-4:
         fix = f"Name it {field}_rad"
         raise ProblemError(f"{where}: {field}_deg is {value:g}, which is {round(turns)} quarter turns in rad", fix)
+    if field in ("alpha", "beta") and abs(value * units[unit]) > HALF_TURN:
+        same = math.remainder(value, 2 * math.pi / units[unit])
+        fix = f"Write {plain(same)}, which is the same, if no digit is wrong"
+        raise ProblemError(f"{where}: {field}_{unit} is {value:g}; a twist is within half a turn", fix)
     return value * units[unit]
 
 

@@ -46,7 +46,7 @@ from pathlib import Path
 from casacal.errors import ProblemError
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import Fields, conventions_of, joint_of, table_of
-from casacal.robots.files.dh_text import csv_text, read_csv, read_toml, toml_text
+from casacal.robots.files.dh_text import csv_text, decode, further_keys, read_csv, read_toml, toml_text
 from casacal.robots.joints import Conventions, joints_of
 
 
@@ -71,6 +71,11 @@ def read_conventions(path: str | Path) -> Conventions:
             raise ProblemError(f"{fields.file}: there are neither joints nor signs", "Give signs = [1, -1, ...]")
         joints = joints_of(len(signs))
     return conventions_of(fields, joints) or Conventions.plain(len(joints))
+
+
+def unread_keys(path: str | Path) -> tuple[str, ...]:
+    """Keys in the comments of a CSV that mean nothing there, such as `units` of '# units: m'; none in TOML."""
+    return () if is_toml(path) else further_keys(decode(Path(path)))
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:
