@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 import pytest
 from seals import resealed
@@ -199,6 +200,17 @@ def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
     written = (tmp_path / FORMS[form]).read_text()
     assert "Do not use this result" in written
     assert not ACCURACY.search(written)
+
+
+def test_a_forced_function_for_casadi_says_so_in_its_name(denied, tmp_path, capsys):
+    folder, _ = denied
+    command = ["export", str(folder / "out"), "--to", "casadi", "--out", str(tmp_path / "arm.casadi")]
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert main([*command, "--force"]) == 0
+    assert "Do not use this result" in capsys.readouterr().out
+    assert ca.Function.load(str(tmp_path / "arm.casadi")).name() == "pose_forced_against_the_verdict"
 
 
 @pytest.mark.long
