@@ -128,7 +128,7 @@ def test_nor_in_the_report_or_at_length(denied, capsys):
     assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--verbose"]) == 1
     said = capsys.readouterr().out
     assert "Each face by the others" in said
-    for words in ("redicted", "at the tip under the prior", "correlated above"):
+    for words in ("redicted", "moves the tip most", "at the tip under the prior", "correlated above"):
         assert words not in said
     found.report(folder / "again.html")
     assert "Not stated: a figure would be worth nothing" in (folder / "again.html").read_text()
@@ -146,6 +146,12 @@ def test_nor_does_any_attribute(denied):
     assert np.isnan(found.tip_std_without_prior[0])
     assert np.isnan(found.tip_from_minimum)
     assert np.isnan(found.covariance).all()
+    told = found.sensitivity
+    assert np.isnan(told.tip_by_row).all()
+    assert np.isnan(told.tip_by_prior).all()
+    assert told.most() == ([], [])
+    assert np.isfinite(told.by_reading).all()
+    assert max(found.unjudged.sensitivity.tip_by_row) > 0
     assert found.cures == ()
     assert np.isnan([each.tip_mm for each in (*found.identifiability.null, *found.identifiability.weak)]).all()
     assert np.isnan([each.predicted_mm for each in found.left_out]).all()
@@ -160,7 +166,7 @@ def test_nor_does_any_attribute(denied):
 
 WITHHELD = {
     *("passed", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
-    *("identifiability", "left_out", "score_tests", "motion"),
+    *("identifiability", "left_out", "sensitivity", "score_tests", "motion"),
 }
 
 

@@ -1,0 +1,121 @@
+"""How the estimate follows its data: its derivative by every reading and every prior, by the implicit function theorem.
+
+At the minimum the gradient of the objective is zero, g(x, y) = 0, so that dx/dy = -H^-1 dg/dy, with H the exact Hessian
+in x (Nocedal and Wright, Numerical Optimization, 2006, theorem A.2). Weights, effects' sizes and nominal values that
+the samples propose stay as they stand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.symbolic import RowKind
+from casacal.errors import CasacalError
+from casacal.instruments import Instrument
+from casacal.least_squares.result import Result
+from casacal.values import Value
+
+FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
+MOST_ROWS = 10_000  # whose exact Hessian takes a second or two
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(Value):
+    """Derivatives of the estimate x (n), mm and rad, and what they do to the tip over the workspace.
+
+    names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values. by_reading:
+    dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of unknown j. rows: line
+    of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the workspace apart from the
+    base's position, where all of a row, or a prior's mean, errs by one standard deviation.
+    """
+
+    names: tuple[str, ...]
+    readings: tuple[tuple[int | str, str], ...]
+    by_reading: Array
+    by_prior: Array
+    rows: tuple[int | str, ...]
+    tip_by_row: Array
+    tip_by_prior: Array
+
+    def without_tips(self) -> Sensitivity:
+        """The same where nothing is known of the tip."""
+        nothing = {name: np.full_like(getattr(self, name), np.nan) for name in ("tip_by_row", "tip_by_prior")}
+        return replace(self, **nothing)
+
+    def most(self, count: int = 5) -> tuple[list[tuple[int | str, float]], list[tuple[str, float]]]:
+        """The rows, by line, and the priors, by name, that move the tip most, each with mm RMS; none that move none."""
+        pairs = ((self.rows, self.tip_by_row), (self.names, self.tip_by_prior))
+        rows, priors = (
+            [(names[j], float(tips[j])) for j in np.argsort(-tips, kind="stable")[:count] if tips[j] > 0]
+            for names, tips in pairs
+        )
+        return rows, priors
+
+
+def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
+    """Of a minimum; tip: derivative (3 M, n) of M tips by the unknowns, mm.
+
+    Raises CasacalError where the estimate is no minimum of the plain objective, or rows are too many.
+    """
+    if result.loss is not None or not result.converged or not result.kkt < FLAT:
+        raise CasacalError("This estimate is no minimum of the plain objective", "Use lm or sckf-lm without a loss")
+    if fit.rows > MOST_ROWS:
+        raise CasacalError(f"{fit.rows:,} rows are too many for the sensitivity", f"Take at most {MOST_ROWS:,}")
+    x, scale, symbolic = result.x, fit.start_std, fit.symbolic
+    symbol = ca.MX.sym("x", fit.unknowns)
+    hessian = ca.Function("hessian", [symbol], [ca.hessian(symbolic.objective(symbol), symbol)[0]])
+    inverse = _inverse(np.array(ca.DM(hessian(x)).full()), scale)
+    squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
+    readings, by_reading = list[tuple[int | str, str]](), [np.zeros((fit.unknowns, 0))]
+    tips, starts = np.zeros(len(fit.measured)), fit.measured.starts
+    for kind in symbolic.kinds:
+        slopes, changes, names = _of_rows(kind, fit.problem.instruments[kind.instrument], x)
+        places = int(starts[kind.instrument]) + kind.samples
+        seen = squares[np.ix_(kind.columns, kind.columns)]
+        tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
+        readings += [(fit.measured.place(int(k)), name) for k in places for name in names]
+        by_reading.append(
+            -inverse[:, kind.columns] @ np.concatenate([np.zeros((len(kind.columns), 0)), *changes], axis=1)
+        )
+    prior = np.sqrt(fit.prior_information)
+    return Sensitivity(
+        fit.names,
+        tuple(readings),
+        np.concatenate(by_reading, axis=1),
+        inverse * fit.prior_information,
+        tuple(fit.measured.place(k) for k in range(len(fit.measured))),
+        tips,
+        prior * np.sqrt(np.maximum(np.diagonal(squares), 0.0)),
+    )
+
+
+def _inverse(hessian: Array, scale: Array) -> Array:
+    """Inverse of a Hessian; what nothing holds does not move."""
+    values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
+    held = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
+    root = scale[:, None] * vectors[:, held]
+    return np.asarray((root / values[held]) @ root.T)
+
+
+def _of_rows(kind: RowKind, instrument: Instrument, x: Array) -> tuple[Array, list[Array], list[str]]:
+    """Whitened slopes (N, m, nz) of rows, how their gradient changes (nz, k each) by columns, and these columns."""
+    model, (m, nd) = kind.model, (kind.noise.shape[1], kind.data.shape[1])
+    z, c, d, w = (
+        ca.SX.sym(*each) for each in (("z", len(kind.columns)), ("c", kind.constants.size), ("d", nd), ("w", m))
+    )
+    e = model.residual(z, c, d)
+    slope = ca.jacobian(e, z)
+    gradient = ca.mtimes(slope.T, e / w**2)
+    first = nd - len(model.names)
+    places: list[int] = [first + i for i, name in enumerate(model.names) if name in instrument.columns]
+    outputs = [ca.densify(slope / ca.repmat(w, 1, z.numel())), ca.densify(ca.jacobian(gradient, d[places]))]
+    function = ca.Function("rows", [z, c, d, w], outputs)
+    given = x[kind.columns], kind.constants
+    found = [function(*given, *row) for row in zip(kind.data, kind.noise, strict=True)]
+    slopes = np.array([each[0].full() for each in found]).reshape(-1, m, z.numel())
+    return slopes, [each[1].full() for each in found], [model.names[i - first] for i in places]
