@@ -14,14 +14,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.symbolic import RowKind
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
 from casacal.least_squares.result import Result
+from casacal.problem.compile import RowModel
 from casacal.values import Value
 
 FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
-MOST_ROWS = 10_000  # whose exact Hessian takes a second or two
+MOST_ROWS = 5_000  # whose exact Hessian takes a few seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,24 +64,27 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
     """
     if result.loss is not None or not result.converged or not result.kkt < FLAT:
         raise CasacalError("This estimate is no minimum of the plain objective", "Use lm or sckf-lm without a loss")
-    if fit.rows > MOST_ROWS:
-        raise CasacalError(f"{fit.rows:,} rows are too many for the sensitivity", f"Take at most {MOST_ROWS:,}")
-    x, scale, symbolic = result.x, fit.start_std, fit.symbolic
-    symbol = ca.MX.sym("x", fit.unknowns)
-    hessian = ca.Function("hessian", [symbol], [ca.hessian(symbolic.objective(symbol), symbol)[0]])
-    inverse = _inverse(np.array(ca.DM(hessian(x)).full()), scale)
+    if fit.rows > MOST_ROWS or fit.groups is not None:
+        what = f"{fit.rows:,} rows with {fit.unknowns:,} unknowns are too many for the sensitivity"
+        raise CasacalError(what, f"Take fewer faces, and at most {MOST_ROWS:,} rows")
+    kinds, starts = fit.symbolic.kinds, fit.measured.starts
+    models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
+    hessian, found = np.diag(fit.prior_information), []
+    for kind in kinds:
+        given, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
+        rows = [[each.full() for each in of_row(*given, *row)] for row in zip(kind.data, kind.noise, strict=True)]
+        hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
+        found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
+    inverse = _inverse(hessian, fit.start_std)
     squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
-    readings, by_reading = list[tuple[int | str, str]](), [np.zeros((fit.unknowns, 0))]
-    tips, starts = np.zeros(len(fit.measured)), fit.measured.starts
-    for kind in symbolic.kinds:
-        slopes, changes, names = _of_rows(kind, fit.problem.instruments[kind.instrument], x)
+    readings, by_reading = list[tuple[int | str, str]](), []
+    tips = np.zeros(len(fit.measured))
+    for kind, (slopes, changes) in zip(kinds, found, strict=True):
         places = int(starts[kind.instrument]) + kind.samples
         seen = squares[np.ix_(kind.columns, kind.columns)]
         tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
-        readings += [(fit.measured.place(int(k)), name) for k in places for name in names]
-        by_reading.append(
-            -inverse[:, kind.columns] @ np.concatenate([np.zeros((len(kind.columns), 0)), *changes], axis=1)
-        )
+        readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
+        by_reading.append(-inverse[:, kind.columns] @ changes)
     prior = np.sqrt(fit.prior_information)
     return Sensitivity(
         fit.names,
@@ -102,20 +105,17 @@ def _inverse(hessian: Array, scale: Array) -> Array:
     return np.asarray((root / values[held]) @ root.T)
 
 
-def _of_rows(kind: RowKind, instrument: Instrument, x: Array) -> tuple[Array, list[Array], list[str]]:
-    """Whitened slopes (N, m, nz) of rows, how their gradient changes (nz, k each) by columns, and these columns."""
-    model, (m, nd) = kind.model, (kind.noise.shape[1], kind.data.shape[1])
-    z, c, d, w = (
-        ca.SX.sym(*each) for each in (("z", len(kind.columns)), ("c", kind.constants.size), ("d", nd), ("w", m))
-    )
-    e = model.residual(z, c, d)
-    slope = ca.jacobian(e, z)
-    gradient = ca.mtimes(slope.T, e / w**2)
-    first = nd - len(model.names)
-    places: list[int] = [first + i for i, name in enumerate(model.names) if name in instrument.columns]
-    outputs = [ca.densify(slope / ca.repmat(w, 1, z.numel())), ca.densify(ca.jacobian(gradient, d[places]))]
-    function = ca.Function("rows", [z, c, d, w], outputs)
-    given = x[kind.columns], kind.constants
-    found = [function(*given, *row) for row in zip(kind.data, kind.noise, strict=True)]
-    slopes = np.array([each[0].full() for each in found]).reshape(-1, m, z.numel())
-    return slopes, [each[1].full() for each in found], [model.names[i - first] for i in places]
+def _row_function(model: RowModel, instrument: Instrument) -> tuple[ca.Function, list[str]]:
+    """(z, c, d, w) -> whitened slopes (m, nz) of a row, its gradient's change by columns (nz, k), its Hessian (nz, nz).
+
+    And these columns: what the instrument reads.
+    """
+    z, c, d = (ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate("zcd"))
+    w = ca.SX.sym("w", model.components)
+    e = model.residual(z, c, d) / w
+    slopes = ca.jacobian(e, z)
+    hessian, gradient = ca.hessian(ca.sumsqr(e) / 2, z)
+    first, names = d.numel() - len(model.names), [name for name in model.names if name in instrument.columns]
+    columns = [first + model.names.index(name) for name in names]
+    outputs = [slopes, ca.jacobian(gradient, d[columns]), hessian]
+    return ca.Function("row", [z, c, d, w], [ca.densify(each) for each in outputs]), names
