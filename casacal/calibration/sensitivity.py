@@ -18,7 +18,7 @@ from casacal.errors import CasacalError
 from casacal.instruments import Instrument
 from casacal.least_squares.result import Result
 from casacal.problem.compile import RowModel
-from casacal.values import Value
+from casacal.values import Value, read_only
 
 FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
 MOST_ROWS = 5_000  # whose exact Hessian takes a few seconds
@@ -41,6 +41,10 @@ class Sensitivity(Value):
     rows: tuple[int | str, ...]
     tip_by_row: Array
     tip_by_prior: Array
+
+    def __post_init__(self) -> None:
+        for name in ("by_reading", "by_prior", "tip_by_row", "tip_by_prior"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def without_tips(self) -> Sensitivity:
         """The same where nothing is known of the tip."""
