@@ -34,6 +34,7 @@ from casacal.estimators import ekf as ekf
 from casacal.estimators import evolution as evolution
 from casacal.estimators import ipopt as ipopt
 from casacal.estimators import lm as lm
+from casacal.estimators import nlpsol as nlpsol
 from casacal.estimators import nominal as nominal
 from casacal.estimators import null_step as null_step
 from casacal.estimators import plane_only as plane_only

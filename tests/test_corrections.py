@@ -5,6 +5,7 @@ import dataclasses
 import json
 import subprocess
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -179,6 +180,9 @@ def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):
     for q, meant in zip(joints, flange.poses, strict=True):
         compiled.arm_pose((ctypes.c_double * 6)(*q), out)
         np.testing.assert_allclose(np.reshape(out, (4, 4)), meant, atol=1e-9)
+    found.export("casadi", tmp_path / "arm.casadi")
+    loaded = ca.Function.load(str(tmp_path / "arm.casadi"))
+    np.testing.assert_allclose([np.array(loaded(q)) for q in joints], flange.poses, atol=1e-9)
     found.save(tmp_path)
     back = load(tmp_path).predict(joints, frame="tip", std=True)
     np.testing.assert_allclose(back.positions, tip.positions, atol=1e-9)
@@ -295,8 +299,9 @@ def test_the_command_line_says_what_is_corrected(sagging, tmp_path, capsys):
     sagging[1].save(tmp_path)
     assert main(["export", str(tmp_path), "--to", "dh", "--out", str(tmp_path / "arm.csv")]) == 0
     assert "not in this form: gravity sag" in capsys.readouterr().out
-    assert main(["export", str(tmp_path), "--to", "c", "--out", str(tmp_path / "arm.c")]) == 0
-    assert "corrected beside the geometry" in capsys.readouterr().out
+    for form in ("c", "casadi"):
+        assert main(["export", str(tmp_path), "--to", form, "--out", str(tmp_path / f"arm.{form}")]) == 0
+        assert "corrected beside the geometry" in capsys.readouterr().out
 
 
 def test_a_gross_row_that_hides_in_smooth_errors_is_set_aside(sagging):

@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 import pytest
 from seals import resealed
@@ -127,7 +128,7 @@ def test_nor_in_the_report_or_at_length(denied, capsys):
     assert main(["calibrate", str(ARM), str(folder / "samples.csv"), "--verbose"]) == 1
     said = capsys.readouterr().out
     assert "Each face by the others" in said
-    for words in ("redicted", "at the tip under the prior", "correlated above"):
+    for words in ("redicted", "moves the tip most", "at the tip under the prior", "correlated above"):
         assert words not in said
     found.report(folder / "again.html")
     assert "Not stated: a figure would be worth nothing" in (folder / "again.html").read_text()
@@ -145,6 +146,12 @@ def test_nor_does_any_attribute(denied):
     assert np.isnan(found.tip_std_without_prior[0])
     assert np.isnan(found.tip_from_minimum)
     assert np.isnan(found.covariance).all()
+    told = found.sensitivity
+    assert np.isnan(told.tip_by_row).all()
+    assert np.isnan(told.tip_by_prior).all()
+    assert told.most() == ([], [])
+    assert np.isfinite(told.by_reading).all()
+    assert max(found.unjudged.sensitivity.tip_by_row) > 0
     assert found.cures == ()
     assert np.isnan([each.tip_mm for each in (*found.identifiability.null, *found.identifiability.weak)]).all()
     assert np.isnan([each.predicted_mm for each in found.left_out]).all()
@@ -159,7 +166,7 @@ def test_nor_does_any_attribute(denied):
 
 WITHHELD = {
     *("passed", "tip_std", "flange_std", "tip_std_without_prior", "tip_from_minimum", "covariance", "cures"),
-    *("identifiability", "left_out", "score_tests", "motion"),
+    *("identifiability", "left_out", "sensitivity", "score_tests", "motion"),
 }
 
 
@@ -199,6 +206,17 @@ def test_exports_refuse_and_say_so_when_forced(denied, form, tmp_path, capsys):
     written = (tmp_path / FORMS[form]).read_text()
     assert "Do not use this result" in written
     assert not ACCURACY.search(written)
+
+
+def test_a_forced_function_for_casadi_says_so_in_its_name(denied, tmp_path, capsys):
+    folder, _ = denied
+    command = ["export", str(folder / "out"), "--to", "casadi", "--out", str(tmp_path / "arm.casadi")]
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert main([*command, "--force"]) == 0
+    assert "Do not use this result" in capsys.readouterr().out
+    assert ca.Function.load(str(tmp_path / "arm.casadi")).name() == "pose_forced_against_the_verdict"
 
 
 @pytest.mark.long

@@ -20,7 +20,8 @@ from casacal.checks import Finding
 from casacal.checks.check import labels_alike
 from casacal.checks.set_aside import gross
 from casacal.errors import CasacalError, ProblemError, SamplesError, came
-from casacal.estimators import ipopt, lm, plane_only
+from casacal.estimators import lm, nlpsol, plane_only
+from casacal.estimators.ipopt import check_solver
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
@@ -43,7 +44,7 @@ def calibrate(
     holdout: float = 0.0,
     holdout_by: str = "rows",
     seed: int = 0,
-    reference: bool = True,
+    reference: bool | str = True,
     noise: Literal["found", "stated"] = "found",
     outliers: Literal["set aside", "keep"] = "set aside",
     discrepancy: Literal["kit", "none"] = "kit",
@@ -66,7 +67,8 @@ def calibrate(
             postures to one), "face" (whole faces, whose places are then fitted to their own rows), or a column of the
             samples, such as one of sessions: all rows of some of its values.
         seed: of the choice of those rows, and of methods that draw random numbers.
-        reference: whether an independent solver checks the minimum; it knows no robust loss.
+        reference: whether an independent solver checks the minimum, or which of CasADi's nlpsol plug-ins does, such as
+            "fatrop"; by default "ipopt". It knows no robust loss.
         noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
             interval; "stated" trusts what was stated.
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
@@ -92,6 +94,7 @@ def calibrate(
     _check_word(noise, "as the noise", "found", "stated")
     _check_word(outliers, "for the outliers", "set aside", "keep")
     _check_word(discrepancy, "for the discrepancy", "kit", "none")
+    solver = _reference(reference, loss)
     began = time.perf_counter()
     single = Measurements.of(rows).map(without_copies)
     groups = [instrument.groups for instrument in source.problem.instruments]
@@ -112,7 +115,7 @@ def calibrate(
         solved = time.perf_counter()
         _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
         before, tried = plane_only(fit), tried_corrections(fit, result)
-        checked = _check(fit, name, result) if reference and loss is None else None
+        checked = _check(fit, name, result, solver) if solver else None
     seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
     return Calibrated(
         name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare
@@ -190,10 +193,21 @@ def _refuse_too_few(fit: BoundProblem) -> None:
     raise SamplesError(samples.file, f"{fit.rows} rows are fitted for {fit.unknowns} unknowns", fix)
 
 
-def _check(fit: BoundProblem, method: str, result: Result) -> Reference:
-    """Solve again by other means: IPOPT, or, when that is the method, LM."""
-    solver = "lm" if method == "ipopt" else "ipopt"
-    other = (lm if method == "ipopt" else ipopt)(fit)
+def _reference(given: bool | str, loss: Loss | None) -> str:
+    """The plug-in that is to check the minimum; empty where none is."""
+    if isinstance(given, str) and loss is not None:
+        raise CasacalError(f"The reference '{given}' knows no robust loss", "Leave out the one or the other")
+    if given is False or loss is not None:
+        return ""
+    solver = "ipopt" if given is True else given
+    check_solver(solver)
+    return solver
+
+
+def _check(fit: BoundProblem, method: str, result: Result, solver: str) -> Reference:
+    """Solve again by other means: an nlpsol plug-in or, when that is the method, LM."""
+    solver = "lm" if method == solver else solver
+    other = lm(fit) if solver == "lm" else nlpsol(fit, solver=solver)
     own = other.trace.get("cost", np.zeros(0))
     cost = float(own[-1]) if own.size else other.cost
     return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

@@ -19,6 +19,7 @@ from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_
 from casacal.calibration.result_json import calibration_document, write_calibration
 from casacal.calibration.result_parts import parameter_rows, without_motion, without_predictions, without_tips
 from casacal.calibration.saved import AsArm, parameter_table
+from casacal.calibration.sensitivity import Sensitivity
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.compensation.arm import CalibratedArm
@@ -97,6 +98,8 @@ class Calibrated(Calibration, AsArm):
     """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
     left_out: tuple[LeftOut, ...] = _governed(without_predictions)
     """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
+    sensitivity: Sensitivity = _governed(Sensitivity.without_tips)
+    """How the estimate follows readings and priors; what they do to the tip is NaN where the verdict denies figures."""
     score_tests: tuple[ScoreTest, ...] = _governed(without_motion)
     """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
 

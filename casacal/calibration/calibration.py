@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.marginal import Seen, seen
+from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.calibration.motion import HiddenTool, Motion, among, doubtful, hidden_tool, used_arm
+from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
@@ -149,6 +150,14 @@ class Calibration(Fitted):
             NOT_NEEDED if direction.tip_mm < HARMLESS else cure_for(geometry, now, self.cures, direction)
             for direction in directions
         )
+
+    @cached_property
+    def sensitivity(self) -> Sensitivity:
+        """How estimate and tip follow every reading and prior; raises CasacalError where it is no minimum."""
+        (_, tips, slopes), arm = self.workspace, self.motion.arm
+        field = np.zeros((tips.size, self.fit.unknowns))
+        field[:, arm.shared if isinstance(arm, Marginal) else slice(None)] = without_rigid(slopes, tips)
+        return sensitivity(self.fit, self.result, field)
 
     @cached_property
     def score_tests(self) -> tuple[ScoreTest, ...]:

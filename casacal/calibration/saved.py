@@ -125,7 +125,7 @@ class AsArm(ABC):
         prefix: str | None = None,
         force: bool = False,
     ) -> str:
-        """The arm as "dh", "urdf", "zeros", "ur" or "c": the text, written to `path` where one is given.
+        """The arm as "dh", "urdf", "zeros", "ur", "c" or "casadi": the text, written to `path` where one is given.
 
         source, prefix, force, errors: as for `casacal.export.forms.export`.
         """

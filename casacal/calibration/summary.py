@@ -9,6 +9,7 @@ from casacal.calibration import tables
 from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import verdict_of
+from casacal.errors import CasacalError
 from casacal.samples.measurements import Measurements
 from casacal.version import __version__
 from casacal.wording import METRE, lower, mm
@@ -31,6 +32,7 @@ def summary(calibration: Calibration, name: str) -> str:
         tables.residuals(calibration).text(),
         _left_out(calibration, denied),
         "" if denied else _accuracy(calibration),
+        "" if denied else _most(calibration),
         _parameters(calibration, denied),
         _blind_spots(calibration, denied),
         "" if denied else _next_steps(calibration),
@@ -81,6 +83,20 @@ def _accuracy(calibration: Calibration) -> str:
             f"From the samples alone, without priors, {samples_alone}.",
         ]
     )
+
+
+def _most(calibration: Calibration) -> str:
+    """The rows and the priors that move the tip most; nothing where the estimate is no minimum."""
+    try:
+        rows, priors = calibration.sensitivity.most()
+    except CasacalError:
+        return ""
+    shown = {
+        "rows": [f"line {line} ({mm(tip)})" for line, tip in rows],
+        "priors": [f"{name} ({mm(tip)})" for name, tip in priors],
+    }
+    lines = [f"  {what}: {', '.join(names)}" for what, names in shown.items() if names]
+    return "\n".join(["What moves the tip most, by one standard deviation each:", *lines]) if lines else ""
 
 
 def _left_out(calibration: Calibration, denied: bool) -> str:

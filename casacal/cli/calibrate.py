@@ -41,8 +41,8 @@ METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal calibrate` takes."""
     parser.description = (
-        "Fit the arm's parameters to samples, cross-check the minimum with IPOPT, and say how far the result can be "
-        "trusted. Exit 1 if it must not be used."
+        "Fit the arm's parameters to samples, cross-check the minimum with another solver, and say how far the "
+        "result can be trusted. Exit 1 if it must not be used."
     )
     add(parser, *PROBLEM)
     add_samples(parser)
@@ -61,7 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "those that improve held-out rows; none: geometry alone"
     )
     add(parser, "--discrepancy", words, default="kit", choices=("kit", "none"))
-    add(parser, "--no-reference", "skip the cross-check with IPOPT")
+    words = "solver of the cross-check: ipopt (default), fatrop, sqpmethod or another nlpsol plug-in of CasADi"
+    add(parser, "--reference NAME", words)
+    add(parser, "--no-reference", "skip the cross-check")
     words = "what evaluates the rows; default: CASACAL_BACKEND, or auto"
     add(parser, "--backend", words, choices=("auto", "c", "blocks"))
     add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
@@ -82,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
     if options.holdout_by is not None and not options.holdout:
         raise CasacalError(f"Got --holdout-by {options.holdout_by} without --holdout", "Say which part: --holdout 0.3")
+    if options.reference is not None and options.no_reference:
+        raise CasacalError(f"Got --reference {options.reference} with --no-reference", "Leave one of them out")
     source = load_problem(options.problem)
     problem = adjusted(source.problem, options)
     given = sample_files(source, options)
@@ -99,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
             holdout=options.holdout,
             holdout_by=options.holdout_by or "rows",
             seed=options.seed,
-            reference=not options.no_reference,
+            reference=False if options.no_reference else options.reference or True,
             noise=options.noise or "found",
             outliers="keep" if options.keep_outliers else "set aside",
             discrepancy=options.discrepancy,

@@ -18,9 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *INSTRUMENT)
     words = (
         "DH table (CSV, or TOML where FILE ends in .toml), URDF, zero corrections (CSV), the kinematics file of "
-        "ur_description (YAML), C99, or the frame of a work object (--faces or --points)"
+        "ur_description (YAML), C99, a casadi.Function, or the frame of a work object (--faces or --points)"
     )
-    add(parser, "--to", words, choices=("dh", "urdf", "zeros", "ur", "c", "frame"), required=True)
+    add(parser, "--to", words, choices=("dh", "urdf", "zeros", "ur", "c", "casadi", "frame"), required=True)
     add(parser, "--out FILE", "file to write", required=True)
     add(parser, "--source FILE", "for dh and urdf: a file of yours to copy with only its numbers changed")
     add(parser, "--prefix WORD", "for c: prefix of function names; default: the problem's name")

@@ -2,7 +2,7 @@
 
 from casacal.estimators.controls import null_step, plane_only
 from casacal.estimators.ekf import ekf
-from casacal.estimators.ipopt import ipopt
+from casacal.estimators.ipopt import ipopt, nlpsol
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nominal
 from casacal.estimators.population import annealing, evolution, swarm
@@ -16,6 +16,7 @@ __all__ = [
     "evolution",
     "ipopt",
     "lm",
+    "nlpsol",
     "nominal",
     "null_step",
     "plane_only",

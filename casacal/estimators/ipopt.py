@@ -1,15 +1,15 @@
-"""IPOPT as an independent reference: raw unit normals under constraints, exact Hessian, another solver."""
+"""IPOPT, or another nlpsol, as an independent reference: raw unit normals under constraints, exact Hessian."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError
+from casacal.errors import CasacalError, ProblemError, UnknownNameError, came
 from casacal.estimators.ipopt_objective import Objective, RawForm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.objective import LeastSquares
@@ -35,70 +35,124 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
     Raises ProblemError when the problem has no symbolic form.
 
     """
+    options = {
+        # where rounding keeps the gradient above tol, stop once the objective stands still
+        **{"max_iter": max_steps, "tol": tolerance, "constr_viol_tol": 1e-12, "acceptable_tol": 1e-5},
+        **{"acceptable_obj_change_tol": 1e-11, "acceptable_iter": 3, "nlp_scaling_method": "none"},
+        **{"linear_solver": "mumps", "print_level": 5 if verbose else 0, "sb": "yes"},
+    }
+    return nlpsol(problem, solver="ipopt", options={"ipopt": options, "show_eval_warnings": verbose})
+
+
+def nlpsol(problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str, Any] | None = None) -> Result:
+    """The same program by any solver that CasADi's nlpsol finds, such as "fatrop" or "sqpmethod".
+
+    Args:
+        problem: must have a `graph`.
+        solver: name of the plug-in.
+        options: of CasADi's nlpsol for it; by default silent, and for known plug-ins strict.
+
+    Returns:
+        The minimum, as `ipopt` gives it.
+
+    Raises ProblemError when the problem has no symbolic form, UnknownNameError when there is no such plug-in, and
+    CasacalError when it takes no such program.
+
+    """
+    check_solver(solver)
+    if options is None and solver == "ipopt":
+        return ipopt(problem)
     if not problem.unknowns:
-        return nothing_unknown(problem, "ipopt")
+        return nothing_unknown(problem, solver)
     if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     graph: RawForm = problem.graph
     objective = Objective(graph, problem)
-    program, options, kept = _program(graph, objective, max_steps, tolerance, verbose)
-    solver = ca.nlpsol("reference", "ipopt", program, options)
-    solution = solver(x0=np.zeros(graph.start.size), lbg=0.0, ubg=0.0)
+    program, given, kept = _program(graph, objective, exact=solver == "ipopt")
+    try:
+        made = ca.nlpsol(
+            "reference", solver, program, given | dict(SILENT.get(solver, {}) if options is None else options)
+        )
+        solution = made(x0=np.zeros(graph.start.size), lbg=0.0, ubg=0.0)
+    except (RuntimeError, NotImplementedError) as error:
+        said = next(iter(str(error).rpartition("failed:")[2].strip().splitlines()), "").rstrip(" :.")
+        fix = "Give it other options, or use ipopt, fatrop or sqpmethod"
+        raise CasacalError(f"The solver '{solver}' does not take this program: {said}", fix) from error
     del kept  # CasADi calls these but does not hold them
-    stats: dict[str, Any] = solver.stats()
+    stats: dict[str, Any] = made.stats()
     x = np.asarray(graph.local(objective.raw(np.asarray(solution["x"]).ravel()))).ravel()
     history = stats.get("iterations") or {}
     return Result(
-        method="ipopt",
+        method=solver,
         problem=problem,
         x=x,
-        status=_status(str(stats["return_status"]), x),
+        status=_status(stats, x),
         trace={
-            "cost": np.array(history.get("obj", [])),
+            "cost": np.array(history.get("obj", [float(solution["f"])])),
             "dual_infeasibility": np.array(history.get("inf_du", [])),
             "constraint_violation": np.array(history.get("inf_pr", [])),
         },
-        steps=int(stats["iter_count"]),
+        steps=int(stats.get("iter_count", 0)),
         residual_rows=problem.rows * objective.evaluations,
         jacobian_rows=problem.rows * objective.evaluations,
     )
 
 
-def _program(
-    graph: RawForm, objective: Objective, max_steps: int, tolerance: float, verbose: bool
-) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
-    """The nonlinear program in scaled raw coordinates, the solver's options, and what must outlive the solver."""
+SILENT: Mapping[str, Mapping[str, Any]] = {
+    "fatrop": {"fatrop": {"print_level": 0, "max_iter": 200, "tolerance": 1e-9}},
+    "sqpmethod": {
+        **{"print_header": False, "print_iteration": False, "print_status": False},
+        **{"max_iter": 200, "tol_pr": 1e-9, "tol_du": 1e-7, "qpsol": "qrqp"},
+        "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
+    },
+    "uno": {"uno": {"logger": "SILENT"}},
+}
+"""Options of plug-ins that would print, or stop early, without them; others are as CasADi has them."""
+
+
+def check_solver(name: str) -> None:
+    """Raise UnknownNameError, with those that there are, unless CasADi finds an nlpsol plug-in of that name."""
+    if not isinstance(name, str):
+        raise CasacalError(f"Got {came(name)} as a solver", "Give the name of an nlpsol plug-in, such as 'fatrop'")
+    if not ca.has_nlpsol(name):
+        known = (each.removeprefix("Nlpsol::") for each in ca.CasadiMeta.plugins().split(";"))
+        raise UnknownNameError("nlpsol plug-in", name, sorted(each for each in known if ca.has_nlpsol(each)))
+
+
+def _program(graph: RawForm, objective: Objective, *, exact: bool) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
+    """The nonlinear program in scaled raw coordinates, options, and what must outlive the solver.
+
+    exact: IPOPT takes the functions of gradient and Hessian as options; others derive them from the objective's.
+    """
     n = graph.start.size
 
     def hessian(y: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
         return [objective.lagrangian(y, float(lam_f[0]), lam_g)]
 
-    point, nothing, one = ca.Sparsity.dense(n), ca.Sparsity.dense(0), ca.Sparsity.dense(1)
+    point, nothing, one, row = (ca.Sparsity.dense(*shape) for shape in ((n, 1), (0, 1), (1, 1), (1, n)))
     dual = ca.Sparsity.dense(graph.constraints.numel_out(0))
-    value = Call("value", [point], [one], lambda y: [objective(y)[0]])
-    slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
-    curvature = Call("curvature", [point, nothing, one, dual], [_pattern(objective)], hessian)
     x = ca.MX.sym("x", n)
-    options: dict[str, Any] = {
-        "print_time": False,
-        "show_eval_warnings": verbose,
-        "no_nlp_grad": True,  # it would differentiate the objective once more, for sensitivities that nobody asks
-        "grad_f": _named(slope, ["x", "p"], ["f", "grad_f_x"]),
-        "hess_lag": _named(curvature, ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
-        "ipopt": {
-            "max_iter": max_steps,
-            "tol": tolerance,
-            "constr_viol_tol": 1e-12,
-            # where rounding keeps the gradient above tol, stop once the objective stands still
-            "acceptable_tol": 1e-5,
-            "acceptable_obj_change_tol": 1e-11,
-            "acceptable_iter": 3,
-            "nlp_scaling_method": "none",
-            "linear_solver": "mumps",
-            "print_level": 5 if verbose else 0,
-            "sb": "yes",
-        },
-    }
+    options: dict[str, Any] = {"print_time": False}
+    if exact:
+        value = Call("value", [point], [one], lambda y: [objective(y)[0]])
+        slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
+        curvature = Call("curvature", [point, nothing, one, dual], [_pattern(objective)], hessian)
+        options |= {
+            "no_nlp_grad": True,  # it would differentiate the objective once more, for sensitivities that nobody asks
+            "grad_f": _named(slope, ["x", "p"], ["f", "grad_f_x"]),
+            "hess_lag": _named(curvature, ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
+        }
+    else:
+        upper = _pattern(objective)
+        whole = upper + upper.T
+        rows, columns = (np.array(index) for index in whole.get_triplet())
+        places = np.array(upper.get_nz((np.minimum(rows, columns) + n * np.maximum(rows, columns)).tolist()), dtype=int)
+        empty = ca.Sparsity(n, 1)
+        curvature = Call(
+            "curvature", [point, one, row], [whole, empty], lambda y, *_: [objective(y)[2][places], np.zeros(0)]
+        )
+        slope = Call("slope", [point, one], [row], lambda y, _: [objective(y)[1]], curvature)
+        value = Call("value", [point], [one], lambda y: [objective(y)[0]], slope)
     program = {"x": x, "f": value(x), "g": graph.constraints(objective.start + objective.scales * x)}
     return program, options, [value, slope, curvature]
 
@@ -120,10 +174,15 @@ class Call(ca.Callback):
     """A Python function of flat arrays that CasADi can call."""
 
     def __init__(
-        self, name: str, inputs: list[ca.Sparsity], outputs: list[ca.Sparsity], function: Callable[..., list[Any]]
+        self,
+        name: str,
+        inputs: list[ca.Sparsity],
+        outputs: list[ca.Sparsity],
+        function: Callable[..., list[Any]],
+        derivative: Call | None = None,
     ) -> None:
         super().__init__()
-        self._inputs, self._outputs, self._function = inputs, outputs, function
+        self._inputs, self._outputs, self._function, self._derivative = inputs, outputs, function, derivative
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -142,6 +201,16 @@ class Call(ca.Callback):
         """Shape of a result."""
         return self._outputs[i]
 
+    def has_jacobian(self) -> bool:
+        """Whether its derivative is known."""
+        return self._derivative is not None
+
+    def get_jacobian(self, name: str, inames: Sequence[str], onames: Sequence[str], opts: Any) -> ca.Function:
+        """The derivative, of the arguments and then the results."""
+        del name, inames, onames, opts
+        assert self._derivative is not None
+        return self._derivative
+
     def has_eval_buffer(self) -> bool:
         """Whether `eval_buffer` is to be called; numbers then need not be copied into CasADi's matrices and back."""
         return True
@@ -155,11 +224,12 @@ class Call(ca.Callback):
         return 0
 
 
-def _status(returned: str, x: Array) -> Status:
+def _status(stats: Mapping[str, Any], x: Array) -> Status:
+    returned = str(stats.get("return_status", ""))
     if not np.isfinite(x).all():
         return Status.NOT_FINITE
-    if returned == "Solve_Succeeded":
-        return Status.CONVERGED
     if returned in ("Solved_To_Acceptable_Level", "Search_Direction_Becomes_Too_Small"):
         return Status.PRECISION
-    return Status.MAX_STEPS if returned == "Maximum_Iterations_Exceeded" else Status.SOLVER
+    if stats.get("success"):
+        return Status.CONVERGED
+    return Status.MAX_STEPS if returned.startswith("Maximum_Iterations") else Status.SOLVER

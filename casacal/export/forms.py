@@ -10,14 +10,15 @@ from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.export.controllers import ur_kinematics_text, zeros_text
 from casacal.export.dh import dh_text
-from casacal.export.functions import c_text
+from casacal.export.functions import c_text, casadi_text
 from casacal.export.remark import MARK, remark
 from casacal.export.urdf import urdf_text
 from casacal.files import write_text
 from casacal.robots.files.dh_file import is_toml
 
-FORMS = ("dh", "urdf", "zeros", "ur", "c")
-"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99."""
+FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
+"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
+a `casadi.Function` of q to the flange pose, which `casadi.Function.load` reads."""
 
 
 def export(
@@ -59,6 +60,8 @@ def export(
         text = _remarked(urdf_text(arm, source), arm)
     elif form == "c":
         text = c_text(arm, prefix=prefix)
+    elif form == "casadi":
+        text = casadi_text(arm)
     else:
         text = zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
     if path is not None:

@@ -1,8 +1,10 @@
-"""The calibrated arm as CasADi functions, and as C."""
+"""The calibrated arm as CasADi functions, in a file of such a one, and as C."""
 
 from __future__ import annotations
 
 import re
+import tempfile
+from pathlib import Path
 from typing import Literal
 
 import casadi as ca
@@ -87,6 +89,20 @@ def values_of(
     packed = [ca.SX(symbols.unknowns[key].packed(getattr(symbols.p, key))) for key in wanted]
     found = ca.Function("values", [symbols.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
     return {key: _array(matrix) for key, matrix in zip(wanted, found, strict=True)}
+
+
+def casadi_text(arm: CalibratedArm) -> str:
+    """The function of `pose_function` as `casadi.Function.load` reads it from a file.
+
+    The file has no room for remarks: a verdict not to use the result is part of the function's name.
+    """
+    arm = arm_from(arm)
+    q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
+    name = "pose" if arm.denial is None else "pose_forced_against_the_verdict"
+    made = ca.Function(name, [q], [pose_function(arm)(q)], ["q"], ["pose"])
+    with tempfile.TemporaryDirectory() as folder:
+        made.save(str(Path(folder) / "arm"))
+        return (Path(folder) / "arm").read_text(encoding="ascii")
 
 
 def _check(nominal: bool, free: bool) -> None:

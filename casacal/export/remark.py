@@ -18,7 +18,8 @@ MARK = "casacal: "
 def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported.
 
-    form: every form but "c" holds lengths and angles alone, and none of the effects beside them that a result corrects.
+    form: every form but "c" and "casadi" holds lengths and angles alone, none of the effects beside them that a result
+    corrects.
     """
     result = arm_from(result)
     document = result.document
@@ -33,14 +34,15 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     said, keys = document.get("discrepancy") or {}, result.corrected
     error = (document.get("tip") or {}).get("expected_rms_mm")
     named = " and ".join(effect["words"] for effect in said.get("effects", ()) if effect["key"] in keys)
-    if keys and form != "c":
+    alone = bool(keys) and form not in ("c", "casadi")
+    if alone:
         error = said.get("expected_rms_mm_without_corrections")
-        lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the form c correct")
+        lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
-        lines.append(f"{MARK}the result's verdict: {level if keys and form != 'c' else care}")
+        lines.append(f"{MARK}the result's verdict: {level if alone else care}")
     shown = (
         "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
     )

@@ -15,6 +15,7 @@ from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
+from casacal.robots.function_pose import FromFunction
 from casacal.robots.joints import Conventions, Joint, geared, joints_of
 from casacal.robots.traced_pose import Screws, TracedPose, travels, triples
 from casacal.robots.urdf_chain import UrdfChain
@@ -27,7 +28,7 @@ Joints: TypeAlias = int | str | Sequence[Joint]
 
 
 @dataclass(frozen=True, eq=False)
-class Robot(Value):
+class Robot(Value, FromFunction):
     """A serial arm whose flange pose is a function of named parameters and joint values.
 
     Args:
