@@ -17,7 +17,7 @@ from casacal.fieldwork.approaches import approaches
 from casacal.fieldwork.handouts import program_text, sheet_page
 from casacal.planning.clearance import Clearance, near_face, nodes_of
 from casacal.planning.exchange import Criterion, exchange
-from casacal.planning.plan import touches_for
+from casacal.planning.how_many import touches_for
 from casacal.planning.set_ups import set_ups
 from casacal.robots.joint_space import random_joints
 from casacal.uncertainty.expectation import planned_accuracy

@@ -13,8 +13,10 @@ from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.exchange import error_of, exchange
-from casacal.planning.plan import plan, touches_for
+from casacal.planning.how_many import touches_for
+from casacal.planning.plan import plan
 from casacal.planning.route import AGAIN, CHECK, FIT, shortest_way
+from casacal.planning.set_ups import SetUp, worth_most
 from casacal.planning.written import plan_text
 from casacal.robots.joint_space import AXIS_WEIGHT
 from casacal.uncertainty.expectation import accuracy_in_box, planned_accuracy
@@ -284,3 +286,30 @@ def test_ranges_below_zero_need_no_equals_sign(tmp_path, capsys):
         assert main(["plan", str(HSR), "--out", str(out), *common, *option]) == 0
     assert main(["plan", str(HSR), "--out", str(out), *common, "--box", "-1:2"]) == 2
     assert "is not X0:X1,Y0:Y1,Z0:Z1" in capsys.readouterr().err
+
+
+def test_without_a_number_the_plan_chooses_one_and_names_the_set_up_that_is_worth_most(hsr, tmp_path, capsys):
+    """As many as tell more than averaged noise; HSR has no known length, so a gauge block is worth most."""
+    count = touches_for(hsr.problem, hsr.cell)
+    assert count >= 1.5 * 33, "half as many again as calibrate needs for 24 of the arm and 9 of the faces"
+
+    def left(touches):
+        return plan(hsr.problem, hsr.cell, touches=touches, pool=1000, starts=1, check=0.0, again=0.0).error
+
+    assert left(round(1.5 * count)) > 0.78 * left(count), "noise alone would leave 0.82"
+    out = tmp_path / "plan.csv"
+    assert main(["plan", str(HSR), "--out", str(out), "--pool", "400", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["touches"]["fit"] == pytest.approx(count, abs=2)
+    assert "gauge block" in found["setups"][0]["words"]
+    assert main(["plan", str(HSR), "--out", str(out), "--pool", "400", "--touches", "50"]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("Consider another set-up first (as it is, and a gauge block of 100 mm on 'floor')")
+
+
+def test_a_set_up_that_is_hardly_better_is_not_offered(hsr):
+    as_it_is = SetUp("now", hsr.problem, hsr.cell, 1.0, as_it_is=True)
+    better = SetUp("other", hsr.problem, hsr.cell, 0.8)
+    assert worth_most([as_it_is, better]) is None
+    best, now = worth_most([as_it_is, dataclasses.replace(better, error=0.5)])
+    assert (best.words, now.words) == ("other", "now")

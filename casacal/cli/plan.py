@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 HELP = "plan which touches to make"
 
-TOUCHES = 60  # how many where nothing is said
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Say what `casacal plan` takes."""
@@ -32,7 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *PROBLEM)
     add(parser, "--instrument NAME", "for which one, where a problem has several instruments")
     add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
-    add(parser, "--touches N", f"number of touches in all; default: {TOUCHES}", kind=whole_number)
+    add(
+        parser,
+        "--touches N",
+        "number of touches in all; default: until more would only average noise, and more than calibrate needs",
+        kind=whole_number,
+    )
     add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
     add_where(parser)
     words = "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)"
@@ -54,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.planning.route import rows_needed
-    from casacal.planning.set_ups import set_ups
+    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.set_ups import POOL, set_ups
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
 
@@ -70,18 +73,20 @@ def run(options: argparse.Namespace) -> int:
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
     compared: tuple[SetUp, ...] = ()
-    if options.setups:
+    fitted = found.purposes.count(FIT)
+    if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
         box, targets = where(options, source)
-        fitted = found.purposes.count("fit")
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
     if options.json:
         say_json(document(found, compared, written, clearance))
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    say_paragraphs(*told(found, compared, where=there, pool=options.pool, after=options.after is not None))
+    say_paragraphs(
+        *told(found, compared, where=there, pool=options.pool, after=options.after is not None, every=options.setups)
+    )
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
-    fitted, least = rows_needed(source.problem, found)
+    least = touches_needed(source.problem, found.samples)
     if fitted < least and options.after is None:
         say_paragraphs(
             f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
@@ -92,19 +97,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
-    from casacal.planning.plan import plan, touches_for
+    from casacal.planning.how_many import touches_for
+    from casacal.planning.plan import plan
 
     box, targets = where(options, source)
     after = None if options.after is None else source.problem.read(options.after)
-    touches = TOUCHES if options.touches is None else options.touches
+    touches = options.touches
     loose = stds_of("--loose", options.loose)
     if loose and after is None:
         raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
-    if options.tolerance is not None:
-        fitted = touches_for(
-            source.problem, source.cell, options.tolerance, box=box, targets=targets, after=after, loose=loose
-        )
-        touches = max(round(fitted / max(1 - options.check - options.again, 0.1)), 3)
+    if touches is None:
+        tolerance = options.tolerance
+        fitted = touches_for(source.problem, source.cell, tolerance, box=box, targets=targets, after=after, loose=loose)
+        touches = min(max(round(fitted / max(1 - options.check - options.again, 0.1)), 3), options.pool)
     return plan(
         source.problem,
         source.cell,

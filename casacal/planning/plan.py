@@ -96,12 +96,12 @@ def plan(
     Raises CasacalError for numbers that make no plan, SimulationError where faces are out of reach.
 
     """
-    _check(problem, touches, pool, starts, again, check, box, targets)
+    refuse(problem, touches, pool, starts, again, check, box, targets)
     if criterion not in (names := [each.value for each in Criterion]):
         raise UnknownNameError("criterion", str(criterion), names)
     wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
-    bound = _bound(problem, reachable, after, loose)
+    bound = bound_pool(problem, reachable, after, loose)
     joints = wanted_joints(bound, box, targets)
     choice = Choice.of(bound, joints, count=pool, loose=loose)
     checks, repeats = round(check * touches), round(again * touches)
@@ -123,41 +123,6 @@ def plan(
         choice.curve(best, rng, wanted),
         choice.lost(best, LOST, DRAWS, rng),
         _over_arms(bound, joints, pool, loose, np.concatenate([best, twice]), np.random.default_rng([seed, 2])),
-    )
-
-
-def touches_for(
-    problem: Problem,
-    cell: Disturbances | None,
-    tolerance: float,
-    *,
-    box: Box | None = None,
-    targets: Array | None = None,
-    after: Samples | None = None,
-    loose: Mapping[str, float] | None = None,
-    most: int = 240,
-) -> int:
-    """About the fewest touches to be fitted that bring the expected tip error below a tolerance, mm RMS.
-
-    box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` do not.
-    """
-    _check(problem, 3, 3, 1, 0.0, 0.0, box, targets)
-    if not (is_real(tolerance) and 0 < tolerance < math.inf):
-        raise CasacalError(f"Got {came(tolerance)} as the tolerance", "Give a positive number of mm")
-    pool = pool_of(problem, cell, 1000, 0)
-    bound = _bound(problem, pool, after, loose)
-    choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
-    count, rng = 3 if after is not None else 12, np.random.default_rng(0)
-    while count < most:
-        if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
-            return count
-        count = min(max(math.ceil(count * 1.25), count + 1), most)
-    left = choice.error(choice.best_of(most, 1, rng))
-    if left <= tolerance:
-        return most
-    raise CasacalError(
-        f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm",
-        "Ask for less, measure with less noise, or add a face, a step or another instrument",
     )
 
 
@@ -198,7 +163,9 @@ def _over_arms(
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _bound(problem: Problem, pool: Samples, after: Samples | None, loose: Mapping[str, float] | None) -> BoundProblem:
+def bound_pool(
+    problem: Problem, pool: Samples, after: Samples | None, loose: Mapping[str, float] | None
+) -> BoundProblem:
     """A pool and after it touches that were made; raises SamplesError for those of another problem."""
     if after is not None:
         if not isinstance(after, Samples):
@@ -212,9 +179,10 @@ def _bound(problem: Problem, pool: Samples, after: Samples | None, loose: Mappin
     return bound
 
 
-def _check(
+def refuse(
     problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
 ) -> None:
+    """Raise CasacalError for numbers that make no plan."""
     refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:

@@ -61,15 +61,13 @@ def joints_shown(joints: Array, layout: Layout) -> list[str]:
     return [f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}" for value, kind in pairs]
 
 
-def rows_needed(problem: Problem, route: Route) -> tuple[int, int]:
-    """How many touches a plan has to fit, and how many `calibrate` takes at least for all unknowns of arm and faces."""
-    fitted = np.flatnonzero([purpose == FIT for purpose in route.purposes])
+def touches_needed(problem: Problem, touches: Samples) -> int:
+    """How many touches `calibrate` takes at least for all unknowns of the arm and of the faces that are touched."""
     own = sum(
-        u.size * len(instances(problem.instrument, key, u, route.samples.take(fitted)))
-        for key, u in problem.instrument.unknowns.items()
+        u.size * len(instances(problem.instrument, key, u, touches)) for key, u in problem.instrument.unknowns.items()
     )
     total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
-    return len(fitted), -(-total // problem.models[0].components)
+    return -(-total // problem.models[0].components)
 
 
 def read_route(path: str | Path, layout: Layout) -> Route:

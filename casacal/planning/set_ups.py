@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,12 +115,16 @@ TILTS = (10.0, 30.0, 45.0)  # largest angles between plunger and face that are c
 
 @dataclass(frozen=True, eq=False)
 class SetUp(Value):
-    """A way to set the cell up, and the tip error (mm RMS) that chosen touches leave there; infinite out of reach."""
+    """A way to set the cell up, and the tip error (mm RMS) that chosen touches leave there; infinite out of reach.
+
+    as_it_is: whether it is the present one.
+    """
 
     words: str
     problem: Problem
     cell: Cell
     error: float
+    as_it_is: bool = False
 
 
 def set_ups(
@@ -155,7 +159,7 @@ def set_ups(
         )
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
-    found = []
+    found = list[SetUp]()
     for words, other, place in _ways(problem, still):
         try:
             pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
@@ -164,8 +168,17 @@ def set_ups(
             error = choice.error(choice.best_of(touches, 1, np.random.default_rng(seed)))
         except CasacalError:  # out of reach
             error = math.inf
-        found.append(SetUp(words, other, place, error))
+        found.append(SetUp(words, other, place, error, not found))
     return tuple(sorted(found, key=lambda each: each.error))
+
+
+WORTH = 0.7  # error over that of the present set-up below which another one is worth the work
+
+
+def worth_most(compared: Sequence[SetUp]) -> tuple[SetUp, SetUp] | None:
+    """The best of some set-ups and the present one; None where the best is hardly better."""
+    best, now = min(compared, key=lambda each: each.error), [each for each in compared if each.as_it_is]
+    return (best, now[0]) if now and best.error < WORTH * now[0].error else None
 
 
 def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:

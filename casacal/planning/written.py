@@ -12,17 +12,18 @@ from casacal.files import write_text
 from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
-from casacal.planning.set_ups import POOL, SetUp
+from casacal.planning.set_ups import POOL, SetUp, worth_most
 from casacal.samples.layout import Layout
 from casacal.wording import METRE, UNBOUNDED
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
 
 
-def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool) -> list[str]:
-    """Sentences: how many, what to expect, the curve and where it flattens, other set-ups.
+def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool, every: bool = True) -> list[str]:
+    """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
     where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
+    every: whether all set-ups are listed, not only one that is much better.
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
@@ -30,7 +31,9 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
     left += f"; more than {flat[0]} gain little" if flat else ""
-    said = [
+    better = worth_most(compared) if compared else None
+    said = [] if better is None else [_advice(*better, fitted)]
+    said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
         f"noise and priors are right. {without}: {alone}; the same number at random: "
@@ -39,15 +42,24 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
         f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
         f"Number of fitted touches and expected tip error, mm: {left}",
     ]
-    if compared:
+    if compared and every:
         said.append(
             f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with nothing to keep clear of and none "
             f"made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
         )
-    for each in compared:
+    for each in compared if every else ():
         reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
         said.append(f"  {reach}: {each.words}")
     return said
+
+
+def _advice(best: SetUp, now: SetUp, fitted: int) -> str:
+    """What another set-up would be worth."""
+    now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+    return (
+        f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
+        f"{best.error:.3g} mm, {now_is}"
+    )
 
 
 def document(

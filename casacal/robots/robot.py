@@ -244,8 +244,6 @@ class Robot(Value, FromFunction):
 
         """
         rows = tuple(tuple(float(value) for value in row) for row in home)
-        kinds = joints_of(len(axes) if joints is None else joints)
-        arm = Screws(
-            name=name, axes=triples(axes), points=triples(points), home=rows, joints=kinds, conventions=conventions
-        )
+        kinds, lines = joints_of(len(axes) if joints is None else joints), (triples(axes), triples(points))
+        arm = Screws(name=name, axes=lines[0], points=lines[1], home=rows, joints=kinds, conventions=conventions)
         return Robot(name, kinds, arm.pose, arm.parameters(length_std, angle_std), arm)
