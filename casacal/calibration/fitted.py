@@ -21,7 +21,7 @@ from casacal.checks.check import labels_alike
 from casacal.checks.fitted_faults import tool_elsewhere_at
 from casacal.checks.numbers import wrong_number
 from casacal.checks.rows import outside, repeated, rounded
-from casacal.checks.setup import sign_before_fit, upside_down
+from casacal.checks.setup import sign_before_fit
 from casacal.errors import CasacalError
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
@@ -31,7 +31,6 @@ from casacal.samples.repeats import copies_of
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import HALF_WEIGHT
 from casacal.uncertainty.noise import Noise, noise_over_stated
-from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.uncertainty.transfer import LeftOut, leave_one_face_out
 from casacal.values import FrozenMapping, Value
 
@@ -210,10 +209,9 @@ class Fitted(Value):
         found = list[Finding]()
         for alone in self._each_bare():
             told = [*outside(alone.problem, alone.samples[0]), *rounded(alone), *sign_before_fit(alone)]
-            told += upside_down(alone, prior_scatter(alone, flat_counts=True).rms)
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in told]
-        if self.result.loss is None and not any(each.about == "labels exchanged" for each in found):
+        if self.result.loss is None:
             found += wrong_number(self.bare)
         return tuple(each for each in found if each.severity == "error")
 

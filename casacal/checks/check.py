@@ -78,7 +78,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return _in_order(_with_cause(findings, cause, some, few))
     findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
     if base > SUSPICIOUS:
-        return _in_order([_unlabelled(problem, samples, base) or _unexplained(base, findings), *findings])
+        return _in_order([_unexplained(problem, samples, base, findings), *findings])
     findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
@@ -129,23 +129,14 @@ def _evenly(count: int, most: int) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
 
 
-def _unlabelled(problem: Problem, samples: Samples, base: float) -> Finding | None:
-    """An error where nothing says which face a row touched, and one face leaves more than any arm errs."""
-    column = problem.instrument.groups
-    if column is None or samples.faces(column).names != (column,) or base <= EXPLAINED:
-        return None
-    what = problem.instrument.words.group
-    cause = (
-        f"there is no column '{column}', so all rows count as of one {what}, and with that the residuals are "
-        f"{times(base)} times the stated noise"
-    )
-    fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
-    return Finding("error", "labels absent", cause, fix)
-
-
-def _unexplained(base: float, findings: list[Finding]) -> Finding:
+def _unexplained(problem: Problem, samples: Samples, base: float, findings: list[Finding]) -> Finding:
     known = [finding.about for finding in findings if finding.severity == "error"]
     cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
+    column, what = problem.instrument.groups, problem.instrument.words.group
+    if column is not None and samples.faces(column).names == (column,) and base > EXPLAINED:
+        cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"
+        fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
+        return Finding("error", "labels absent", cause, fix)
     if known:
         return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
     cause = f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it"

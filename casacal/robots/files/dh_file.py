@@ -45,8 +45,8 @@ from pathlib import Path
 
 from casacal.errors import ProblemError
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_fields import Fields, conventions_of, joint_of, table_of
-from casacal.robots.files.dh_text import csv_text, decode, further_keys, read_csv, read_toml, toml_text
+from casacal.robots.files.dh_fields import BLOCK_FIELDS, Fields, conventions_of, joint_of, table_of
+from casacal.robots.files.dh_text import ENTRY, csv_text, decode, read_csv, read_toml, toml_text
 from casacal.robots.joints import Conventions, joints_of
 
 
@@ -75,7 +75,8 @@ def read_conventions(path: str | Path) -> Conventions:
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
     """Keys in the comments of a CSV that mean nothing there, such as `units` of '# units: m'; none in TOML."""
-    return () if is_toml(path) else further_keys(decode(Path(path)))
+    found = () if is_toml(path) else (ENTRY.fullmatch(line) for line in decode(Path(path)).splitlines())
+    return tuple(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
 
 
 def dh_file_text(table: DHTable, path: str | Path) -> str:

@@ -63,12 +63,6 @@ def decode(path: Path) -> str:
     return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
 
 
-def further_keys(text: str) -> tuple[str, ...]:
-    """Keys of comments that are none of a table's."""
-    found = (ENTRY.fullmatch(line) for line in re.split(r"\r\n|\n|\r", text))
-    return tuple(each[1] for each in found if each and each[1] not in BLOCK_FIELDS)
-
-
 def _block(text: str, file: str) -> dict[str, Any]:
     """Known keys of the comments; other comments stay comments, but a key that is nearly a known one is refused."""
     block: dict[str, Any] = {}
