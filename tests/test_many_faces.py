@@ -293,3 +293,24 @@ def test_dozens_of_faces_and_the_effects_of_any_arm():
     assert found.fit.unknowns > 500
     assert verdict_of(found).level == "calibrated"
     assert found.tip_std[1] < 0.5 * found.tip_std[0]
+
+
+def test_declared_effects_are_taken_out_with_their_own_priors(hsr, samples):
+    """By the dense Schur complement; faces stand before effects, so that places among the shared are none in x."""
+    from casacal.discrepancy import GearRipple, GravitySag, kit
+
+    effects = [each for each in kit() if not isinstance(each, (GearRipple, GravitySag))]
+    apart, whole = both(hsr.problem.with_effects(*effects), samples)
+    x = 0.1 * apart.start_std
+    found = seen(apart, x)[0]
+    kept = found.free
+    out = np.setdiff1d(np.arange(x.size), kept)
+    scale = apart.start_std
+    dense = (
+        whole.information(x) + np.diag(np.where(np.isin(np.arange(x.size), out), whole.prior_information, 0.0))
+    ) * (scale[:, None] * scale)
+    schur = dense[np.ix_(kept, kept)] - dense[np.ix_(kept, out)] @ np.linalg.solve(
+        dense[np.ix_(out, out)], dense[np.ix_(out, kept)]
+    )
+    rows = found.compact_jacobian(x[kept]) * scale[kept]
+    np.testing.assert_allclose(rows.T @ rows, schur, rtol=1e-6, atol=1e-6 * np.abs(schur).max())
