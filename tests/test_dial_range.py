@@ -167,8 +167,9 @@ def test_a_zero_of_each_session_is_simulated_with_one_session_and_fits_its_truth
     assert np.sqrt((bound.residual(simulation.truth(bound)) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
-def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_doubtful_as_its_prior(middle):
-    problem, samples = middle
+def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_doubtful_as_its_prior(hsr):
+    problem = hsr.problem.with_settings({"travel": MIDDLE, "sign": -1})
+    samples = simulate(problem, hsr.cell, seed=0).samples
     later = np.arange(len(samples)) >= len(samples) // 2
     labels = {**samples.labels, "session": Labels(("morning", "evening"), later.astype(int))}
     reading = samples.columns["reading"] - 1.3 * later

@@ -152,7 +152,8 @@ def test_rows_that_err_together_hide_no_gross_row(motoman, contacts):
     assert set(found.aside_lines) == {103, 485}  # and not 288 to 290, three touches of one place that are off together
     motion = found.unjudged.motion
     assert motion.off is not None
-    assert np.abs(motion.off).max() > 0, "sag at the largest size that is believed counts as an error, corrected or not"
+    sag = [name.startswith("give") for name in motion.arm.names]
+    assert np.abs(motion.off[sag]).max() > 0, "of the largest size that is believed, it counts as an error all the same"
     assert 485 not in alone.aside_lines
 
 
