@@ -212,7 +212,7 @@ class Fitted(Value):
             name = alone.problem.names[0] if len(self.fit.samples) > 1 else ""
             found += [replace(each, instrument=name) for each in told]
         if self.result.loss is None:
-            found += wrong_number(self.bare)
+            found += wrong_number(self.bare, alone=self.fit is self.bare)
         return tuple(each for each in found if each.severity == "error")
 
     def _each_bare(self) -> Iterator[BoundProblem]:

@@ -42,12 +42,13 @@ def numbers(problem: Problem) -> Iterator[Fault]:
         yield Fault(f"{name} elsewhere", cause, _fix(name, unit), partial(_freed, name=name), 4, common=False)
 
 
-def wrong_number(bound: BoundProblem) -> list[Finding]:
+def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
     """An error where one number of the arm, and no other, contradicts its prior.
 
     A prior that holds a number back from where it is leaves residuals that look like noise, and once they count as
     noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated. Where the rows are
-    likelier with the number as drawn and larger effects beside the geometry, it is not said to be another.
+    likelier with the number as drawn and larger effects beside the geometry, it is not said to be another, unless
+    geometry is to stand `alone`.
     """
     if bound.groups is not None:
         return []
@@ -63,8 +64,8 @@ def wrong_number(bound: BoundProblem) -> list[Finding]:
         prior = float(bound.prior_std[j])
         if found.converged and abs(by) > WRONG * prior + SURE * std:
             wide = bind(bound.problem.with_prior({name: abs(by)}), *bound.samples)
-            if _likelihood(wide) < _likelihood(stated):  # errors that rows share pull a number far as well
-                return []
+            if not alone and _likelihood(wide) < _likelihood(stated):
+                return []  # errors that rows share pull a number far as well
             cause = (
                 f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
                 f"{abs(by) / prior:.2g} prior standard deviations; no other parameter is so far off"

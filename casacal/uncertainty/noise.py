@@ -68,7 +68,8 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
     result, scale, shared = lm(bound, loss=loss), 1.0, 0.0
     again = None if loss is not None else repeats_in(bound)
     for _ in range(MOST_ROUNDS):
-        if not result.converged or not math.isfinite(result.cost):
+        # with a stated noise that is far too small rounding may keep a fit from its last digits; that is noise enough
+        if not math.isfinite(result.cost) or (not result.converged and scale > 1):
             return noise_over_stated(result)
         known = None if again is None else pure_error(result, again)
         before, scale = (scale, shared), max(scale * _interval(result, again)[0], 1.0)
