@@ -12,6 +12,7 @@ from conftest import ROOT
 
 import casacal
 from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
+from casacal.calibration.verdict import verdict_of
 from casacal.cli.main import main
 from casacal.errors import ProblemError, SimulationError
 from casacal.samples.samples import Samples
@@ -163,7 +164,7 @@ def test_a_zero_of_each_session_is_simulated_with_one_session_and_fits_its_truth
     dial = dataclasses.replace(hsr.problem.instrument, travel=MIDDLE, zero_shift=dial_zero(per="session"))
     simulation = simulate(Problem(hsr.problem.robot, dial), hsr.cell, seed=2)
     bound = casacal.bind(simulation.problem, simulation.samples)
-    assert simulation.samples.labels["session"].names == ("session",)
+    assert simulation.samples.labels["session"].names == ("first",)
     assert np.sqrt((bound.residual(simulation.truth(bound)) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
@@ -187,6 +188,7 @@ def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_do
     shifts = dict(zip(found.fit.names, found.x, strict=True))
     apart = shifts["zero_shift.evening"] - shifts["zero_shift.morning"]
     np.testing.assert_allclose(evening.positions - morning.positions, apart * along, atol=1e-9)
+    assert (morning.unseen, tomorrow.unseen) == ((), ("tomorrow",))
     bare = found.predict(few, frame="tip", std=True)
     np.testing.assert_allclose(tomorrow.positions, bare.positions, atol=1e-12)
     assert morning.std.mean() < bare.std.mean(), "tool and zero err together, and their sum is known best"
@@ -197,3 +199,34 @@ def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_do
     with pytest.raises(casacal.CasacalError, match="for each session"):
         found.predict(shown, frame="tip")
     assert len(found.predict(shown)) == len(few)
+
+
+def test_zeros_of_sessions_are_no_doubt_of_the_arm(middle):
+    """Three zeros within a millimetre say nothing against priors of the arm, wide as the zeros' own prior is."""
+    problem, samples = middle
+    third = np.arange(len(samples)) * 3 // len(samples)
+    reading = samples.columns["reading"] - np.array([0.0, 0.7, -0.5])[third]
+    labels = {**samples.labels, "session": Labels(("mon", "tue", "wed"), third)}
+    rows = dataclasses.replace(samples, columns={"reading": reading}, labels=labels)
+    dial = dataclasses.replace(problem.instrument, travel=(-8.0, 8.0), zero_shift=dial_zero())
+    found = calibrate(Problem(problem.robot, dial), rows, method="lm", reference=False)
+    assert verdict_of(found).level == "calibrated", verdict_of(found).reasons
+
+
+def test_targets_of_a_session_are_refused_and_rows_without_one_share_a_zero(middle, tmp_path):
+    problem, samples = middle
+    again = Problem(problem.robot, dataclasses.replace(problem.instrument, zero_shift=dial_zero()))
+    alone = dataclasses.replace(samples, labels={**samples.labels, "session": ("session",) * len(samples)})
+    found = calibrate(again, alone, method="lm", reference=False)  # as a file without the column is read
+    shift = dict(zip(found.fit.names, found.x, strict=True))["zero_shift.session"]
+    shown = dataclasses.replace(Samples.of_joints(samples.joints), columns={"reading": samples.columns["reading"]})
+    moved = (
+        found.predict(shown, frame="tip").positions
+        - calibrate(problem, samples, method="lm", reference=False).predict(shown, frame="tip").positions
+    )
+    along = found.predict(shown).poses[:, :3, 2]
+    assert np.einsum("ij,ij->i", moved, along).mean() == pytest.approx(shift * problem.instrument.sign, abs=0.5)
+    joints = ",".join(f"q{k}_deg" for k in range(1, 7))
+    (tmp_path / "targets.csv").write_text(f"{joints},session\n0,-60,60,0,30,0,mon\n")
+    with pytest.raises(casacal.CasacalError, match="targets cannot be of one session"):
+        found.compensate(tmp_path / "targets.csv", frame="tip")

@@ -115,6 +115,8 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
     reference = calibration.reference
     if reference is None or reference.agrees or not calibration.result.converged:
         return []
+    if not reference.result.converged:
+        return [f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"]
     if calibration.method in MINIMISERS:
         return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
     if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:

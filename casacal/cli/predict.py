@@ -6,6 +6,7 @@ import argparse
 
 from casacal.cli.common import DONE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
 from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.wording import listed
 
 HELP = "predict poses of the calibrated arm"
 
@@ -37,10 +38,21 @@ def run(options: argparse.Namespace) -> int:
     write_prediction(options.out, prediction)
     count = len(prediction.positions)
     if options.json:
-        said = {"poses": count, "frame": options.frame, "nominal": options.nominal, "verdict": result.verdict}
+        said = {
+            "unseen": list(prediction.unseen),
+            "poses": count,
+            "frame": options.frame,
+            "nominal": options.nominal,
+            "verdict": result.verdict,
+        }
         say_json({**said, "written": [options.out]})
     else:
         say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        if prediction.unseen:
+            say_paragraphs(
+                f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
+                "stood is known by its prior alone (--std shows it)"
+            )
         if (words := result.denial or result.caution) is not None and not options.nominal:
             say_paragraphs(words)
     return DONE

@@ -214,7 +214,9 @@ def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alon
 def found_values(result: CalibratedArm, *, alone: bool) -> dict[str, float]:
     """Local coordinates of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
     known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", ())}
-    known |= {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document["parameters"]}
+    known |= {
+        row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document.get("parameters", ())
+    }
     if alone:
         known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
     return known

@@ -35,12 +35,13 @@ class Prediction(Value):
     """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame.
 
     `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
-    stands; or None.
+    stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
     """
 
     positions: Array
     quaternions: Array
     std: Array | None = None
+    unseen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frozen((self.positions, self.quaternions, self.std))
@@ -138,9 +139,11 @@ def predict(
     constants = row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
-    zeros = RowZeros.of(instrument, joints) if frame == "tip" else None
+    found = found_values(result, alone=not model.effects)
+    zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
+    unseen: tuple[str, ...] = ()
     if zeros is not None and not nominal:
-        found = found_values(result, alone=not model.effects)
+        unseen = tuple(dict.fromkeys(name.partition(".")[2] for name in zeros.names if name not in found))
         shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
         positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
     xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
@@ -149,7 +152,7 @@ def predict(
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = position_stds(result, data, frame, zeros)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen)
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,17 +91,21 @@ class RowZeros:
     prior_std: float
 
     @staticmethod
-    def of(instrument: Instrument, joints: Samples) -> RowZeros | None:
+    def of(instrument: Instrument, joints: Samples, known: Collection[str]) -> RowZeros | None:
         """Of rows that name their sessions; None where they name none, or the zero was set once.
 
+        known: unknowns that a result has. One of rows that named no session knows one zero, which is that of all rows.
         Raises CasacalError for readings of which nothing says when the dial was set.
         """
         probe = instrument.probe
         if probe is None or probe.zero is None or probe.zero_label is None:
             return None
-        if probe.zero_label in joints.labels:
-            names = [f"{probe.zero}.{label}" for label in joints.labels[probe.zero_label]]
-            return RowZeros(names, probe.sign, float(instrument.unknowns[probe.zero].prior_stds[0]))
+        labels: Sequence[str] | None = joints.labels.get(probe.zero_label)
+        if labels is None and f"{probe.zero}.{probe.zero_label}" in known:  # as rows without the column are read
+            labels = [probe.zero_label] * len(joints)
+        if labels is not None:
+            prior = float(instrument.unknowns[probe.zero].prior_stds[0])
+            return RowZeros([f"{probe.zero}.{label}" for label in labels], probe.sign, prior)
         if probe.column in joints.columns:
             what = f"The dial was set to zero anew for each {probe.zero_label}, and the rows do not say for which"
             fix = f"Add the column '{probe.zero_label}', or leave out the reading, or ask for the flange"

@@ -21,6 +21,7 @@ from casacal.values import is_real
 POOL = 1000  # touches among which is chosen
 SPARE = 1.5  # times as many as there must be, so that rows also tell the noise and single bad ones show
 AVERAGED = 0.8  # error over that of two thirds as many, from which little but noise is averaged: sqrt(2/3) = 0.82
+ON_TOP = 24  # touches that are made on top of others at least: a quarter of an hour of work
 MOST = 120  # touches to be fitted that nobody is told to make unasked
 
 
@@ -45,12 +46,13 @@ def touches_for(
     """
     refuse(problem, 3, 3, 1, 0.0, 0.0, box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
-        raise CasacalError(f"Got {came(tolerance)} as the tolerance", "Give a positive number of mm")
+        shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
+        raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, POOL, 0)
     bound = bound_pool(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
     if tolerance is None:
-        return _enough(choice, 3 if after is not None else math.ceil(SPARE * touches_needed(problem, pool)))
+        return _enough(choice, ON_TOP if after is not None else math.ceil(SPARE * touches_needed(problem, pool)))
     return _until(choice, tolerance, 3 if after is not None else 12, most)
 
 

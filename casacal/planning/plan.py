@@ -186,7 +186,8 @@ def refuse(
     refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-            raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from {least} on")
+            shown = f"{value:g}" if is_real(value) else came(value)
+            raise CasacalError(f"Got {shown} as the {what}", f"Give a whole number from {least} on")
     for what, part in (("again", again), ("check", check)):
         if not (is_real(part) and 0 <= part < 1):
             raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")

@@ -18,6 +18,8 @@ from casacal.wording import METRE, UNBOUNDED
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
 
+ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
+
 
 def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool, every: bool = True) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
@@ -30,6 +32,7 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     alone = f"{plan.before:.3g} mm" if plan.before < METRE else UNBOUNDED
     left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
     flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
+    flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
     left += f"; more than {flat[0]} gain little" if flat else ""
     better = worth_most(compared) if compared else None
     said = [] if better is None else [_advice(*better, fitted)]

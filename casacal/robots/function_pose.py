@@ -146,7 +146,8 @@ def _check_rigid(function: ca.Function, traced: TracedPose, count: int) -> None:
     values = [
         np.zeros(each.nominal_size) if each.nominal is None else each.nominal for each in traced.unknowns.values()
     ]
-    pose = np.array(traced.graph(*values, np.linspace(0.1, 0.2, count)), dtype=np.float64)
+    joints = np.linspace(0.1, 0.2, count)
+    pose = np.array(traced.graph(*values, joints), dtype=np.float64)
     turn = pose[:3, :3]
     if not np.isfinite(pose).all() or np.abs(turn.T @ turn - np.eye(3)).max() > NEARLY or np.linalg.det(turn) < 0:
         fix = "Let the first three columns of its matrix be a rotation, and let it be finite"

@@ -48,6 +48,9 @@ class Plan:
         return np.asarray(np.diff(self.place, prepend=-1) == 0)
 
 
+FIRST = "first"  # what a simulated session is called, as are other labels that are no faces
+
+
 def touched_rows(
     problem: Problem, instrument: Instrument, probe: Probe, cell: Cell, samples: int, draw: Draw
 ) -> tuple[Samples, dict[str, Array], ArmErrors, DialErrors]:
@@ -86,7 +89,7 @@ def touched_rows(
     if probe.column is not None:
         shown = dial.shown(ways_in, -probe.sign * pushed, plan.when) + noise_rng.normal(size=samples) * noise + outlier
         columns[probe.column] = rounded(shown, cell.resolution)
-    labels = {name: Labels([name], np.zeros(samples, dtype=np.intp)) for name in problem.layout().labels}  # one of each
+    labels = {name: Labels([FIRST], np.zeros(samples, dtype=np.intp)) for name in problem.layout().labels}
     if probe.label is not None:
         labels[probe.label] = Labels([face.label for face in cell.faces], plan.which)
     recorded = rounded(said, cell.encoder_step)

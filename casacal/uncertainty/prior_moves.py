@@ -103,8 +103,11 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
         bound = bound.take(np.unique(np.linspace(0, len(bound.measured) - 1, MOST_ROWS).astype(int)))
     noise = bound.noise
     slopes = bound.jacobian(bound.x0) * noise[:, None]
-    arm = ~bound.datum & np.isfinite(stds)
-    moved, planes = slopes[:, arm] * stds[arm], slopes[:, bound.datum]
+    stands = bound.datum.copy()  # faces, and what else is of one label alone, such as where a dial was set to zero
+    for slot in bound.slots:
+        stands[slot.columns] |= slot.label is not None
+    arm = ~stands & np.isfinite(stds)
+    moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
     return _matched(left.T @ left / len(noise), noise)
 
