@@ -263,3 +263,17 @@ def test_functions_of_other_libraries(library, tmp_path):
         found = pose_of(robot, q * [1, 1000, 1], zero=ca.DM.zeros(2))
         np.testing.assert_allclose(found[:3, :3], expected[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found[:3, 3], 1000 * expected[:3, 3], atol=1e-6)
+
+
+def test_a_transposed_pose_is_refused():
+    """Its rotation is one, and its place is where nobody looks."""
+    q = ca.SX.sym("q", 2)
+    turn = ca.vertcat(
+        ca.horzcat(ca.cos(q[0]), -ca.sin(q[0]), 0, 0.4 * ca.cos(q[1])),
+        ca.horzcat(ca.sin(q[0]), ca.cos(q[0]), 0, 0.2),
+        ca.horzcat(0, 0, 1, 0.1),
+        ca.DM([[0, 0, 0, 1]]),
+    )
+    assert Robot.from_function("arm", ca.Function("f", [q], [turn]), length="m").axes
+    with pytest.raises(ProblemError, match="last row is not 0, 0, 0, 1"):
+        Robot.from_function("arm", ca.Function("f", [q], [turn.T]), length="m")
