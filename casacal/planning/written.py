@@ -39,10 +39,11 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
-        f"noise and priors are right. {without}: {alone}; the same number at random: "
-        f"{plan.at_random:.3g} mm; all {pool} candidates: {plan.best:.3g} mm. On arms that differ from the drawing as "
-        f"the priors allow: "
-        f"{plan.over_arms:.3g} mm; with a tenth of the touches lost: {plan.if_lost:.3g} mm",
+        "noise and priors are right; effects beside the geometry are not counted",
+        f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
+        f"{plan.best:.3g} mm",
+        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the touches "
+        f"lost: {plan.if_lost:.3g} mm",
         f"Number of fitted touches and expected tip error, mm: {left}",
     ]
     if compared and every:
