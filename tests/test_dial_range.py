@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import re
 from types import SimpleNamespace
 
 import casadi as ca
@@ -230,3 +231,17 @@ def test_targets_of_a_session_are_refused_and_rows_without_one_share_a_zero(midd
     (tmp_path / "targets.csv").write_text(f"{joints},session\n0,-60,60,0,30,0,mon\n")
     with pytest.raises(casacal.CasacalError, match="targets cannot be of one session"):
         found.compensate(tmp_path / "targets.csv", frame="tip")
+
+
+@pytest.mark.parametrize(("after", "by"), [(62, 0.4), (30, -0.1)])
+def test_a_zero_that_moved_is_named_with_its_place_and_size(middle, after, by):
+    problem, samples = middle
+    reading = samples.columns["reading"] + by * (np.arange(len(samples)) >= after)
+    found = check(
+        problem.with_settings({"travel": (-6.0, 6.0)}), dataclasses.replace(samples, columns={"reading": reading})
+    )
+    assert found[0].about == "dial set to zero anew"
+    place, size = re.search(r"near line (\d+), by (\S+) mm", found[0].cause).groups()
+    assert int(place) == samples.lines[after]
+    assert float(size) == pytest.approx(by, abs=0.01)
+    assert "zero_shift=dial_zero()" in found[0].fix

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from casacal.binding.all_rows import each_alone
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.checks.beside_geometry import beside_geometry
 from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
 from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit
-from casacal.checks.fitted_faults import beside_geometry, tool_moved
+from casacal.checks.fitted_faults import tool_moved
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded

@@ -12,7 +12,15 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.checks.finding import Fault, Undo, Undone
-from casacal.checks.fitted_faults import drifting, geared, scaled, somewhere_moved, tool_elsewhere, tool_keys
+from casacal.checks.fitted_faults import (
+    drifting,
+    geared,
+    scaled,
+    somewhere_moved,
+    tool_elsewhere,
+    tool_keys,
+    zero_moved,
+)
 from casacal.checks.numbers import numbers
 from casacal.instruments import Suspect
 from casacal.instruments.description import UNIT_MISTAKES, readings_within
@@ -97,6 +105,12 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
         undo = partial(scaled, columns=lengths)
         yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
+    if probe is not None and probe.column is not None:
+        said = probe.zero_label or "session"
+        fix = f"Give the rows from there on another value in a column '{said}'"
+        fix += "" if probe.zero else ", and declare zero_shift=dial_zero() for the dial"
+        cause = "the dial seems to have been set to zero anew, or to have slipped in its clamp"
+        yield Fault("dial set to zero anew", cause, fix, partial(zero_moved, column=probe.column), 2, False)
     if problem.instrument.groups is not None:
         fix = "Fasten base, tool and faces, and measure again, or give the faces other labels from there on"
         yield Fault("something moved", "base, tool or faces seem to have moved", fix, somewhere_moved, 9, False)

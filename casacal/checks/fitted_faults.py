@@ -1,24 +1,23 @@
-"""Faults of a size that must be found, such as a tool elsewhere, a drift or a gear; and effects beside the geometry."""
+"""Faults of a size that must be found, such as a tool elsewhere, a drift or a gear."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import ENOUGH
 from casacal.checks.finding import FIRST_STEPS, Finding, Undone, misfit, quick_fit
+from casacal.least_squares.result import Result
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
-from casacal.uncertainty.discrepancy import with_effects
-from casacal.uncertainty.noise import found_noise
 from casacal.uncertainty.prior_moves import chance_of_move
-from casacal.uncertainty.scores import CLEAR
 from casacal.unknowns import Parameter
 
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
@@ -112,6 +111,27 @@ def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
     return Undone(problem, later, f" near line {samples.lines[place]}")
 
 
+def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
+    """Readings less a shift from some row on, where a dial was set to zero anew: at the place where that gains most."""
+    fitted, count = quick_fit(problem, samples), len(samples)
+    if fitted is None or fitted[0].groups is not None or not 2 * FEWEST < count <= ENOUGH:
+        return Undone(problem, samples)
+    bound, result = fitted
+
+    def less(samples: Samples, size: float, after: int) -> Samples:
+        shift = size * (np.arange(count) >= after)
+        return replace(samples, columns={**samples.columns, column: samples.columns[column] - shift})
+
+    here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)
+    slope = (bound.on(less(samples, SMALL, 0)).residual(result.x) - here) / SMALL
+    later = bound.sample_of[:, None] >= places
+    ways = _freed_of_unknowns(bound, result, later * slope[:, None])
+    gains = (ways.T @ _weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
+    after = int(places[np.argmax(gains)])
+    size = _fitted(problem, samples, partial(less, after=after))
+    return Undone(problem, less(samples, size, after), f" near line {samples.lines[after]}, by {size:+.3g} mm")
+
+
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
     """Rows from a place on under labels of their own; None where no face has enough rows on both sides."""
     column = problem.instrument.groups
@@ -141,18 +161,27 @@ def _fitted(problem: Problem, samples: Samples, change: Callable[[Samples, float
         if fitted is None:
             return 0.0
         bound, result = fitted
-        root = np.sqrt(result.weights)
         here = bound.residual(result.x)
         slope = (bound.on(change(samples, size + SMALL)).residual(result.x) - here) / SMALL
-        unknowns = np.vstack([root[:, None] * bound.jacobian(result.x), np.diag(1 / bound.prior_std)])
-        rest = np.zeros(bound.unknowns)
-        left = np.concatenate([root * slope, rest])
-        left = left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0]
+        left = _freed_of_unknowns(bound, result, slope[:, None])[:, 0]
         power = float(left @ left)
         if not power > 0:
             return size
-        size -= float(left @ np.concatenate([root * here, result.x / bound.prior_std])) / power
+        size -= float(left @ _weighted(bound, result, here)) / power
     return size
+
+
+def _weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
+    """Residuals (rows + n,) of a robust fit as weighted, the prior's behind them."""
+    return np.concatenate([np.sqrt(result.weights) * residual, result.x / bound.prior_std])
+
+
+def _freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
+    """Slopes (rows + n, k) of residuals (rows, k) as weighted, without what unknowns can follow, priors included."""
+    root = np.sqrt(result.weights)[:, None]
+    unknowns = np.vstack([root * bound.jacobian(result.x), np.diag(1 / bound.prior_std)])
+    left = np.vstack([root * slopes, np.zeros((bound.unknowns, slopes.shape[1]))])
+    return np.asarray(left - unknowns @ np.linalg.lstsq(unknowns, left, rcond=None)[0])
 
 
 SMALL = 1e-5  # step of the finite difference, mm or mm per rad
@@ -194,46 +223,3 @@ def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[
     cause = f"the samples put the tool in another place than the problem file does: {moved}"
     fix = "Measure the tool again, and correct its position or prior in the problem file"
     return [Finding("warning", "tool elsewhere", cause, fix)]
-
-
-COUNTED = "Calibrate anyway: the kit of effects accounts for this"
-
-FIXES = {
-    "gain": "Declare gain=dial_gain(0.15), or give its certificate",
-    "cycle": "Declare cycle=dial_cycle(3), or use another dial",
-    "form": "Clean the faces, or use a better plate",
-    "neighbours": "Clean the faces, or use a better plate",
-    "play": "Approach every touch from the same side",
-    "give": f"{COUNTED}. Measure with the load that the arm will carry",
-    "wave1": COUNTED,
-    "wave2": COUNTED,
-    "field": "Look for causes that depend on posture, such as hoses, cables or a soft base",
-    "drift": "Let the dial warm up, fasten it and the faces, and repeat one touch from time to time",
-    "growth": "Let the arm warm up by running its production program before measuring",
-    "succession": "Take the touches in a different order, and let arm and dial warm up",
-    "repeatability": "State the joint repeatability (Joint(..., repeatability_std=...)); rows are then weighted by it",
-    "repeats": "Look for what repeated touches of one place have in common; more repeats will not help",
-}
-
-OTHERWISE = "Look for its cause, or declare it as an effect of the problem"
-
-
-def beside_geometry(problem: Problem, samples: Samples) -> list[Finding]:
-    """Warnings of the effects that explain the rows beside the geometry; none where nothing is suspicious.
-
-    Noise is that found beside the effects, as in `calibrate`. In blocks, as nothing is worth compiling for one look.
-    """
-    from casacal.uncertainty.score_tests import leading_tests  # scipy's sparse matrices take their time
-
-    bound = bind(problem.without_effects, samples, backend="blocks")
-    bound = bound.with_noise(found_noise(bound).scale)
-    bound = bound.with_noise(with_effects(bound, problem).scale)
-    found: dict[str, Finding] = {}
-    for test in leading_tests(bound, problem, CLEAR):
-        cause = (
-            f"the rows show it (p = {test.p_holm:.1g}): its most likely size is "
-            f"{test.shown_size}, which moves the tip by {test.tip_mm:.2g} mm RMS"
-        )
-        fix = FIXES.get(test.key, OTHERWISE)
-        found.setdefault(fix, Finding("warning", test.words, cause, fix))  # one that calls for the same says no more
-    return list(found.values())

@@ -42,8 +42,8 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
         "noise and priors are right; effects beside the geometry are not counted",
         f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
         f"{plan.best:.3g} mm",
-        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the touches "
-        f"lost: {plan.if_lost:.3g} mm",
+        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the "
+        f"touches lost: {plan.if_lost:.3g} mm",
         f"Number of fitted touches and expected tip error, mm: {left}",
     ]
     if compared and every:
