@@ -561,3 +561,9 @@ def test_rows_of_one_region_that_are_off_together_are_no_outliers(hsr, off, toge
     bad, _ = gross(bind(hsr.problem, left(reading)[0]))
     assert not bad[:-4].any()
     assert np.flatnonzero(bad[-4:]).tolist() == gross_rows
+
+
+def test_a_promise_without_effects_says_so(hsr, clean, corner_simulation):
+    alone = calibrate(hsr.problem, corner_simulation.samples, method="lm", reference=False, loss=huber())
+    assert "right and nothing errs beside the geometry" in verdict_of(alone).words
+    assert "beside the geometry" not in verdict_of(clean).words

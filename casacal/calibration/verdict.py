@@ -66,7 +66,8 @@ def _expected(calibration: Calibration) -> str:
     """The error to expect, of flange and tip; what matters first."""
     (before, now), (drawn, flange) = calibration.tip_std, calibration.flange_std
     least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
-    trusted = f"apart from the base's position, if {calibration.assumed} are right"
+    alone = "" if any(calibration.fit.beside) else " and nothing errs beside the geometry"
+    trusted = f"apart from the base's position, if {calibration.assumed} are right{alone}"
     tool = calibration.hidden_tool
     if tool is not None:
         return (
