@@ -108,7 +108,7 @@ def upside_down(bound: BoundProblem, scatter: float) -> list[Finding]:
         plane = fitted_plane(sight.tips[rows[on]])
         towards = -np.sign(float((sight.plungers[rows[on]] @ plane.normal).mean()))
         stands = towards * float(((sight.tips[rows[step]] - plane.centre) @ plane.normal).mean())
-        if plane.flat and abs(stands + height) < abs(stands - height) / CLEARLY:
+        if plane.flat and abs(stands + height) < CLEARLY * scatter:
             cause = f"'{step}' should stand {height:g} mm out of '{on}' and stands {stands:.0f} mm out of it"
             fix = "Exchange the two labels in all rows, or correct the sign of the step's height"
             found.append(Finding("error", "labels exchanged", cause, fix))
