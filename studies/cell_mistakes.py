@@ -2,7 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,8 @@ LEAD = 20.0
 """A SCARA's quill comes down by so much as it turns once, mm, unless its controller makes up for it."""
 WRONG_LABELS = 3
 NONE = "none"
+UPRIGHT = "adept_cobra600"
+"""A SCARA: no joint of it carries a weight, so that it has no compliance."""
 
 
 def robots() -> dict[str, tuple[Problem, Cell]]:
@@ -39,6 +42,11 @@ def robots() -> dict[str, tuple[Problem, Cell]]:
     arm, cell = cases["kuka_iiwa14"]
     dial = DialOnPlane(noise_std=0.01, sign=-1, tool=tool_point(0, 0, 100, prior_std=1.0))
     return {**cases, "kuka_iiwa14": (Problem(arm.robot, dial), cell)}
+
+
+def fit_for(name: str, sizes: Mapping[str, Any]) -> dict[str, Any]:
+    """Those changes of a cell that a robot can have."""
+    return {key: size for key, size in sizes.items() if key != "compliance" or name != UPRIGHT}
 
 
 def with_travel(problem: Problem, travel: float) -> Problem:

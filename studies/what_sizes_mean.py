@@ -16,7 +16,7 @@ import numpy as np
 
 from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, simulate
 from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
-from studies.cell_mistakes import robots
+from studies.cell_mistakes import fit_for, robots
 from studies.reporting import figure, number, palette, save, script, table
 
 ROWS = 120
@@ -77,11 +77,13 @@ NAMES = ("hsr_jr680", "ur5", "kuka_iiwa14", "adept_cobra600")
 
 
 def settings(names: tuple[str, ...], sizes: tuple[str, ...]) -> dict[str, Effect]:
-    """Every effect on every robot."""
+    """Every effect on every robot that can have it."""
     found, arms = {}, robots()
     for words in sizes:
         for name in names:
             problem, cell = arms[name]
+            if not fit_for(name, SIZES[words]):
+                continue
             found[f"{words}: {name}"] = Effect(problem, dataclasses.replace(cell, **SIZES[words]))
     return found
 
@@ -132,8 +134,9 @@ def draw(run: Run, path: Path) -> None:
     made = figure(8, 0.32 * len(effects) + 1.4)
     axes = made.subplots()
     for robot, colour in zip(robots_of(run), palette(4), strict=False):
-        found = [rms(run, f"{effect}: {robot}", "misled_mm") for effect in effects]
-        axes.plot(found, range(len(effects)), "o", color=colour, label=robot)
+        there = [k for k, effect in enumerate(effects) if f"{effect}: {robot}" in run.study.settings]
+        found = [rms(run, f"{effects[k]}: {robot}", "misled_mm") for k in there]
+        axes.plot(found, there, "o", color=colour, label=robot)
     axes.set_yticks(range(len(effects)), effects)
     axes.invert_yaxis()
     axes.set_xscale("log")

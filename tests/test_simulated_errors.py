@@ -236,6 +236,13 @@ def test_the_true_tip_hangs_by_as_much_as_asked(hsr):
     np.testing.assert_allclose(made(hsr).true_tips(joints, readings=shown), tips(made(hsr), joints, shown), atol=1e-8)
 
 
+@pytest.mark.parametrize("scale", [0.0, 1.0, 3.0])
+def test_no_joint_of_an_upright_scara_gives_under_gravity(scale):
+    cobra = load_problem(ROOT / "problems" / "adept_cobra600")
+    with pytest.raises(SimulationError, match="no joint of this robot carries a weight"):
+        made(cobra, compliance=0.3, error_scale=scale)
+
+
 def test_a_tracker_sees_the_true_tip(hsr):
     problem = Problem(hsr.problem.robot, TrackedPoint(noise_std=0.02))
     still = Disturbances(repeatability=0.0, resolution=0.0, gear_waves=WAVES)

@@ -31,7 +31,7 @@ class GravitySag(Effect):
     """
 
     size: float = 0.15
-    doubt: float = 2.5
+    doubt: float = 6.0
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     moves = True
@@ -100,7 +100,7 @@ class ThermalGrowth(OverTime):
     """
 
     size: float = 2e-5
-    doubt: float = 2.5
+    doubt: float = 6.0
 
     moves = True
     elsewhere = 0.5  # some time in a session

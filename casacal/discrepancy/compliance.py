@@ -126,7 +126,7 @@ class LinkSag(Effect):
     """
 
     size: float = 0.15
-    doubt: float = 2.5
+    doubt: float = 6.0
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
@@ -161,7 +161,7 @@ class LinkSag(Effect):
         base: str | None = None,
         tip: str | None = None,
         size: float = 0.15,
-        doubt: float = 2.5,
+        doubt: float = 6.0,
         down: tuple[float, float, float] = (0.0, 0.0, -1.0),
         payload: float = 0.0,
     ) -> LinkSag:

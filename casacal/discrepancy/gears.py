@@ -38,7 +38,7 @@ class TransmissionError(Effect):
 
     order: int = 1
     size: float = 40e-6
-    doubt: float = 2.5
+    doubt: float = 6.0
 
     moves = True
 
@@ -84,7 +84,7 @@ class GearRipple(Effect):
     """
 
     size: float = 40e-6
-    doubt: float = 2.5
+    doubt: float = 6.0
 
     moves = True
     key = "ripple"
@@ -125,7 +125,7 @@ class Backlash(Effect):
     """
 
     size: float = 20e-6
-    doubt: float = 2.5
+    doubt: float = 6.0
     columns_of: tuple[str, ...] = ()
 
     moves = True

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.errors import SimulationError
 from casacal.problem.cell import Cell
 from casacal.robots.robot import Robot
 from casacal.simulation.reach import Touch
@@ -94,6 +95,21 @@ def yielding(touch: Touch, joints: Array, readings: Array) -> tuple[Array, Array
     lever = slope[:, 2, :]
     found = -lever * touch.robot.revolute
     return found, np.linalg.norm(np.einsum("kai,ki->ka", slope, found), axis=1)
+
+
+LEAST_PULL = 1e3
+"""Moves of a tip (mm^2) below which no joint carries a weight: an upright SCARA that leans by milliradians has 1."""
+
+
+def weighed(touch: Touch, joints: Array, readings: Array) -> float:
+    """RMS move (mm^2) of the tip as joints yield; raises SimulationError where none of them carries a weight."""
+    pull = math.sqrt(float((yielding(touch, joints, readings)[1] ** 2).mean()))
+    if pull < LEAST_PULL:
+        raise SimulationError(
+            "The cell has compliance, and no joint of this robot carries a weight, as with an upright SCARA",
+            "Leave it out: what bends there is the arm itself, which is not simulated",
+        )
+    return pull
 
 
 def last_moves(joints: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from casacal.instruments.instrument import Instrument
 from casacal.problem.cell import OF_DIALS, Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounded, unwaved, waved, ways, yielding
+from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounded, unwaved, waved, ways, weighed
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import find_touches
 from casacal.simulation.true_arm import Draw, true_unknowns
@@ -73,8 +72,7 @@ def touched_rows(
         touch, probe, cell, plan.which[plan.first], lift[plan.first], pose_rng, form_rng, growth[plan.first]
     )
     if cell.compliance > 0:
-        pulls = yielding(touch, joints, readings)[1]
-        arm = replace(arm, compliance=cell.compliance, pull=math.sqrt(float((pulls**2).mean())))
+        arm = replace(arm, compliance=cell.compliance, pull=weighed(touch, joints, readings))
     sag = arm.sag(touch, joints, readings)
     came, pushed = ways(joints, plan.turn, cell.repeats, cell.approach, way_rng)
     scatter, lag = noise_rng.normal(size=(samples, joints.shape[1])) * cell.joint_std, came * cell.backlash / 2
