@@ -7,8 +7,23 @@ import numpy as np
 import pytest
 from oracles import dh_chain
 
-from casacal import Cell, DialOnPlane, Face, Problem, bind, corner, plate, simulate
+from casacal import (
+    Cell,
+    DialOnPlane,
+    Direction,
+    Face,
+    Parameter,
+    Plane,
+    Problem,
+    Robot,
+    bind,
+    chain,
+    corner,
+    plate,
+    simulate,
+)
 from casacal.errors import SimulationError
+from casacal.kinematics import rotate_z, translate_x
 from casacal.problem.cell import flatness_din_876
 from casacal.simulation.faults import form_error
 from casacal.simulation.touches import default_cell
@@ -114,6 +129,29 @@ def test_contact_without_a_dial_and_an_arm_without_a_cell(hsr):
     assert simulation.samples.columns == {}
     bound = bind(problem, simulation.samples)
     assert bound.plain_residual(simulation.truth(bound)).std() == pytest.approx(0.05, rel=0.3)
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (-2, 0, 0)])
+def test_a_problem_with_one_plane_is_touched_where_it_declares_it(normal):
+    def pose(p, q):
+        return chain(rotate_z(q[0]), translate_x(p.l1), rotate_z(q[1]), translate_x(p.l2))
+
+    lengths = {name: Parameter(value, unit="mm", prior_std=1.0) for name, value in (("l1", 400.0), ("l2", 300.0))}
+    robot, plane = Robot("two-link", joints=2, pose=pose, parameters=lengths), Plane(normal=normal, point=(500, 50, 0))
+    problem = Problem(robot, DialOnPlane(reading=False, noise_std=0.01, plunger=Direction((1, 0, 0)), plane=plane))
+    one, two = simulate(problem, exact(default_cell(problem), error_scale=0.0), samples=20, seed=3).samples.joints.T
+    np.testing.assert_allclose(400 * np.cos(one) + 300 * np.cos(one + two), 500, atol=1e-6)
+    assert (np.abs(400 * np.sin(one) + 300 * np.sin(one + two) - 50) < 150).all()
+    upwards = Problem(robot, DialOnPlane(reading=False, noise_std=0.01, plane=plane))
+    with pytest.raises(SimulationError, match="can touch one face"):
+        default_cell(upwards)
+
+
+def test_a_problem_with_one_plane_that_it_does_not_declare_is_touched_on_a_floor(hsr):
+    problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, plane=Plane()))
+    (face,) = default_cell(problem).faces
+    assert face.normal == (0.0, 0.0, 1.0)
+    assert len(simulate(problem, samples=12, seed=1).samples) == 12
 
 
 def test_faces_that_cannot_be_touched_are_refused(hsr):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,8 @@ from casacal.robots.joint_space import random_joints
 from casacal.simulation.faults import form_error
 from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
-from casacal.unknowns.unknown import tangent_basis
+from casacal.unknowns.plane import Plane
+from casacal.unknowns.unknown import tangent_basis, unit_vector
 
 EDGE = 0.05  # readings stay this part of the travel away from its ends
 
@@ -121,6 +124,7 @@ def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
 
 
 SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
+GRAZING = math.radians(75.0)  # tilt at which a tip without a dial still touches
 ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
@@ -128,7 +132,8 @@ def default_cell(problem: Problem) -> Cell:
     """Three faces where this arm touches them most readily; the same for the same problem.
 
     They stand at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
-    inclined against the plunger another way. Raises SimulationError when no such place is found.
+    inclined against the plunger another way. A problem with one plane gets one face, where it declares the plane.
+    Raises SimulationError when no such place is found.
     """
     probe, rng = problem.instrument.probe, np.random.default_rng(0)
     if probe is None:
@@ -145,19 +150,34 @@ def default_cell(problem: Problem) -> Cell:
     chosen = rng.choice(len(tips), 24, replace=False)
     corners = [_corner_at(tips[k], base, size) for k in chosen]
     facets = (_facets_at(tips[k], plungers[k], 0.25 * size) for k in chosen)
-    for cells in (corners, facets):
+    what = f"three faces, at right angles or each inclined by {math.degrees(SLOPE):g} degrees against the plunger"
+    kinds: list[tuple[Iterable[Cell], float]] = [(corners, ENOUGH), (facets, ENOUGH)]
+    if probe.label is None:
+        single, what = _single(problem, corners, size), "one face"
+        grazed = [replace(cell, tilt=GRAZING) for cell in single] if probe.column is None else []
+        kinds = [(single, 0.5), (grazed, ENOUGH), (single, ENOUGH)]
+    for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
             reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
             if reached > share:
                 best, share = cell, reached
-        if best is not None and share >= ENOUGH:
+        if best is not None and share >= enough:
             return best
     raise SimulationError(
-        f"No place was found where '{problem.robot.name}' can touch three faces, at right angles or each inclined by "
-        f"{math.degrees(SLOPE):g} degrees against the plunger",
+        f"No place was found where '{problem.robot.name}' can touch {what}",
         "Define `cell = Cell(faces=...)` in the problem file",
     )
+
+
+def _single(problem: Problem, corners: list[Cell], size: float) -> list[Cell]:
+    """Cells of one face: where the problem declares its plane, seen from either side, or the floors of corners."""
+    plane = problem.instrument.unknowns[problem.instrument.datum[0]]
+    if not isinstance(plane, Plane) or plane.normal is None or plane.point is None:
+        return [replace(cell, faces=cell.faces[:1]) for cell in corners]
+    unit, (x, y, z) = unit_vector(plane.normal, "The normal"), plane.point
+    return [Cell(faces=(Face("plane", (x, y, z), (side * unit[0], side * unit[1], side * unit[2]), (size, size)),))
+            for side in (1.0, -1.0)]  # fmt: skip
 
 
 def random_tips(problem: Problem) -> Array:
