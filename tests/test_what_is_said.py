@@ -19,6 +19,7 @@ from casacal.fieldwork.handouts import program_text
 from casacal.measuring.examine import Alarm, State, Suspected
 from casacal.planning.set_ups import SetUp
 from casacal.planning.written import told
+from casacal.samples.write import write_samples
 from casacal.wording import with_spread
 
 HSR = ROOT / "problems" / "hsr_jr680"
@@ -171,3 +172,32 @@ def test_no_more_digits_than_an_interval_deserves(value, spread, most, said):
 def test_problems_of_this_project_need_no_session():
     layouts = [load_problem(ROOT / "problems" / name).problem for name in ("hsr_jr680", "ur5")]
     assert all(set(each.layout().labels) <= {each.instrument.groups} for each in layouts)
+
+
+def with_a_dial_the_other_way_round(folder, simulation):
+    """A file of the rows of a simulation, each reading counted from the other end of the travel."""
+    rows, path = simulation.samples, folder / "turned.csv"
+    turned = replace(rows, columns={"reading": 10 - rows.columns["reading"]})
+    write_samples(path, simulation.problem.layout(), turned, [])
+    return str(folder / "turned.csv")
+
+
+def test_a_plan_after_samples_that_look_wrong_says_so(corner_simulation, tmp_path, capsys):
+    turned, out = with_a_dial_the_other_way_round(tmp_path, corner_simulation), str(tmp_path / "plan")
+    asked = ["plan", str(HSR), "--touches", "8", "--pool", "100", "--out", out, "--after"]
+    assert main([*asked, turned]) == 0
+    said = spoken(capsys)
+    assert f"{turned} looks wrong (wrong dial sign)" in said
+    assert f"casacal check {HSR} {turned}" in said
+    write_samples(tmp_path / "right.csv", corner_simulation.problem.layout(), corner_simulation.samples, [])
+    assert main([*asked, str(tmp_path / "right.csv")]) == 0
+    assert "looks wrong" not in capsys.readouterr().out
+
+
+def test_the_advice_to_check_keeps_what_was_set_but_not_what_is_wrong(corner_simulation, tmp_path, capsys):
+    turned = with_a_dial_the_other_way_round(tmp_path, corner_simulation)
+    sign = load_problem(HSR).problem.instrument.sign
+    asked = ["calibrate", str(HSR), turned, "--set", "noise_std=0.012", "--set", f"sign={sign}", "--prior", "a2=0.5"]
+    assert main([*asked, "--no-reference"]) == 1
+    said = spoken(capsys)
+    assert f"run casacal check {HSR} {turned} --set noise_std=0.012 --prior a2=0.5." in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 import textwrap
 from collections.abc import Sequence
@@ -71,6 +72,8 @@ def _repair(calibration: Calibration, check: str) -> str:
     reference = calibration.reference
     wrong = wrong_with_samples(calibration)
     if wrong:
+        for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again
+            check = re.sub(rf" --set {re.escape(name)}=\S+", "", check)
         return f"{lower(wrong[0].fix)}; then run {check}."
     if not calibration.result.converged:
         return f"run {check}, which looks closer at the samples; or try another way to the minimum, --method lm."

@@ -51,6 +51,13 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
     return problem
 
 
+def adjustments(options: argparse.Namespace) -> list[str]:
+    """The same options as words of another command line."""
+    accuracy = [] if options.accuracy is None else [f"{options.accuracy:g}"]
+    given = {"--fix": options.fix, "--free": options.free, "--set": options.set, "--prior": options.prior}
+    return [word for name, each in {**given, "--accuracy": accuracy}.items() for one in each for word in (name, one)]
+
+
 def names_of(option: str, groups: Sequence[str]) -> list[str]:
     """Names that stand after an option, which may come several times; raises CasacalError where one names nothing."""
     found = []

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from casacal.cli.adjust import add_adjustments, adjusted
+from casacal.cli.adjust import add_adjustments, adjusted, adjustments
 from casacal.cli.common import (
     DONE,
     FAILED,
@@ -147,7 +147,8 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
         say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
     else:
         sets = [word for each in options.sets for word in ("--samples", each)]
-        about = shlex.join([options.problem, *([options.samples] if options.samples else []), *sets])
+        rows = [options.samples] if options.samples else []
+        about = shlex.join([options.problem, *rows, *sets, *adjustments(options)])
         room = MOST_LINES - len(wrapped(last))
         say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
     if folder is not None:

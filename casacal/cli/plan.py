@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,9 +82,16 @@ def run(options: argparse.Namespace) -> int:
         say_json(document(found, compared, written, clearance))
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
-    say_paragraphs(
-        *told(found, compared, where=there, pool=options.pool, after=options.after is not None, every=options.setups)
+    said = told(
+        found,
+        compared,
+        where=there,
+        pool=options.pool,
+        after=options.after is not None,
+        every=options.setups,
+        kept_clear=clearance is not None,
     )
+    say_paragraphs(*said)
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
     least = touches_needed(source.problem, found.samples)
@@ -92,8 +100,22 @@ def run(options: argparse.Namespace) -> int:
             f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
             f"Ask for more, keep fewer to verify, or hold parameters"
         )
-    say_paragraphs(*(f"Written: {place}" for place in written))
+    say_paragraphs(*_wrong_with(source, options), *(f"Written: {place}" for place in written))
     return DONE
+
+
+def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
+    """A warning where the samples that were measured before look wrong: then the arm is not known as they say."""
+    from casacal.checks import check
+
+    after = options.after
+    found = [] if after is None else check(source.problem, source.problem.read(after))
+    wrong = [finding.about for finding in found if finding.severity == "error"]
+    if not wrong:
+        return []
+    where = shlex.join([options.problem, after])
+    return [f"warning: {after} looks wrong ({', '.join(wrong)}), so this plan is for an arm that is not known yet. "
+            f"Run casacal check {where} and mend them first"]  # fmt: skip
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:

@@ -21,11 +21,21 @@ FLAT = 0.93  # error over that of fewer touches above which more bring little
 ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
 
 
-def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after: bool, every: bool = True) -> list[str]:
+def told(
+    plan: Plan,
+    compared: Sequence[SetUp],
+    *,
+    where: str,
+    pool: int,
+    after: bool,
+    every: bool = True,
+    kept_clear: bool = False,
+) -> list[str]:
     """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
 
     where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
-    every: whether all set-ups are listed, not only one that is much better.
+    every: whether all set-ups are listed, not only one that is much better. kept_clear: whether touches keep clear of
+    something, which set-ups are compared without.
     """
     fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
     without = "Without them" if after else "Priors alone"
@@ -35,7 +45,7 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
     left += f"; more than {flat[0]} gain little" if flat else ""
     better = worth_most(compared) if compared else None
-    said = [] if better is None else [_advice(*better, fitted)]
+    said = [] if better is None else [_advice(*better, fitted, kept_clear)]
     said += [
         f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
         f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
@@ -57,12 +67,13 @@ def told(plan: Plan, compared: Sequence[SetUp], *, where: str, pool: int, after:
     return said
 
 
-def _advice(best: SetUp, now: SetUp, fitted: int) -> str:
+def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
     """What another set-up would be worth."""
+    without = ", with nothing to keep clear of in either" if kept_clear else ""
     now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
     return (
         f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
-        f"{best.error:.3g} mm, {now_is}"
+        f"{best.error:.3g} mm, {now_is}{without}"
     )
 
 
