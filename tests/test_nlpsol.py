@@ -2,6 +2,8 @@
 
 import json
 import pickle
+import subprocess
+import sys
 
 import casadi as ca
 import numpy as np
@@ -100,6 +102,14 @@ def test_the_command_takes_it(solver, hsr, tmp_path, capsys):
     reference = json.loads((tmp_path / "result.json").read_text())["reference"]
     assert reference["solver"] == solver
     assert abs(reference["relative_gap"]) < 1e-8
+
+
+@pytest.mark.skipif(not ca.has_nlpsol("bonmin"), reason="this CasADi has no bonmin")
+def test_a_solver_that_prints_leaves_the_output_to_who_reads_it(hsr):
+    words = ["calibrate", hsr.path, "--discrepancy", "none", "--reference", "bonmin", "--json"]
+    done = subprocess.run([sys.executable, "-m", "casacal", *words], capture_output=True, text=True, check=False)
+    assert json.loads(done.stdout)["reference"]["solver"] == "bonmin"
+    assert "Cbc" in done.stderr
 
 
 @pytest.mark.parametrize(

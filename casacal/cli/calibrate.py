@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +26,7 @@ from casacal.cli.common import (
     spare,
     whole_number,
 )
-from casacal.cli.terminal import say, say_json, say_lines, width, wrapped, write_progress
+from casacal.cli.terminal import on_stderr, say, say_json, say_lines, width, wrapped, write_progress
 from casacal.errors import CasacalError
 from casacal.wording import mm
 
@@ -95,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     samples = read_samples(source, options)
     box = None if options.box is None else box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
-    with _Progress(method) as progress:
+    with _Progress(method) as progress, nullcontext() if options.reference is None else on_stderr():
         calibration = calibrate(
             replace(source, problem=problem),
             samples,
