@@ -245,3 +245,15 @@ def test_a_zero_that_moved_is_named_with_its_place_and_size(middle, after, by):
     assert int(place) == samples.lines[after]
     assert float(size) == pytest.approx(by, abs=0.01)
     assert "zero_shift=dial_zero()" in found[0].fix
+
+
+def test_zeros_that_moved_twice_are_named_with_their_places_and_sizes(middle):
+    problem, samples = middle
+    order = np.arange(len(samples))
+    reading = samples.columns["reading"] + 0.4 * (order >= 30) - 0.7 * (order >= 62)
+    shifted = dataclasses.replace(samples, columns={"reading": reading})
+    found = check(problem.with_settings({"travel": (-6.0, 6.0)}), shifted)
+    assert found[0].about == "dial set to zero anew"
+    told = re.findall(r"near line (\d+), by (\S+) mm", found[0].cause)
+    assert [int(place) for place, _ in told] == [samples.lines[30], samples.lines[62]]
+    assert [float(size) for _, size in told] == pytest.approx([0.4, -0.7], abs=0.01)

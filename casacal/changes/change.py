@@ -24,7 +24,8 @@ class CauseFound(Value):
     name, kind: such as "joint 4", "joint"; "tool", "base", "place" of what was said to stand, "row" of a row that is
     off. line: of such a row. shift, std: by how much (k,), in `units`, along `labels`, with standard deviations; where
     rows see only some directions of it, what they see. p: chance of as much explained where nothing changed. share:
-    part of the evidence. left: chance of what stays unexplained.
+    part of the evidence. left: chance of what stays unexplained. dial: whether it is a tool with a dial, which shows a
+    zero that was set anew as a tool of another length.
     """
 
     name: str
@@ -37,6 +38,7 @@ class CauseFound(Value):
     p: float
     share: float
     left: float
+    dial: bool = False
 
     def __post_init__(self) -> None:
         frozen((self.shift, self.std))
@@ -46,7 +48,7 @@ class CauseFound(Value):
         """The cause as a sentence calls it."""
         return {
             "joint": f"the zero of {self.name}",
-            "tool": "the position of the tool",
+            "tool": f"the position of the tool{' (or the zero of its dial)' if self.dial else ''}",
             "base": "the position of the base",
             "place": f"the position of '{self.name}'",
             "row": f"{self.name} alone, as a faulty row",

@@ -100,7 +100,7 @@ def looked(
         freedom=whitened.freedom,
         p_all=first.tests.p[2],
         ended=ended,
-        causes=tuple(_cause(each, given.rows, places) for each in best),
+        causes=tuple(_cause(each, look, given.rows, places) for each in best),
         bad_lines=tuple(int(given.rows.lines[k]) for k in bad),
         joints=tuple(Shown(look.causes[k].name, look.causes[k].units[0], found_from[k]) for k in joints),
         unseen=tuple(cause.name for cause, shows in zip(look.causes, seen, strict=True) if not shows),
@@ -132,9 +132,11 @@ def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
     return CHANGED
 
 
-def _cause(found: Explanation, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
+def _cause(found: Explanation, look: Look, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
     cause, fitted, figures = found.cause, found.fitted, (found.p, found.share, found.left)
     if cause is None or fitted is None:
         line, none = int(rows.lines[int(places[found.row])]), np.zeros(0)
         return CauseFound(f"line {line}", "row", line, (), (), none, none, *figures)
-    return CauseFound(cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std, *figures)
+    probe = look.fresh.bound.problem.instrument.probe
+    dial = cause.kind == "tool" and probe is not None and probe.column is not None
+    return CauseFound(cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std, *figures, dial)

@@ -21,10 +21,12 @@ from casacal.uncertainty.prior_moves import chance_of_move
 from casacal.unknowns import Parameter
 
 MOST_SCALE = 0.2  # part by which readings are too large beyond which it is no error of scale
-ROUNDS = 4  # Gauss-Newton steps for a fault of one number; all are nearly linear in it
+ROUNDS = 4  # Gauss-Newton steps for the size of a fault; all are nearly linear in it
 
 PLACES = 12
 """Places in the order of the rows at which something may have moved, before the best one is looked at closely."""
+
+MOST_SHIFTS, WORTH = 3, 0.8  # shifts that are looked for; part of the misfit that a further one may leave
 
 FEWEST = 5  # rows that a face needs on either side of such a place to have a plane there
 
@@ -62,7 +64,7 @@ def drifting(problem: Problem, samples: Samples, *, column: str) -> Undone:
     def less(samples: Samples, size: float) -> Samples:
         return replace(samples, columns={**samples.columns, column: samples.columns[column] - size * order})
 
-    size = _fitted(problem, samples, less)
+    (size,) = _fitted(problem, samples, less)
     return Undone(problem, less(samples, size), f", by {size:+.3g} mm from the first row to the last")
 
 
@@ -73,7 +75,7 @@ def scaled(problem: Problem, samples: Samples, *, columns: Sequence[str]) -> Und
         changed = {name: samples.columns[name] * (1 - size) for name in columns}
         return replace(samples, columns={**samples.columns, **changed})
 
-    size = _fitted(problem, samples, less)
+    (size,) = _fitted(problem, samples, less)
     if abs(size) > MOST_SCALE:
         return Undone(problem, samples)
     return Undone(problem, less(samples, size), f", by {100 * size:+.3g} %")
@@ -87,7 +89,7 @@ def geared(problem: Problem, samples: Samples, *, turning: int, sliding: int) ->
         joints[:, sliding] += size * joints[:, turning]
         return replace(samples, joints=joints)
 
-    size = _fitted(problem, samples, with_lead)
+    (size,) = _fitted(problem, samples, with_lead)
     return Undone(problem, with_lead(samples, size), f", by {2 * math.pi * size:+.4g} mm per turn")
 
 
@@ -112,24 +114,42 @@ def somewhere_moved(problem: Problem, samples: Samples) -> Undone:
 
 
 def zero_moved(problem: Problem, samples: Samples, *, column: str) -> Undone:
-    """Readings less a shift from some row on, where a dial was set to zero anew: at the place where that gains most."""
-    fitted, count = quick_fit(problem, samples), len(samples)
+    """Readings less shifts from some rows on, where a dial was set to zero anew: wherever that gains most.
+
+    A further shift is taken where it takes away a fifth of the misfit or more.
+    """
+    places: list[int] = []
+    sizes: tuple[float, ...] = ()
+    rows, left = samples, math.inf
+    while len(places) < MOST_SHIFTS and (place := _where_shifted(problem, rows, column)) is not None:
+        less = partial(_less_shifts, column=column, places=[*places, place])
+        found = _fitted(problem, samples, less, start=(*sizes, 0.0))
+        if (misses := misfit(problem, less(samples, *found))) > WORTH * left:
+            break
+        places, sizes, rows, left = [*places, place], found, less(samples, *found), misses
+    shifts = sorted(zip(places, sizes, strict=True))
+    said = " and".join(f" near line {samples.lines[place]}, by {size:+.3g} mm" for place, size in shifts)
+    return Undone(problem, rows, said)
+
+
+def _less_shifts(samples: Samples, *sizes: float, column: str, places: Sequence[int]) -> Samples:
+    """Readings less a shift from each of some rows on."""
+    shift = sum(size * (np.arange(len(samples)) >= place) for size, place in zip(sizes, places, strict=True))
+    return replace(samples, columns={**samples.columns, column: samples.columns[column] - shift})
+
+
+def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
+    """The row from which a shift of the readings gains most; None where none can be told."""
+    fitted, count = quick_fit(problem, rows), len(rows)
     if fitted is None or fitted[0].groups is not None or not 2 * FEWEST < count <= ENOUGH:
-        return Undone(problem, samples)
+        return None
     bound, result = fitted
-
-    def less(samples: Samples, size: float, after: int) -> Samples:
-        shift = size * (np.arange(count) >= after)
-        return replace(samples, columns={**samples.columns, column: samples.columns[column] - shift})
-
     here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)
-    slope = (bound.on(less(samples, SMALL, 0)).residual(result.x) - here) / SMALL
+    slope = (bound.on(_less_shifts(rows, SMALL, column=column, places=[0])).residual(result.x) - here) / SMALL
     later = bound.sample_of[:, None] >= places
     ways = _freed_of_unknowns(bound, result, later * slope[:, None])
     gains = (ways.T @ _weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
-    after = int(places[np.argmax(gains)])
-    size = _fitted(problem, samples, partial(less, after=after))
-    return Undone(problem, less(samples, size, after), f" near line {samples.lines[after]}, by {size:+.3g} mm")
+    return int(places[np.argmax(gains)])
 
 
 def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | None:
@@ -148,27 +168,29 @@ def _relabelled(problem: Problem, samples: Samples, place: int) -> Samples | Non
     return replace(samples, labels={**samples.labels, column: Labels(names, codes)}) if split else None
 
 
-def _fitted(problem: Problem, samples: Samples, change: Callable[[Samples, float], Samples]) -> float:
-    """The size of a change at which all fits best: Gauss-Newton in it, all unknowns fitted anew at each step.
+def _fitted(
+    problem: Problem, samples: Samples, change: Callable[..., Samples], *, start: tuple[float, ...] = (0.0,)
+) -> tuple[float, ...]:
+    """Sizes of changes at which all fits best: Gauss-Newton in them, all unknowns fitted anew at each step.
 
-    The slope of the residuals by the size is freed of what the unknowns can follow, priors included.
+    The slopes of the residuals by the sizes are freed of what the unknowns can follow, priors included.
     """
-    size = 0.0
+    sizes = np.array(start)
     if len(samples) > ENOUGH:
-        return size
+        return start
     for _ in range(ROUNDS):
-        fitted = quick_fit(problem, change(samples, size))
+        fitted = quick_fit(problem, change(samples, *sizes))
         if fitted is None:
-            return 0.0
+            return (0.0,) * len(start)
         bound, result = fitted
         here = bound.residual(result.x)
-        slope = (bound.on(change(samples, size + SMALL)).residual(result.x) - here) / SMALL
-        left = _freed_of_unknowns(bound, result, slope[:, None])[:, 0]
-        power = float(left @ left)
-        if not power > 0:
-            return size
-        size -= float(left @ _weighted(bound, result, here)) / power
-    return size
+        steps = (change(samples, *(sizes + step)) for step in SMALL * np.eye(len(sizes)))
+        slopes = np.column_stack([(bound.on(changed).residual(result.x) - here) / SMALL for changed in steps])
+        left = _freed_of_unknowns(bound, result, slopes)
+        if not left.any(axis=0).all():
+            break
+        sizes = sizes - np.linalg.lstsq(left, _weighted(bound, result, here), rcond=None)[0]
+    return tuple(map(float, sizes))
 
 
 def _weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
