@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
+    from casacal.compensation.told import missing_words
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
@@ -40,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         said = {
             "unseen": list(prediction.unseen),
+            "missing": {words: list(names) for words, names in prediction.missing.items()},
             "poses": count,
             "frame": options.frame,
             "nominal": options.nominal,
@@ -48,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         say_json({**said, "written": [options.out]})
     else:
         say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        say_paragraphs(*missing_words(prediction.missing))
         if prediction.unseen:
             say_paragraphs(
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "

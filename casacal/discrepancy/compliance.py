@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.array_types import Rows as Chosen
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
-from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.further import check_columns_of, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -23,42 +24,13 @@ from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
 
-NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
-
-
-def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
-    """Raise ProblemError unless there is a column for each joint."""
-    if len(columns) != joints:
-        raise ProblemError(f"Got {len(columns)} columns of {what} for {joints} joints", "Name one for each")
-
-
-def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
-    """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
-
-    Raises ProblemError where one is missing, or holds no numbers; `fix` says which to give.
-    """
-    check_columns_of(columns, joints, what)
-    found = []
-    for column in columns:
-        if column not in samples.extra:
-            known = ", ".join(samples.extra)
-            fix = f"Give it; further columns there are: {known}" if known else NOT_KEPT
-            raise ProblemError(f"{samples.file} has no column '{column}' of {what}", fix)
-        try:
-            values = np.array([float(text) for text in samples.extra[column]])
-        except ValueError:
-            values = np.array([np.nan])
-        if not np.isfinite(values).all():
-            raise ProblemError(f"{samples.file}: the column '{column}' holds no {what}", f"Give {fix}")
-        found.append(values)
-    return np.column_stack(found)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueCompliance(Effect):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
-    Away from the rows no torque is known, so that `predict` and `compensate` count it as an error.
+    `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
+    C and CasADi take the torques as a further input. Where they are not known it counts as an error.
 
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
@@ -90,9 +62,14 @@ class TorqueCompliance(Effect):
         del site
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """As the samples say; raises ProblemError where they do not."""
-        told = read_columns_of(rows.samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The columns of torques."""
+        return self.columns_of
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
         return dict(zip(self.columns(site), told.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
