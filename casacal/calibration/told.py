@@ -11,6 +11,8 @@ import numpy as np
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.motion import Motion, doubtful, used_arm
 from casacal.uncertainty.expectation import expected_accuracy
+from casacal.uncertainty.figures import residual_figures
+from casacal.wording import listed, mm
 
 
 def told_part(calibration: Calibration, *, denied: bool) -> dict[str, Any]:
@@ -31,6 +33,29 @@ def told_part(calibration: Calibration, *, denied: bool) -> dict[str, Any]:
     choices = chain.from_iterable(combinations(keys, count) for count in range(1, len(keys) + 1))
     further = {each.key: list(each.further) for each in calibration.tried if each.told}
     return {"usual": usual, "further": further, "told": [_arm_where(calibration, some, denied) for some in choices]}
+
+
+def told_words(calibration: Calibration, *, denied: bool) -> list[str]:
+    """What rows with the columns that tell effects are worth; of a result that is denied, residuals alone."""
+    told = [each for each in calibration.tried if each.told]
+    if not told:
+        return []
+    columns = listed([name for each in told for name in each.further])
+    said = f"Where rows have {columns}, predict, compensate and the exports c and casadi correct "
+    said += f"{listed([each.words for each in told])}"
+    if not denied:
+        motion = told_motion(calibration, calibration.told)
+        return [
+            f"{said}: expect a tip error of {mm(expected_accuracy(motion.arm, motion.x, motion.off)[1])} RMS there."
+        ]
+    fit, used = (
+        calibration.fit,
+        used_arm(calibration.fit, calibration.result, {*calibration.corrected, *calibration.told}),
+    )
+    without, left = (
+        residual_figures(fit.plain_residual(x)[fit.leading])["rmse_mm"] for x in (calibration.used_x, used)
+    )
+    return [f"{said}: so used, the fitted rows miss by {mm(left)} RMS, else by {mm(without)}; that is no accuracy."]
 
 
 def told_motion(calibration: Calibration, keys: tuple[str, ...]) -> Motion:
