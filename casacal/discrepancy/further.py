@@ -13,6 +13,25 @@ from casacal.samples.samples import Samples
 NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
 
 
+LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
+MASS = "payload"  # column of a row model
+
+
+def check_payload(column: object) -> None:
+    """Raise ProblemError unless this is the name of a column, or empty."""
+    if not isinstance(column, str):
+        raise ProblemError(f"Got {column!r} as the payload", "Name the column that holds it, such as 'payload_kg'")
+
+
+def read_payload(samples: Samples, column: str) -> dict[str, Array]:
+    """The payload (N,) of each row, kg, by its name in a row model; raises ProblemError where a row has none."""
+    kilograms = read_columns_of(samples, (column,), 1, "payload", "kilograms")[:, 0]
+    if (kilograms < 0).any():
+        line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
+        raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
+    return {MASS: kilograms}
+
+
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
     """Raise ProblemError unless there is a column for each joint."""
     if len(columns) != joints:
