@@ -24,7 +24,9 @@ from casacal import (
     load,
     simulate,
     tool_point,
+    verify,
 )
+from casacal.changes.update import updated
 from casacal.cli.main import main
 from casacal.compensation.document import check_document
 from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance
@@ -292,3 +294,26 @@ def test_a_payload_that_is_missing_or_none_is_named(loaded):
     for kind in (GravitySag, LinkSag):
         with pytest.raises(ProblemError, match=r"Got 3\.0 as the payload"):
             kind(payload=3.0)
+
+
+def test_fresh_rows_with_torques_verify_the_corrected_arm(loaded):
+    torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
+    fresh, wrong = (
+        measured(lambda _, sign=sign: sign * GIVE * torques, by_name(TORQUES, torques), count=60, seed=5)
+        for sign in (1, -1)
+    )
+    found = verify(loaded, fresh)
+    assert found.kept
+    assert found.promised_tip_mm < 0.02
+    assert not verify(loaded, wrong).kept
+    with pytest.raises(ProblemError, match="has no column 'torque1_Nm' of torques"):
+        verify(loaded, dataclasses.replace(fresh, extra={}))
+
+
+@pytest.mark.long
+def test_an_arm_that_fresh_rows_moved_counts_torques_as_an_error_again(loaded, asked):
+    torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
+    fresh = measured(lambda _: GIVE * torques, by_name(TORQUES, torques), count=60, seed=5)
+    _, _, rows, true = asked
+    found = updated(loaded, fresh).predict(rows, frame="tip", std=True)
+    assert rms(found.positions - true) / np.sqrt((found.std**2).mean()) < 2.0

@@ -77,10 +77,14 @@ def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, f
 
 
 def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
-    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known."""
+    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known.
+
+    What only columns tell is no longer corrected: these rows moved the geometry that stands without them.
+    """
     said = old.get("discrepancy")
     if not said:
         return said
+    said = {key: value for key, value in said.items() if key not in ("told", "further")}
     bound, n = fresh.bound, fresh.bound.unknowns
     corrected = set(said.get("corrected", ()))
     inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}
@@ -89,8 +93,6 @@ def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
     part = {**said, "unknowns": _moved(said["unknowns"], moves)}
     if "without_corrections" in said:
         part["without_corrections"] = _moved([row for row in said["without_corrections"] if row["name"] in at], moves)
-    if "told" in said:  # their geometry moves as the other; what is moved of an effect goes with its value
-        part["told"] = [{**each, "unknowns": _moved(each["unknowns"], moves)} for each in said["told"]]
     if "covariance" in said:
         off = dict(zip(said["covariance_of"], said["off"], strict=True))
         uncorrected = {row["name"] for row in said["unknowns"] if row["effect"] not in corrected}
@@ -100,11 +102,6 @@ def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
         part["off"] = [
             float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in uncorrected else 0.0) for name in names
         ]
-        effects = {row["name"]: row["effect"] for row in said["unknowns"]}
-        for each in part.get("told", ()):
-            left = uncorrected - {name for name, effect in effects.items() if effect in each["effects"]}
-            off = dict(zip(said["covariance_of"], each["off"], strict=True))
-            each["off"] = [off.get(name, 0.0) + (moves.get(name, 0.0) if name in left else 0.0) for name in names]
         part["covariance"] = state.covariance[np.ix_(rows, rows)]
     return part
 
