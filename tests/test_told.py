@@ -120,10 +120,12 @@ def test_torques_are_corrected_where_rows_have_them(loaded, asked):
     assert loaded.tip_std[1] > 1.0
 
 
-def test_a_row_without_one_of_the_torques_is_told_which(loaded, asked):
+def test_a_row_without_one_of_the_torques_is_told_which(loaded, asked, tmp_path):
     _, _, rows, _ = asked
     found = loaded.predict(rows.drop(columns=TORQUES[3]))
     assert found.missing == {WORDS: (TORQUES[3],)}
+    np.savez(tmp_path / "rows.npz", **{name: rows[name].to_numpy() for name in rows})
+    np.testing.assert_array_equal(loaded.predict(tmp_path / "rows.npz").positions, loaded.predict(rows).positions)
     with pytest.raises(ProblemError, match="'torque3_Nm' holds no torques"):
         loaded.predict(rows.assign(torque3_Nm="much"))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -70,7 +70,15 @@ class Prediction(Value):
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    return _joints_of(read_columns(path, lambda header: [n for n in header if n.startswith("q")]), source)
+    further = _further(source)
+    return _joints_of(
+        read_columns(path, lambda header: [n for n in header if n.startswith("q") or n in further]), source
+    )
+
+
+def _further(source: ProblemFile) -> set[str]:
+    """Columns that tell effects."""
+    return {name for effect in source.problem.effects for name in effect.further}
 
 
 def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
@@ -82,7 +90,11 @@ def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
     }
     probe = source.problem.instrument.probe
     zero = () if probe is None or probe.zero_label not in columns.header else (probe.zero_label,)
-    return Samples.from_columns(columns, Layout(asked.joints, present, zero))
+    samples = Samples.from_columns(columns, Layout(asked.joints, present, zero))
+    # where rows were not read cell by cell, further columns are numbers
+    numbers = sorted(_further(source) & set(columns.header) - set(samples.extra))
+    texts = {name: tuple(map(repr, columns.number(name).tolist())) for name in numbers}
+    return replace(samples, extra={**samples.extra, **texts}) if texts else samples
 
 
 def joints_from(q: Any, source: ProblemFile) -> Samples:
