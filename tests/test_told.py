@@ -139,7 +139,9 @@ def test_a_saved_result_and_the_command_line_correct_them(loaded, asked, tmp_pat
     result, out = str(tmp_path / "made"), str(tmp_path / "out.csv")
     assert main(["predict", result, str(tmp_path / "rows.csv"), "--out", out, "--frame", "tip"]) == 0
     np.testing.assert_allclose(pd.read_csv(out)[["x_mm", "y_mm", "z_mm"]], true, atol=0.06)
-    assert "not corrected" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "not corrected" not in said
+    assert "Corrected by columns of the rows: joint compliance under measured torque; the result's verdict" in said
     assert main(["predict", result, str(tmp_path / "bare.csv"), "--out", out, "--std"]) == 0
     said = capsys.readouterr().out
     assert "Without the columns torque1_Nm, " in said

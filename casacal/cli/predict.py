@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.told import missing_words
+    from casacal.compensation.told import told_notes
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
@@ -54,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
         say_json({**said, "written": [options.out]})
     else:
         say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
-        say_paragraphs(*missing_words(prediction.missing))
+        if not options.nominal:
+            say_paragraphs(*told_notes(result, prediction.missing))
         if prediction.unseen:
             say_paragraphs(
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "

@@ -71,9 +71,8 @@ class Prediction(Value):
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
     further = _further(source)
-    return _joints_of(
-        read_columns(path, lambda header: [n for n in header if n.startswith("q") or n in further]), source
-    )
+    columns = read_columns(path, lambda header: [name for name in header if name.startswith("q") or name in further])
+    return _joints_of(columns, source)
 
 
 def _further(source: ProblemFile) -> set[str]:
@@ -113,7 +112,7 @@ def joints_from(q: Any, source: ProblemFile) -> Samples:
 
 def predict(
     result: CalibratedArm,
-    joints: Samples,
+    joints: Samples | Any,
     *,
     frame: Literal["flange", "tip"] = "flange",
     nominal: bool = False,

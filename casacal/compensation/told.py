@@ -88,9 +88,13 @@ def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> Calib
     return replace(arm, document=FrozenMapping({**document, **changed}))
 
 
-def missing_words(missing: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """A sentence for each effect that rows lack columns for."""
-    return [
+def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """A sentence on what the columns of rows corrected, and one for each effect that they lack columns for."""
+    keys = columns_that_tell(arm)
+    words = [effect["words"] for effect in arm.discrepancy.get("effects", ()) if effect["key"] in keys]
+    done = listed([each for each in words if each not in missing])
+    said = f"Corrected by columns of the rows: {done}; the result's verdict is about the arm without them."
+    return [said] * bool(done) + [
         f"Without the column{'s' * (len(names) > 1)} {listed(names)}, {words} is not corrected and counts as an error; "
         f"give {'them' if len(names) > 1 else 'it'}, and it is corrected."
         for words, names in missing.items()
