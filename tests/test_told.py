@@ -120,6 +120,15 @@ def test_torques_are_corrected_where_rows_have_them(loaded, asked):
     assert loaded.tip_std[1] > 1.0
 
 
+def test_how_well_a_place_is_known_follows_its_torques(loaded, asked):
+    joints = asked[0]
+    none, many = (
+        loaded.predict(table(joints, **by_name(TORQUES, np.tile(times * USUAL, (24, 1)))), frame="tip", std=True).std
+        for times in (0.0, 50.0)
+    )
+    assert (many > 2 * none).all()
+
+
 def test_a_row_without_one_of_the_torques_is_told_which(loaded, asked, tmp_path):
     _, _, rows, _ = asked
     found = loaded.predict(rows.drop(columns=TORQUES[3]))
