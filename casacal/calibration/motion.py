@@ -210,13 +210,23 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     for key in sorted(known, key=lambda key: (bool(known[key].further), -told[key])):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
-        helps = tip_error(fit, result, [*stands, key]) < tip_error(fit, result, stands) if wins else None
+        error = whole_tip_error if known[key].further else tip_error
+        helps = error(fit, result, [*stands, key]) < error(fit, result, stands) if wins else None
         stands += [key] if helps else []
         found.append(Tried(key, known[key].words, told[key], elsewhere, helps, known[key].further))
     return tuple(found)
 
 
 def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
-    """Tip error (mm RMS) to expect over the workspace where these effects are corrected."""
+    """Tip error (mm RMS) to expect over the workspace where these effects are corrected.
+
+    Apart from what effects do of columns that rows tell, which is no matter of postures.
+    """
+    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
+    return expected_accuracy(motion.arm, motion.x, motion.off, usual=False)[1]
+
+
+def whole_tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+    """The same with all that effects do where such columns are as large as in the fitted rows."""
     motion = Motion.of(fit, result, used_arm(fit, result, corrected))
     return expected_accuracy(motion.arm, motion.x, motion.off)[1]
