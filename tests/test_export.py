@@ -495,7 +495,7 @@ def call(function, sizes, *arguments):
 
 @pytest.mark.parametrize("name", ["ur5", "odd"])
 def test_c_agrees_with_python(place, compiled, name):
-    from casacal.export.functions import c_functions
+    from casacal.export.c_code import c_functions
 
     result = made(place / name, 7)
     library = compiled(result, "arm")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
-from casacal.binding.nominal import proposed_by, row_columns
+from casacal.binding.nominal import proposed_by, row_columns, told_sizes
 from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site, Survey
 from casacal.errors import ProblemError
@@ -42,6 +42,8 @@ class Block:
     """Columns of d beside the joint values, each (N,): mm, rad."""
     elsewhere: Array
     """What stands in these columns (k,) at postures that are no rows: zero, or what an effect says."""
+    usual: Array
+    """The same (k,) for what an effect that nobody corrects does there: of columns that rows tell, their RMS."""
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
 
@@ -49,9 +51,12 @@ class Block:
         """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
         return np.column_stack([self.samples.joints[index], *(column[index] for column in self.row_columns)])
 
-    def posture(self, name: str, x: Array, joints: Array) -> list[Array]:
-        """Tips, their slopes or poses at x (n,) and joint values (N, n; rad, mm), at reading zero."""
-        data = np.hstack([joints, np.tile(self.elsewhere, (len(joints), 1))])
+    def posture(self, name: str, x: Array, joints: Array, *, usual: bool = True) -> list[Array]:
+        """Tips, their slopes or poses at x (n,) and joint values (N, n; rad, mm), at reading zero.
+
+        usual: with columns that rows tell as large as they were on average; else as where nobody knows them.
+        """
+        data = np.hstack([joints, np.tile(self.usual if usual else self.elsewhere, (len(joints), 1))])
         outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
         return outputs
 
@@ -99,7 +104,8 @@ def make_block(
     for effect in model.effects:
         elsewhere |= effect.away(Site(problem.robot, instrument))
     noise, away = np.empty((len(samples), model.components)), np.array(list(elsewhere.values()))
-    block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, noise)
+    usual = np.array(list((elsewhere | told_sizes(model.effects, Site(problem.robot, instrument), survey)).values()))
+    block = Block(model, samples, row_slots, pattern, columns, constants, tuple(beside.values()), away, usual, noise)
     noise[:] = block.at_nominal(model.columns.noise)
     for bad in np.flatnonzero(~(np.isfinite(noise) & (noise > 0)).all(axis=1))[:1]:
         raise ProblemError(

@@ -79,9 +79,9 @@ class Marginal(Restricted):
         """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
         return self.whole.tips(self.expand(x), joints, instrument)
 
-    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0) -> Array:
-        """Derivative (3 N, s) of those tips by x, in units of mm per unit of x."""
-        return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free)
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0, *, usual: bool = True) -> Array:
+        """Derivative (3 N, s) of those tips by x, in units of mm per unit of x; `usual` as for `Block.posture`."""
+        return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free, usual=usual)
 
 
 Seen: TypeAlias = BoundProblem | Marginal

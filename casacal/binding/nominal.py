@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.effect import Rows, Site, Survey
+from casacal.discrepancy.effect import Effect, Rows, Site, Survey
 from casacal.errors import ProblemError
 from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
@@ -38,6 +38,14 @@ def row_columns(
         for effect in effects:
             columns |= effect.values(site, rows)
     return columns
+
+
+def told_sizes(effects: Sequence[Effect], site: Site, survey: Survey | None) -> dict[str, float]:
+    """RMS over the fitted rows of the columns that rows tell of effects."""
+    if survey is None:
+        return {}
+    told = (effect.told(site, survey.samples) for effect in effects if effect.further)
+    return {name: float(np.sqrt((values**2).mean())) for each in told for name, values in each.items()}
 
 
 def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str, Array]) -> tuple[Survey | None, ...]:

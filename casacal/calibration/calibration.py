@@ -11,7 +11,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
-from casacal.calibration.motion import HiddenTool, Motion, among, doubtful, hidden_tool, used_arm
+from casacal.calibration.hidden_tool import HiddenTool, hidden_tool
+from casacal.calibration.motion import Motion, among, doubtful, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance

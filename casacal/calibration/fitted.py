@@ -82,6 +82,11 @@ class Fitted(Value):
         return tuple(each.key for each in self.tried if each.corrected)
 
     @property
+    def told(self) -> tuple[str, ...]:
+        """Keys of those that are corrected as well where rows have the columns that tell them."""
+        return tuple(each.key for each in self.tried if each.told)
+
+    @property
     def passed(self) -> bool:
         """Whether the method converged and, where it promises the minimum, the reference agrees."""
         if not self.result.converged:

@@ -17,16 +17,13 @@ from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
 from casacal.uncertainty.discrepancy import at_most
 from casacal.uncertainty.expectation import expected_accuracy
-from casacal.uncertainty.identifiability import verdict
 from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
-from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
 from casacal.values import FrozenMapping, Value
+from casacal.wording import listed
 
 SMALLEST = 1e-3
 """Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
-
-
-PART = 0.5  # tip error with a tool that is exactly known over that as it is, below which the tool decides most of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +65,7 @@ def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> A
         return result.x
     arm, x = moving(fit, result.x)
     assert isinstance(arm, Marginal)
-    field = np.vstack([_over_workspace(arm, x), _where_seen(fit, result.x)[:, arm.shared]])
+    field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.shared]])
     geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
     lost = field[:, left[arm.shared]] @ x[left[arm.shared]]
     moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
@@ -91,10 +88,14 @@ def sees_the_tip(fit: BoundProblem) -> bool:
     return all(instrument.words.accuracy for instrument in fit.problem.instruments)
 
 
-def _over_workspace(arm: Marginal, x: Array) -> Array:
-    """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's."""
-    joints = workspace_joints(arm.problem.robot)
-    field = without_rigid(arm.tip_jacobian(x, joints), arm.tips(x, joints))
+def _over_workspace(fit: BoundProblem, arm: Marginal, x: Array) -> Array:
+    """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's.
+
+    Where nobody knows the columns that rows tell: what an effect does of them there, no geometry can stand for.
+    """
+    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
+    tips = fit.blocks[0].posture("tip", everything, joints, usual=False)[0]
+    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), np.asarray(tips))
     return np.asarray(field / math.sqrt(len(joints)))
 
 
@@ -122,36 +123,6 @@ def among(result: Result, arm: Seen) -> Array:
     return found
 
 
-@dataclass(frozen=True)
-class HiddenTool:
-    """Coordinates of the tool that the samples hardly show and that decide most of the tip error.
-
-    std_mm: of the least known. tip_mm: the tip error to expect were the tool's point exactly known.
-    """
-
-    names: tuple[str, ...]
-    std_mm: float
-    tip_mm: float
-
-
-def hidden_tool(motion: Motion, workspace: tuple[Array, Array, Array]) -> HiddenTool | None:
-    """What of the tool the samples hardly show; None where most of the tip error is the arm's.
-
-    Of joint values, tips and slopes there, as `tip_extremes`; the covariance must be finite.
-    """
-    arm, covariance, (_, tips, slopes) = motion.arm, motion.covariance, workspace
-    tool, stds = tool_unknowns(arm, motion.x), np.sqrt(np.diagonal(covariance))
-    tool = np.array([j for j in tool if arm.units[j] == "mm"], dtype=int)
-    hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
-    if not hidden:
-        return None
-    with_tool = covariance[tool]
-    known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
-    field = without_rigid(slopes, tips)
-    now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
-    return HiddenTool(tuple(arm.names[j] for j in hidden), float(stds[hidden].max()), tip) if tip < PART * now else None
-
-
 def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:
     """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
 
@@ -174,7 +145,7 @@ class Tried(Value):
 
     evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
     left out, by what was left out together; empty where the first was too little to ask. helps: whether the tip error
-    to expect is smaller with it; None where that was not asked.
+    to expect is smaller with it; None where that was not asked. further: columns of a file that tell it.
     """
 
     key: str
@@ -182,27 +153,37 @@ class Tried(Value):
     evidence: float
     unseen: Mapping[str, float]
     helps: bool | None
+    further: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unseen", FrozenMapping(self.unseen))
 
     @property
     def corrected(self) -> bool:
-        """Whether `predict` and all that follows it make up for it."""
-        return bool(self.helps)
+        """Whether `predict` and all that follows it make up for it whatever their rows hold."""
+        return bool(self.helps) and not self.further
+
+    @property
+    def told(self) -> bool:
+        """Whether they do so where their rows have the columns that tell it."""
+        return bool(self.helps) and bool(self.further)
 
     @property
     def became(self) -> str:
         """What became of an effect that the rows speak for, and why, as a clause."""
         splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.unseen.items())
         became = "corrected" if self.corrected else "not corrected"
+        if self.told:
+            became = f"corrected where rows have {listed(self.further)}"
         least = f"at least {VERY_STRONG:+g} each required"
         told = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
-        return told if self.corrected or self.helps is None else f"{told}, but no gain at the tip"
+        return told if self.helps or self.helps is None else f"{told}, but no gain at the tip"
 
 
 def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     """Every effect of a fit that moves the tip alike whenever it comes to a posture, the most telling first.
+
+    After them those that columns of the rows tell, on top of what is corrected: they can be where rows have these.
 
     One is corrected where all splits of the rows, by faces, regions of postures and further columns, say with very
     strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
@@ -211,9 +192,11 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     """
     sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
     known = {
-        effect.key: effect.words
+        effect.key: effect
         for effect in fit.problem.effects
-        if effect.moves and effect.key in fit.beside and not any(effect.columns(site) for site in sites)
+        if effect.moves
+        and effect.key in fit.beside
+        and (effect.further or not any(effect.columns(site) for site in sites))
     }
     if not known or not result.converged:
         return ()
@@ -224,16 +207,26 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     doubtful = {effect.key for effect in doubted if not effect.elastic}
     stands: list[str] = []
     found = []
-    for key in sorted(known, key=lambda key: -told[key]):
+    for key in sorted(known, key=lambda key: (bool(known[key].further), -told[key])):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
-        helps = tip_error(fit, result, [*stands, key]) < tip_error(fit, result, stands) if wins else None
+        error = whole_tip_error if known[key].further else tip_error
+        helps = error(fit, result, [*stands, key]) < error(fit, result, stands) if wins else None
         stands += [key] if helps else []
-        found.append(Tried(key, known[key], told[key], elsewhere, helps))
+        found.append(Tried(key, known[key].words, told[key], elsewhere, helps, known[key].further))
     return tuple(found)
 
 
 def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
-    """Tip error (mm RMS) to expect over the workspace where these effects are corrected."""
+    """Tip error (mm RMS) to expect over the workspace where these effects are corrected.
+
+    Apart from what effects do of columns that rows tell, which is no matter of postures.
+    """
+    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
+    return expected_accuracy(motion.arm, motion.x, motion.off, usual=False)[1]
+
+
+def whole_tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+    """The same with all that effects do where such columns are as large as in the fitted rows."""
     motion = Motion.of(fit, result, used_arm(fit, result, corrected))
     return expected_accuracy(motion.arm, motion.x, motion.off)[1]

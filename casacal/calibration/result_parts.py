@@ -21,7 +21,7 @@ from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.motion import besides, tip_error
+from casacal.calibration.motion import besides, whole_tip_error
 from casacal.compensation.result_file import SCHEMA
 from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
@@ -175,7 +175,7 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
-        error = math.nan if denied else tip_error(fit, calibration.result, ())
+        error = math.nan if denied else whole_tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
     return {**parts, **known}
 

@@ -55,9 +55,9 @@ class AsArm(ABC):
         Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
 
         """
-        from casacal.compensation.predict import joints_from, predict
+        from casacal.compensation.predict import predict
 
-        return predict(self.arm, joints_from(q, self.arm.source), frame=frame, nominal=nominal, std=std)
+        return predict(self.arm, q, frame=frame, nominal=nominal, std=std)
 
     def compensate(
         self,

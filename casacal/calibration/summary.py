@@ -8,6 +8,7 @@ from dataclasses import replace
 from casacal.calibration import tables
 from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.told import told_words
 from casacal.calibration.verdict import verdict_of
 from casacal.errors import CasacalError
 from casacal.samples.measurements import Measurements
@@ -80,6 +81,7 @@ def _accuracy(calibration: Calibration) -> str:
             *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
             f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",
             *tables.corrected_words(calibration),
+            *told_words(calibration, denied=False),
             f"From the samples alone, without priors, {samples_alone}.",
         ]
     )

@@ -77,10 +77,14 @@ def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, f
 
 
 def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
-    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known."""
+    """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known.
+
+    What only columns tell is no longer corrected: these rows moved the geometry that stands without them.
+    """
     said = old.get("discrepancy")
     if not said:
         return said
+    said = {key: value for key, value in said.items() if key not in ("told", "further")}
     bound, n = fresh.bound, fresh.bound.unknowns
     corrected = set(said.get("corrected", ()))
     inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}

@@ -20,7 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
-    add(parser, "JOINTS", "CSV with the joint columns of a samples file")
+    add(
+        parser,
+        "JOINTS",
+        "CSV with the joint columns of a samples file, and those that tell an effect (torques)",
+    )
     add(parser, "--out FILE", "CSV of poses", required=True)
     add_frame(parser, "poses of the flange or of the tip")
     add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
@@ -31,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
+    from casacal.compensation.told import told_notes
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
@@ -40,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         said = {
             "unseen": list(prediction.unseen),
+            "missing": {words: list(names) for words, names in prediction.missing.items()},
             "poses": count,
             "frame": options.frame,
             "nominal": options.nominal,
@@ -48,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
         say_json({**said, "written": [options.out]})
     else:
         say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        if not options.nominal:
+            say_paragraphs(*told_notes(result, prediction.missing))
         if prediction.unseen:
             say_paragraphs(
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "

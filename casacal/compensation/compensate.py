@@ -16,12 +16,14 @@ import numpy as np
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates, row_constants
-from casacal.compensation.inverse_kinematics import PosedArm, joint_units, lengths, postures, turning
+from casacal.compensation.inverse_kinematics import PosedArm, postures
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
-from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, targets_from
+from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
+from casacal.compensation.told import Told
+from casacal.compensation.turns import lengths, turning
 from casacal.errors import CasacalError, UnknownNameError
-from casacal.samples.samples import Samples
+from casacal.robots.joint_space import joint_units
 
 LARGEST = math.radians(10)  # joint motion (rad, or its weight in mm) beyond which a correction is a jump
 ROUNDED = 1e-6  # how far (rad, mm) the rounding of a file may put joint values beyond a limit
@@ -48,7 +50,8 @@ def compensate(
 
     Args:
         result: a calibration, or a truth.
-        targets: joint values or poses, also as numbers, a frame or a file.
+        targets: joint values or poses, also as numbers, a frame or a file. An effect that further columns tell
+            (torques, a payload) is corrected where they have these.
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
         largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
         rounding: how the joint values will be written; the proof is about these.
@@ -74,20 +77,20 @@ def compensate(
     rounding = rounding or Rounding()
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
-    used = result.used
-    arm = replace(nominal, local=local_coordinates(result, of=used))
-    if used.effects:
-        arm = PosedArm.of(used, arm.local, frame, row_constants(result, used))
+    told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
+    arm = _as_told(told, nominal)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
-    joints[found], elsewhere[found] = _solved(arm, positions[found], rotations[found], start[found], largest)
+    joints[found], elsewhere[found] = _solved(
+        arm.of_rows(found), positions[found], rotations[found], start[found], largest
+    )
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    place, turn, expected = _proof(result, arm, joints, positions, rotations)
+    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations)
     cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),
@@ -99,7 +102,17 @@ def compensate(
     )
     outcomes = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
     before, moved = lengths(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
-    return Compensation(targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected)
+    return Compensation(
+        targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected, told.missing
+    )
+
+
+def _as_told(told: Told, nominal: PosedArm) -> PosedArm:
+    """The calibrated arm, with what rows tell of its effects."""
+    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
+    if not used.effects:
+        return replace(nominal, local=local)
+    return PosedArm.of(used, local, nominal.frame, row_constants(told.arm, used), told.columns)
 
 
 def _trusted(result: CalibratedArm, frame: str) -> None:
@@ -145,8 +158,8 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
         if not stuck.size:
             break
         beside = start[stuck] + SCATTER * joint_units(arm.robot) * rng.uniform(-1, 1, (len(stuck), start.shape[1]))
-        again = arm.reach(positions[stuck], rotations[stuck], beside, steps=STEPS)
-        arrived = arm.takes(again, positions[stuck], rotations[stuck])
+        again = arm.of_rows(stuck).reach(positions[stuck], rotations[stuck], beside, steps=STEPS)
+        arrived = arm.of_rows(stuck).takes(again, positions[stuck], rotations[stuck])
         near = np.abs((again - start[stuck]) / joint_units(arm.robot)).max(axis=1) <= largest
         joints[stuck[arrived & near]] = again[arrived & near]
         elsewhere[stuck[arrived & ~near]] = True
@@ -154,7 +167,7 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
 
 
 def _proof(
-    result: CalibratedArm, arm: PosedArm, joints: Array, positions: Array, rotations: Array
+    result: CalibratedArm, arm: PosedArm, targets: Targets, joints: Array, positions: Array, rotations: Array
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
     from scipy.spatial.transform import Rotation
@@ -163,7 +176,7 @@ def _proof(
     missed = arm.miss(joints, positions, rotations)[:2]
     sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))
     if sound.size:
-        samples = Samples.of_joints(joints[sound])
+        samples = rows_with(targets, sound, joints[sound])
         known = result.denial is None  # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=known)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()

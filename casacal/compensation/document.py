@@ -123,6 +123,7 @@ def _check_discrepancy(file: str, part: Any) -> None:
     alone = _rows(file, "values without corrections", part.get("without_corrections", []), UNKNOWN, "value")
     if corrected and not alone:
         raise CasacalError(f"{file}: its discrepancy does not give the arm without corrections", FIX)
+    _check_told(file, part)
     if "covariance" in part:
         names = part.get("covariance_of")
         if not isinstance(names, list) or not all(map(is_text, names)) or len(set(names)) < len(names):
@@ -130,6 +131,28 @@ def _check_discrepancy(file: str, part: Any) -> None:
         if not _is_row(part.get("off")) or len(part["off"]) != len(names):
             raise CasacalError(f"{file}: the 'off' of its discrepancy is {_short(part.get('off'))}", FIX)
         _check_covariance(file, part["covariance"], len(names))
+
+
+def _check_told(file: str, part: Mapping[str, Any]) -> None:
+    """Columns that tell effects, and the arm for each choice of them."""
+    usual, further, told = part.get("usual", {}), part.get("further", {}), part.get("told", [])
+    keys = {effect["key"] for effect in part["effects"]}
+    named = isinstance(further, dict) and set(further) <= keys and all(map(_is_texts, further.values()))
+    if not named or not isinstance(usual, dict) or not all(map(is_number, usual.values())):
+        raise CasacalError(f"{file}: its columns of effects are {_short(further)}, {_short(usual)}", FIX)
+    shape: Mapping[str, Shape] = {"effects": _is_texts, "expected_rms_mm": is_number_or_null}
+    for each in _rows(file, "effects that columns tell", told, shape):
+        _rows(file, "values where columns tell effects", each.get("unknowns"), UNKNOWN, "value")
+        count = len(part.get("covariance_of") or ())
+        if "off" in each and not (_is_row(each["off"]) and len(each["off"]) == count):
+            raise CasacalError(f"{file}: the 'off' where columns tell effects is {_short(each['off'])}", FIX)
+    choices = {frozenset(each["effects"]) for each in told}
+    if len(choices) < 2 ** len(further) - 1 or not all(some and some <= set(further) for some in choices):
+        raise CasacalError(f"{file}: the arm is missing where columns tell effects", FIX)
+
+
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(is_text, value))
 
 
 def _rows(

@@ -5,17 +5,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array, Rows
+from casacal.compensation.told import NOTHING_TOLD
+from casacal.compensation.turns import inverse_left_jacobian, lengths, turning
 from casacal.kernels.batch import BLOCK, Batch
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import AXIS_WEIGHT, random_joints
+from casacal.robots.joint_space import AXIS_WEIGHT, joint_units, random_joints
 from casacal.robots.robot import Robot
 
 FEW_JOINTS_WEIGHT = 1.0
@@ -36,19 +39,26 @@ class PosedArm:
     evaluate: Batch
     local: Array
     frame: Literal["flange", "tip"]
+    told: Array
+    """Columns (N, k) that rows tell of effects; an arm that is told none takes any rows."""
 
     @staticmethod
     def of(
-        problem: Problem, local: Array, frame: Literal["flange", "tip"] = "flange", constants: Array | None = None
+        problem: Problem,
+        local: Array,
+        frame: Literal["flange", "tip"] = "flange",
+        constants: Array | None = None,
+        told: Mapping[str, Array] = NOTHING_TOLD,
     ) -> PosedArm:
         """Compile for the instrument's unknowns at `local` (nz,); the tip stands at reading zero.
 
-        constants: c (nc,) of its row model; zero by default.
+        constants: c (nc,) of its row model; zero by default. told: columns (N,) that rows tell, by the model's names.
         """
         model, n = problem.model, len(problem.robot.axes)
         c = ca.DM.zeros(model.pose.size_in(1)) if constants is None else ca.DM(constants)
         z, q = ca.SX.sym("z", model.pose.numel_in(0)), ca.SX.sym("q", n)
-        row = ca.vertcat(q, ca.DM.zeros(model.pose.numel_in(2) - n))
+        symbols = {name: ca.SX.sym(name) for name in told}
+        row = ca.vertcat(q, *(symbols.get(name, 0) for name in model.names))
         pose = ca.reshape(model.pose(z, c, row), 4, 4)
         place, turn = (model.tip(z, c, row) if frame == "tip" else pose[:3, 3]), pose[:3, :3]
         by_joint = ca.jacobian(ca.vec(turn), q)
@@ -56,14 +66,20 @@ class PosedArm:
         omega = ca.horzcat(*(ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]) for rate in rates))
         outputs = [place, ca.vec(turn.T), ca.vec(ca.vertcat(ca.jacobian(place, q), omega).T)]
         dense = [ca.densify(output) for output in ca.cse(outputs)]
-        return PosedArm(problem.robot, Batch(ca.Function("pose", [z, q], dense)), local, frame)
+        made = Batch(ca.Function("pose", [z, ca.vertcat(q, *symbols.values())], dense))
+        return PosedArm(problem.robot, made, local, frame, np.array([*told.values()]).T)
+
+    def of_rows(self, rows: NDArray[Any]) -> PosedArm:
+        """The same as some rows (M,) tell of it."""
+        return replace(self, told=self.told[rows]) if self.told.size else self
 
     def __call__(self, joints: Array) -> tuple[Array, Array, Array]:
         """Positions (N, 3; mm), rotations (N, 3, 3), slopes (N, 6, n): velocity, then angular velocity, by joint."""
         count, n = joints.shape
         # widths in whole blocks or powers of two: a mapped function of every width would be built otherwise
         width = -(-count // BLOCK) * BLOCK if count > BLOCK else 1 << max(count - 1, 0).bit_length()
-        padded = np.concatenate([joints, np.zeros((width - count, n))])
+        given = np.hstack([joints, self.told]) if self.told.size else joints
+        padded = np.concatenate([given, np.zeros((width - count, given.shape[1]))])
         place, turn, slope = (output[:count] for output in self.evaluate(self.local, padded))
         return place, turn.reshape(-1, 3, 3), slope.reshape(-1, 6, n)
 
@@ -71,7 +87,7 @@ class PosedArm:
         """Position errors (N, 3; mm), rotation errors (N, 3; rad, base frame), and their slopes (N, 6, n) by joint."""
         place, turn, slope = self(joints)
         error = turning(turn @ rotations.transpose(0, 2, 1))
-        slope = np.concatenate([slope[:, :3], _inverse_left_jacobian(error) @ slope[:, 3:]], axis=1)
+        slope = np.concatenate([slope[:, :3], inverse_left_jacobian(error) @ slope[:, 3:]], axis=1)
         return place - positions, error, slope
 
     def within(self, place: Array, turn: Array) -> Rows:
@@ -103,7 +119,7 @@ class PosedArm:
                 break
             step = self._step(joints[rows], error[rows], slope[rows], damping[rows])
             trial = np.clip(joints[rows] + step, lower, upper)
-            trial_error, trial_slope = self._weighted(trial, positions[rows], rotations[rows])
+            trial_error, trial_slope = self.of_rows(rows)._weighted(trial, positions[rows], rotations[rows])
             trial_size = (trial_error**2).sum(axis=1)
             better = trial_size < size[rows]
             won = rows[better]
@@ -139,39 +155,6 @@ class PosedArm:
         place, turn, slope = self.miss(joints, positions, rotations)
         weight = np.array([1.0] * 3 + [AXIS_WEIGHT if len(self.robot.axes) >= 6 else FEW_JOINTS_WEIGHT] * 3)
         return np.concatenate([place, turn], axis=1) * weight, slope * weight[:, None]
-
-
-def joint_units(robot: Robot) -> Array:
-    """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
-    return np.where(robot.revolute, 1.0, AXIS_WEIGHT)
-
-
-def lengths(vectors: Array) -> Array:
-    """Lengths (N,) of vectors (N, 3)."""
-    return np.asarray(np.linalg.norm(vectors, axis=1))
-
-
-def turning(rotations: Array) -> Array:
-    """Rotation vectors (N, 3; rad) of rotation matrices (N, 3, 3); NaN where a matrix is not finite."""
-    from scipy.spatial.transform import Rotation
-
-    sound = np.isfinite(rotations).all(axis=(1, 2))
-    vectors = np.full((len(rotations), 3), np.nan)
-    if sound.any():
-        vectors[sound] = Rotation.from_matrix(rotations[sound]).as_rotvec()
-    return vectors
-
-
-def _inverse_left_jacobian(vectors: Array) -> Array:
-    """Derivative (N, 3, 3) of a rotation vector by a turn in the base frame: inverse of SO(3)'s left Jacobian."""
-    # Barfoot, State Estimation for Robotics, section 7.1
-    angle = np.linalg.norm(vectors, axis=1)
-    half = np.maximum(angle / 2, 1e-4)
-    bend = np.where(angle < 1e-3, 1 / 12, (1 - half / np.tan(half)) / np.maximum(angle, 1e-4) ** 2)
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    return np.asarray(np.eye(3) - cross / 2 + bend[:, None, None] * (cross @ cross))
 
 
 BANK = 4096  # random postures among which starts are looked for

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +19,7 @@ from casacal.compensation.arm import (
 )
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
+from casacal.compensation.told import NOTHING_TOLD, Told
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
@@ -36,12 +38,14 @@ class Prediction(Value):
 
     `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
     stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
+    missing: by the words of an effect that columns tell, those of them that the rows lack, so that it is not corrected.
     """
 
     positions: Array
     quaternions: Array
     std: Array | None = None
     unseen: tuple[str, ...] = ()
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         frozen((self.positions, self.quaternions, self.std))
@@ -66,7 +70,14 @@ class Prediction(Value):
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    return _joints_of(read_columns(path, lambda header: [n for n in header if n.startswith("q")]), source)
+    further = _further(source)
+    columns = read_columns(path, lambda header: [name for name in header if name.startswith("q") or name in further])
+    return _joints_of(columns, source)
+
+
+def _further(source: ProblemFile) -> set[str]:
+    """Columns that tell effects."""
+    return {name for effect in source.problem.effects for name in effect.further}
 
 
 def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
@@ -78,7 +89,11 @@ def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
     }
     probe = source.problem.instrument.probe
     zero = () if probe is None or probe.zero_label not in columns.header else (probe.zero_label,)
-    return Samples.from_columns(columns, Layout(asked.joints, present, zero))
+    samples = Samples.from_columns(columns, Layout(asked.joints, present, zero))
+    # where rows were not read cell by cell, further columns are numbers
+    numbers = sorted(_further(source) & set(columns.header) - set(samples.extra))
+    texts = {name: tuple(map(repr, columns.number(name).tolist())) for name in numbers}
+    return replace(samples, extra={**samples.extra, **texts}) if texts else samples
 
 
 def joints_from(q: Any, source: ProblemFile) -> Samples:
@@ -97,7 +112,7 @@ def joints_from(q: Any, source: ProblemFile) -> Samples:
 
 def predict(
     result: CalibratedArm,
-    joints: Samples,
+    joints: Samples | Any,
     *,
     frame: Literal["flange", "tip"] = "flange",
     nominal: bool = False,
@@ -108,7 +123,7 @@ def predict(
     Args:
         result: a calibration or a truth.
         joints: rows of joint values, also as numbers, a frame or a file; columns that are absent (a reading) count as
-            zero.
+            zero. An effect that further columns tell (torques, a payload) is corrected where they have these.
         frame: "flange" is `robot.pose`; "tip" is where the instrument touches. Where a dial was set to zero anew for
             each session, the tip is that of the row's session; of rows that name none, and have no reading, it is the
             tool's point as the problem declares it.
@@ -129,6 +144,8 @@ def predict(
     joints = joints_from(joints, result.source)
     if frame not in FRAMES:
         raise UnknownNameError("frame", str(frame), FRAMES)
+    told = Told(result, NOTHING_TOLD) if nominal else Told.by(result, joints)
+    result = told.arm
     problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
@@ -136,7 +153,8 @@ def predict(
     data[:, : joints.joints.shape[1]] = joints.joints
     for i, name in enumerate(instrument.columns):
         data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
-    constants = row_constants(result, problem)
+    known = joints.joints.shape[1] + len(instrument.columns) + len(instrument.known_columns)
+    data, constants = told.placed(model.names, data), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     found = found_values(result, alone=not model.effects)
@@ -151,8 +169,8 @@ def predict(
     if std:
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
-        spread = position_stds(result, data, frame, zeros)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen)
+        spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing)
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:

@@ -18,6 +18,7 @@ from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.inverse_kinematics import torn
 from casacal.compensation.targets import Compensation, Outcome, Rounding
+from casacal.compensation.told import told_notes
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
 from casacal.values import FrozenMapping
@@ -154,6 +155,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
             f"base, which must be taught"
         )
+    lines += told_notes(result, compensation.missing)
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")
     if targets.poses is not None and targets.joints is None:

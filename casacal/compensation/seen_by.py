@@ -56,7 +56,8 @@ def _document(document: Mapping[str, Any], name: str, first: str, of_others: Cal
         found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
     found |= _renamed(found, own)
     if isinstance(said := found.get("discrepancy"), Mapping):
-        found["discrepancy"] = {**said, **_renamed(said, own)}
+        told = {"told": [{**each, **_renamed(each, own)} for each in said["told"]]} if "told" in said else {}
+        found["discrepancy"] = {**said, **_renamed(said, own), **told}
     if isinstance(found.get("proposed"), Mapping):
         found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
     if isinstance(noise := found.get("noise"), Mapping):

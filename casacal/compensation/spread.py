@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from casacal.compensation.arm import (
     row_constants,
     with_effects,
 )
+from casacal.compensation.told import NOTHING_TOLD
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
@@ -46,6 +47,14 @@ class Moved:
         """How many joint values a row begins with."""
         return self.model.pose.numel_in(2) - self.elsewhere.size
 
+    def rows(self, given: Array, told: Mapping[str, Array] = NOTHING_TOLD) -> Array:
+        """Whole rows (N, n + k) of given joint values and first columns, and of columns that are told, by name."""
+        rows = np.tile(np.concatenate([np.zeros(self.joints), self.elsewhere]), (len(given), 1))
+        rows[:, : given.shape[1]] = given
+        for name, values in told.items():
+            rows[:, self.joints + self.model.names.index(name)] = values
+        return rows
+
 
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
@@ -70,6 +79,7 @@ def moved_arm(result: CalibratedArm) -> Moved:
     away = dict.fromkeys(model.names, 0.0)
     for effect in model.effects:
         away |= effect.away(site)
+    away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
     return Moved(
         model,
         local_coordinates(result, of=problem.with_kit),
@@ -113,13 +123,21 @@ class RowZeros:
         return None
 
 
-def position_stds(result: CalibratedArm, data: Array, frame: str, zeros: RowZeros | None) -> Array:
+def position_stds(
+    result: CalibratedArm,
+    data: Array,
+    frame: str,
+    zeros: RowZeros | None,
+    told: Mapping[str, Array] = NOTHING_TOLD,
+) -> Array:
     """Standard deviation (N,) of the position, mm, all axes together, apart from the position of the base.
 
     Where it stands is what a rigid motion fitted over the workspace takes out. Effects beside the geometry that are not
-    corrected count as errors, by what they do and by how well that is known.
+    corrected count as errors, by what they do and by how well that is known. told: columns (N,) that rows tell of
+    effects, by name; what is not told is as large as it was in the fitted rows.
     """
     arm, joints = moved_arm(result), workspace_joints(result.source.problem.robot)
+    data = arm.rows(data, told)
     if zeros is None:
         return _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
     names, found = np.array(zeros.names), np.zeros(len(data))
@@ -138,9 +156,7 @@ def _stds(covariance: Array, there: tuple[Array, Array], workspace: tuple[Array,
 
 def _field(arm: Moved, given: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
     """Moves of positions (3 N, k) by what moves the arm, with a sign also by the dial's zero, and the positions."""
-    rows = np.tile(np.concatenate([np.zeros(arm.joints), arm.elsewhere]), (len(given), 1))
-    rows[:, : given.shape[1]] = given
-    batch = arm.model.batch
+    rows, batch = arm.rows(given), arm.model.batch
     points, slopes = (batch.tip_jacobian if frame == "tip" else batch.flange_jacobian)(arm.z, arm.constants, rows)
     field = slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns]
     if sign:

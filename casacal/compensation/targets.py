@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.inverse_kinematics import PosedArm
@@ -35,6 +36,7 @@ class Targets(Value):
     """Rows of targets: `joints` (N, n; rad, mm), `poses` as positions (N, 3; mm) and rotations (N, 3, 3), or both.
 
     With poses, joints only name the branch to take. lines, text: each row's line in its file, and the row itself.
+    extra: further columns as text, such as torques.
     """
 
     joints: Array | None
@@ -43,6 +45,7 @@ class Targets(Value):
     text: tuple[str, ...]
     file: str
     sha256: str
+    extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -54,7 +57,7 @@ class Targets(Value):
     def of(samples: Samples) -> Targets:
         """Joint targets from samples, or from any joint values that `Samples` can hold."""
         text = tuple(",".join(f"{value:.9g}" for value in row) for row in samples.joints)
-        return Targets(samples.joints, None, tuple(samples.lines), text, samples.file, samples.sha256)
+        return Targets(samples.joints, None, tuple(samples.lines), text, samples.file, samples.sha256, samples.extra)
 
     @staticmethod
     def of_poses(poses: Array) -> Targets:
@@ -117,7 +120,14 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None
     text = tuple(",".join(row) for row in table.rows)
     poses = _poses(table, Layout(axes if jointed else (), POSE)) if posed else None
-    return Targets(joints, poses, table.lines, text, table.file, table.sha256)
+    return Targets(joints, poses, table.lines, text, table.file, table.sha256, FrozenMapping(table.columns.texts()))
+
+
+def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Samples:
+    """Joint values (M, n) for some targets (M,), with the further columns of these."""
+    extra = {name: tuple(values[i] for i in which.tolist()) for name, values in targets.extra.items()}
+    lines = tuple(targets.lines[i] for i in which.tolist())
+    return Samples(joints, {}, {}, lines, extra, targets.file, targets.sha256)
 
 
 def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
@@ -187,7 +197,8 @@ class Compensation(Value):
     correction_mm: miss at `start`, which the correction removes. correction: largest joint motion from `start`, rad, a
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
-    position that is left, apart from the position of the base.
+    position that is left, apart from the position of the base. missing: by the words of an effect that columns tell,
+    those of them that the targets lack, so that it is not corrected.
     """
 
     targets: Targets
@@ -201,6 +212,7 @@ class Compensation(Value):
     correction_mm: Array
     correction: Array
     expected_mm: Array
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         frozen(tuple(value for value in vars(self).values() if isinstance(value, np.ndarray)))

@@ -9,11 +9,14 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.further import LOAD, MASS, check_payload, read_payload
 from casacal.discrepancy.smooth import OverTime
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
+from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 
 
@@ -27,12 +30,16 @@ class GravitySag(Effect):
         size: by how much the flange sags where all give alike, mm, RMS over the joints' ranges.
         doubt: times by which that may be off.
         down: direction of gravity in the base frame.
+        payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
+            then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
+            that column; where it lacks it, all of the sag counts as an error.
 
     """
 
     size: float = 0.15
     doubt: float = 6.0
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    payload: str = ""
 
     moves = True
     elastic = True
@@ -42,25 +49,48 @@ class GravitySag(Effect):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "down", direction(self.down))
+        check_payload(self.payload)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The column of the payload, if there is one."""
+        return (self.payload,) if self.payload else ()
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The payload, where a column says it."""
+        del site
+        return (MASS,) if self.payload else ()
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say, kg; raises ProblemError where they do not."""
+        del site
+        return read_payload(samples, self.payload) if self.payload else {}
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever."""
+        """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.
+
+        With a payload then what all give to `LOAD` kilograms at the tip, and each beside it.
+        """
         turns = site.robot.revolute
         if not turns.any() or not (pull := self._sag_of_one(site)) > LEAST_SAG:
             return {}
-        weights = np.concatenate([[1.0, 1.0], np.full(int(turns.sum()), APART)]) / pull
+        each = np.full(int(turns.sum()), APART)
+        loaded = [[1.0], each] if self.payload else []
+        weights = np.concatenate([[1.0, 1.0], each, *loaded]) / pull
         return {self.key: weighted(weights, self.size, "rad")}
 
     def joints(self, here: Here) -> Expression:
         """u dh/dq, h the way of flange and tip along gravity, in metres."""
-        u, each = getattr(here.p, self.key), iter(range(2, getattr(here.p, self.key).numel()))
+        u, count = getattr(here.p, self.key), int(here.robot.revolute.sum())
         at_zero = SimpleNamespace(**{**vars(here.row), **dict.fromkeys(here.instrument.columns, 0.0)})  # of readings
         places = (position(here.pose), here.instrument.tip(here.pose, here.p, at_zero))
         flange, tip = (ca.gradient(ca.dot(ca.DM(self.down), place) / 1000, here.q) for place in places)
-        given = [
-            u[0] * flange[j] + (u[1] + u[next(each)]) * tip[j] if turns else 0
-            for j, turns in enumerate(here.robot.revolute)
-        ]
+        at_tip = [u[1] + u[k] for k in range(2, 2 + count)]
+        if self.payload:
+            load = getattr(here.row, MASS) / LOAD
+            at_tip = [own + load * (u[2 + count] + u[3 + count + k]) for k, own in enumerate(at_tip)]
+        pulls = iter(at_tip)
+        given = [u[0] * flange[j] + next(pulls) * tip[j] if turns else 0 for j, turns in enumerate(here.robot.revolute)]
         return ca.vertcat(*given)
 
     def _sag_of_one(self, site: Site) -> float:

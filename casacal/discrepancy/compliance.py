@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.array_types import Rows as Chosen
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
-from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.further import LOAD, MASS, check_columns_of, check_payload, read_columns_of, read_payload
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -23,42 +24,13 @@ from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
 
-NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
-
-
-def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
-    """Raise ProblemError unless there is a column for each joint."""
-    if len(columns) != joints:
-        raise ProblemError(f"Got {len(columns)} columns of {what} for {joints} joints", "Name one for each")
-
-
-def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
-    """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
-
-    Raises ProblemError where one is missing, or holds no numbers; `fix` says which to give.
-    """
-    check_columns_of(columns, joints, what)
-    found = []
-    for column in columns:
-        if column not in samples.extra:
-            known = ", ".join(samples.extra)
-            fix = f"Give it; further columns there are: {known}" if known else NOT_KEPT
-            raise ProblemError(f"{samples.file} has no column '{column}' of {what}", fix)
-        try:
-            values = np.array([float(text) for text in samples.extra[column]])
-        except ValueError:
-            values = np.array([np.nan])
-        if not np.isfinite(values).all():
-            raise ProblemError(f"{samples.file}: the column '{column}' holds no {what}", f"Give {fix}")
-        found.append(values)
-    return np.column_stack(found)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueCompliance(Effect):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
-    Away from the rows no torque is known, so that `predict` and `compensate` count it as an error.
+    `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
+    C and CasADi take the torques as a further input. Where they are not known it counts as an error.
 
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
@@ -90,9 +62,14 @@ class TorqueCompliance(Effect):
         del site
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
 
-    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
-        """As the samples say; raises ProblemError where they do not."""
-        told = read_columns_of(rows.samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The columns of torques."""
+        return self.columns_of
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
         return dict(zip(self.columns(site), told.T, strict=True))
 
     def joints(self, here: Here) -> Expression:
@@ -120,6 +97,8 @@ class LinkSag(Effect):
         doubt: times by which that may be off.
         down: direction of gravity in the base frame.
         masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
+        payload: column of the samples that says what hangs at the flange in each row, kg, beside these masses, such as
+            "payload_kg"; as for `GravitySag`.
         centres: their centres of mass in the base frame where the joints of the model stand at zero (n, 3), mm; by
             default each on the axis of the next joint, the last at the flange.
 
@@ -130,6 +109,7 @@ class LinkSag(Effect):
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
+    payload: str = ""
 
     moves = True
     elastic = True
@@ -151,8 +131,24 @@ class LinkSag(Effect):
             raise ProblemError(f"Got {odd[0]!r} as a centre of mass", "Give three numbers of mm for each link")
         if centres and not masses:
             raise ProblemError("Centres of mass came without masses", "Give both, or none")
+        check_payload(self.payload)
         object.__setattr__(self, "masses", masses)
         object.__setattr__(self, "centres", centres)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The column of the payload, if there is one."""
+        return (self.payload,) if self.payload else ()
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The payload, where a column says it."""
+        del site
+        return (MASS,) if self.payload else ()
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say, kg; raises ProblemError where they do not."""
+        del site
+        return read_payload(samples, self.payload) if self.payload else {}
 
     @staticmethod
     def from_urdf(
@@ -163,20 +159,21 @@ class LinkSag(Effect):
         size: float = 0.15,
         doubt: float = 6.0,
         down: tuple[float, float, float] = (0.0, 0.0, -1.0),
-        payload: float = 0.0,
+        payload: float | str = 0.0,
     ) -> LinkSag:
         """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.
 
         Args:
             path, base, tip: as for `Robot.from_urdf`.
             size, doubt, down: as for the effect itself.
-            payload: what hangs at the tip link's origin, kg.
+            payload: what hangs at the tip link's origin, kg, or the column of the samples that says it.
 
         Raises ProblemError where the file names no mass, or cannot be read.
 
         """
-        masses, centres = weights_of(path, base, tip, payload)
-        return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres)
+        column, kilograms = (payload, 0.0) if isinstance(payload, str) else ("", payload)
+        masses, centres = weights_of(path, base, tip, kilograms)
+        return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres, payload=column)
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What each joint gives, or each joint to each link beyond it, rad per metre of lever (and kg)."""
@@ -188,7 +185,7 @@ class LinkSag(Effect):
     def joints(self, here: Here) -> Expression:
         """u dh/dq of every joint and link, h how deep the link is, in metres."""
         u, feels = getattr(here.p, self.key), self._pull(here)[0]
-        moments = self._moments(here, here.q)
+        moments = self._moments(here, here.q, getattr(here.row, MASS) if self.payload else 0)
         off, place = [ca.SX(0)] * len(here.robot.axes), iter(range(u.numel()))
         for i, j in zip(*np.nonzero(feels), strict=True):
             off[i] += u[next(place)] * moments[int(i), int(j)]
@@ -202,17 +199,29 @@ class LinkSag(Effect):
                 raise ProblemError(f"Got {len(given)} {what} for {count} joints", "Give one for what each one carries")
         return links.with_places(np.array(self.centres)) if self.centres else links
 
-    def _moments(self, site: Site, q: Expression) -> Expression:
-        """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m."""
+    def _moments(self, site: Site, q: Expression, load: Expression) -> Expression:
+        """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m.
+
+        load: kg at the flange; without masses it is a link more, in units of `LOAD`.
+        """
         slopes = self._links(site).levers(np.array(self.down))(q).T
-        return ca.mtimes(slopes, ca.DM(self.masses)) if self.masses else slopes
+        own = ca.mtimes(slopes, ca.DM(self.masses)) if self.masses else slopes
+        if not self.payload:
+            return own
+        hangs = load * self._at_flange(site)(q)[len(site.robot.axes) - 1, :].T
+        return own + hangs if self.masses else ca.horzcat(own, hangs / LOAD)
+
+    def _at_flange(self, site: Site) -> ca.Function:
+        """Levers of weights that all hang at the flange."""
+        links, count = self._links(site), len(site.robot.axes)
+        return links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(np.array(self.down))
 
     def _pull(self, site: Site) -> tuple[Chosen, float]:
         """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
-        links, count = self._links(site), len(site.robot.axes)
-        q, down = ca.SX.sym("q", count), np.array(self.down)
-        flange = links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(down)(q)[count - 1, :]
-        moments = ca.Function("moments", [q], [ca.densify(self._moments(site, q)), flange])
+        count = len(site.robot.axes)
+        q = ca.SX.sym("q", count)
+        flange = self._at_flange(site)(q)[count - 1, :]
+        moments = ca.Function("moments", [q], [ca.densify(self._moments(site, q, ca.SX(LOAD))), flange])
         postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
         about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
         about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T

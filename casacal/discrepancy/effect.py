@@ -177,7 +177,19 @@ class Effect(Portable, ABC):
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """Those columns (N,) of some rows."""
-        del site, rows
+        return self.told(site, rows.samples)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Columns of a file that say the first of its `columns`, in their order; the others are then zero.
+
+        Where rows have them, whoever predicts can correct it; none where nobody but the fitted rows can tell.
+        """
+        return ()
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """Its columns (N,) as any rows say that have those of `further`; ProblemError where they hold none."""
+        del site, samples
         return {}
 
     def away(self, site: Site) -> Mapping[str, float]:

@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.discrepancy.compliance import read_columns_of
 from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.further import read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
+from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 
 PER_RAD = 100.0
@@ -147,19 +148,25 @@ class Backlash(Effect):
         """Either way: what the tip may stand off is the same for both; never the first row."""
         return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
 
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The columns of ways of approach, if there are such."""
+        return self.columns_of
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach", "-1, 0 or 1")
+        if not np.isin(told, (-1, 0, 1)).all():
+            line = samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
+            said = f"{samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
+            fix = "Write 1 where the joint's value grew, -1 where it fell, 0 where that is not known"
+            raise ProblemError(said, fix)
+        return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
+
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """Signs of the steps from row to row, none known of the first; or what the samples say."""
         if self.columns_of:
-            told = read_columns_of(
-                rows.samples, self.columns_of, len(site.robot.axes), "ways of approach", "-1, 0 or 1"
-            )
-            if not np.isin(told, (-1, 0, 1)).all():
-                line = rows.samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
-                said = f"{rows.samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
-                raise ProblemError(
-                    said, "Write 1 where the joint's value grew, -1 where it fell, 0 where that is not known"
-                )
-            return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
+            return self.told(site, rows.samples)
         order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
         ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
         ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))

@@ -8,9 +8,10 @@ from pathlib import Path
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.export.c_code import c_text
 from casacal.export.controllers import ur_kinematics_text, zeros_text
 from casacal.export.dh import dh_text
-from casacal.export.functions import c_text, casadi_text
+from casacal.export.functions import casadi_text
 from casacal.export.remark import MARK, remark
 from casacal.export.urdf import urdf_text
 from casacal.files import write_text

@@ -1,11 +1,10 @@
-"""The calibrated arm as CasADi functions, in a file of such a one, and as C."""
+"""The calibrated arm as CasADi functions, and in a file of such a one."""
 
 from __future__ import annotations
 
-import re
 import tempfile
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -13,12 +12,17 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
+from casacal.compensation.told import columns_that_tell, where_told
+from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
-from casacal.export.remark import remark
+from casacal.problem.problem import Problem
 
 
 def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
     """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
+
+    Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
+    (k), in the order of `told_names`.
 
     Args:
         arm: what was calibrated.
@@ -35,23 +39,51 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     if free:
         return problem.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
-    pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q)) if nominal else pose_at(arm, q)
-    return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+    if nominal:
+        pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))
+        return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+    inputs = inputs_of(arm, q)
+    pose = pose_at(arm, *inputs.values())
+    return ca.Function("pose", [*inputs.values()], [ca.densify(e) for e in ca.cse([pose])], [*inputs], ["pose"])
 
 
-def pose_at(arm: CalibratedArm, q: ca.SX) -> ca.SX:
-    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included."""
-    problem = arm.used
+def told_names(arm: CalibratedArm) -> tuple[str, ...]:
+    """The columns whose values are the input `told`, in order; none where no column tells an effect."""
+    return tuple(name for names in columns_that_tell(arm_from(arm)).values() for name in names)
+
+
+def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
+    """Joint values, and what columns tell, where they do."""
+    count = len(told_names(arm))
+    return {"q": q, "told": ca.SX.sym("told", count)} if count else {"q": q}
+
+
+def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None) -> ca.SX:
+    """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
+    columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
+    site = Site(problem.robot, problem.instrument)
+    effects = {effect.key: effect for effect in problem.effects}
+    for key, names in columns_that_tell(arm).items():
+        columns |= zip(effects[key].columns(site), values[: len(names)], strict=False)
+        values = values[len(names) :]
+    return ca.vertcat(q, *(columns.get(name, 0) for name in problem.symbols.columns))
+
+
+def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
+    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included.
+
+    told: what columns tell of effects (k), in the order of `told_names`.
+    """
+    used = where_told(arm)
+    problem = used.used
     if not problem.effects:
         return ca.SX(problem.robot.pose(arm_values(arm), q))
-    symbols = problem.symbols
-    d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
-    z = ca.DM(local_coordinates(arm, of=problem))
-    return ca.reshape(symbols.functions["pose"](z, ca.DM(row_constants(arm, problem)), d), 4, 4)
+    z, c = ca.DM(local_coordinates(used, of=problem)), ca.DM(row_constants(used, problem))
+    return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
 
 
 def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
-    """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
+    """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero; `told` as there.
 
     nominal, errors: as for `pose_function`; ProblemError where there are several instruments. free: what the tip
     depends on of the robot's parameters, the instrument's unknowns and the columns are inputs too, by name.
@@ -60,12 +92,17 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
     arm = arm_from(arm)
     if free:
         return arm.source.problem.without_effects.symbols.value_functions["tip"]
-    problem = arm.source.problem.without_effects if nominal else arm.used
-    symbols = problem.symbols
-    q, z = ca.SX.sym("q", symbols.q.numel()), local_coordinates(arm, nominal=nominal, of=problem)
-    d = ca.vertcat(q, ca.DM.zeros(len(symbols.columns)))
-    tip = symbols.functions["tip"](z, ca.DM(row_constants(arm, problem)), d)
-    return ca.Function("tip", [q], [ca.densify(each) for each in ca.cse([tip])], ["q"], ["tip"])
+    q, used = ca.SX.sym("q", len(arm.source.problem.robot.axes)), arm if nominal else where_told(arm)
+    problem = arm.source.problem.without_effects if nominal else used.used
+    inputs = {"q": q} if nominal else inputs_of(arm, q)
+    d = (
+        ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
+        if nominal
+        else _row(arm, problem, q, inputs.get("told"))
+    )
+    z = local_coordinates(used, nominal=nominal, of=problem)
+    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
+    return ca.Function("tip", [*inputs.values()], [ca.densify(each) for each in ca.cse([tip])], [*inputs], ["tip"])
 
 
 def values_of(
@@ -97,9 +134,9 @@ def casadi_text(arm: CalibratedArm) -> str:
     The file has no room for remarks: a verdict not to use the result is part of the function's name.
     """
     arm = arm_from(arm)
-    q = ca.SX.sym("q", len(arm.source.problem.robot.axes))
+    inputs = inputs_of(arm, ca.SX.sym("q", len(arm.source.problem.robot.axes)))
     name = "pose" if arm.denial is None else "pose_forced_against_the_verdict"
-    made = ca.Function(name, [q], [pose_function(arm)(q)], ["q"], ["pose"])
+    made = ca.Function(name, [*inputs.values()], [pose_function(arm)(*inputs.values())], [*inputs], ["pose"])
     with tempfile.TemporaryDirectory() as folder:
         made.save(str(Path(folder) / "arm"))
         return (Path(folder) / "arm").read_text(encoding="ascii")
@@ -113,112 +150,3 @@ def _check(nominal: bool, free: bool) -> None:
 def _array(matrix: ca.DM) -> Array:
     dense = np.asarray(ca.densify(matrix), dtype=np.float64)
     return dense.ravel() if dense.shape[1] == 1 else dense
-
-
-LEVER = 300.0  # millimetres that weigh as much as one radian in a step
-
-HEAD = """/*
-{remarks}
- *
- * {name}: {count} joints, in rad (sliding ones mm), as the controller shows them; lengths in mm.
- * Matrices are row by row. The base frame is that of the model. C99; needs math.h alone.
- *
- * void {prefix}_pose(const double q[{count}], double pose[16]);
- *     flange pose, 4 x 4
- * void {prefix}_jacobian(const double q[{count}], double jacobian[{size}]);
- *     6 x {count}: velocity of the flange's origin (mm), then angular velocity (rad), in the base frame, by each joint
- * void {prefix}_step(const double q[{count}], const double target[16], double damping, double next[{count}],
- *                    double error[6]);
- *     one damped least-squares step towards a pose, next = q + J' (J J' + damping^2 I)^-1 error, in which a radian of
- *     turn weighs as {lever:g} mm; damping in mm, such as 1; error: what is missing at q, mm and rad. Repeat until it
- *     is small, and mind the joint limits: they are not known here.
- */
-"""
-
-WRAPPERS = """
-void {prefix}_pose(const double q[{count}], double pose[16]) {{
-  const double* arg[{args}] = {{q}};
-  double* res[{results}] = {{pose}};
-  {prefix}_pose_raw(arg, res, 0, 0, 0);
-}}
-
-void {prefix}_jacobian(const double q[{count}], double jacobian[{size}]) {{
-  const double* arg[{args}] = {{q}};
-  double* res[{results}] = {{jacobian}};
-  {prefix}_jacobian_raw(arg, res, 0, 0, 0);
-}}
-
-void {prefix}_step(const double q[{count}], const double target[16], double damping, double next[{count}],
-    double error[6]) {{
-  const double* arg[{args}] = {{q, target, &damping}};
-  double* res[{results}] = {{next, error}};
-  {prefix}_step_raw(arg, res, 0, 0, 0);
-}}
-"""
-
-
-def c_text(result: CalibratedArm, *, prefix: str | None = None) -> str:
-    """Self-contained C99 of the calibrated forward kinematics, its Jacobian and a damped step; see its head comment.
-
-    `prefix` begins the names of the functions; by default the problem's name. Raises CasacalError where it is no C
-    name.
-    """
-    result = arm_from(result)
-    if prefix is None:
-        plain = re.sub(r"[\W_]+", "_", result.source.name, flags=re.ASCII).strip("_")
-        prefix = plain if plain[:1].isalpha() else f"arm_{plain}".rstrip("_")
-    if not ca.Function.check_name(f"{prefix}_pose"):
-        fix = "Give a prefix of letters, digits and _"
-        raise CasacalError(f"'{prefix}' cannot begin the name of a C function", fix)
-    functions = c_functions(result, prefix)
-    generator = ca.CodeGenerator(f"{prefix}_code", {"with_header": False})
-    for function in functions:
-        generator.add(function)
-    count = functions[0].numel_in(0)
-    values = {
-        "prefix": prefix,
-        "count": count,
-        "size": 6 * count,
-        "args": max(f.sz_arg() for f in functions),
-        "results": max(f.sz_res() for f in functions),
-        "lever": LEVER,
-        "name": _comment(result.source.problem.robot.name),
-        "remarks": "\n".join(f" * {_comment(line)}" for line in remark(result)),
-    }
-    return HEAD.format(**values) + generator.dump() + WRAPPERS.format(**values)
-
-
-def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
-    """Functions behind the C code: q -> pose (16); q -> Jacobian (6 n); q, target, damping -> next (n), error (6)."""
-    robot = result.source.problem.robot
-    count = len(robot.axes)
-    q, target, damping = ca.SX.sym("q", count), ca.SX.sym("target", 16), ca.SX.sym("damping")
-    pose = pose_at(result, q)
-    turn = pose[:3, :3]
-    slopes = ca.jacobian(ca.vec(turn), q)
-    spins = []
-    for i in range(count):  # dR/dq R' = [w]
-        cross = ca.mtimes(ca.reshape(slopes[:, i], 3, 3), turn.T)
-        spins.append(ca.vertcat(cross[2, 1] - cross[1, 2], cross[0, 2] - cross[2, 0], cross[1, 0] - cross[0, 1]) / 2)
-    jacobian = ca.densify(ca.vertcat(ca.jacobian(pose[:3, 3], q), ca.horzcat(*spins)))
-    wanted = ca.reshape(target, 4, 4).T
-    # orientation error: half the sum of the axes' cross products, Siciliano et al., Robotics (2009), eq (3.85)
-    turned = sum((ca.cross(turn[:, k], wanted[:3, k]) for k in range(3)), ca.SX.zeros(3)) / 2
-    error = ca.vertcat(wanted[:3, 3] - pose[:3, 3], turned)
-    weights = ca.DM(np.diag([1.0] * 3 + [LEVER] * 3))
-    lifted = ca.mtimes(weights, jacobian)
-    normal = ca.mtimes(lifted, lifted.T) + damping**2 * ca.DM.eye(6)
-    factors = ca.ldl(ca.densify(normal), False)  # positive definite while there is damping
-    step = ca.mtimes(lifted.T, ca.ldl_solve(ca.mtimes(weights, error), *factors))
-    inputs = [[q], [q], [q, target, damping]]
-    outputs = [[ca.vec(pose.T)], [ca.vec(jacobian.T)], [q + step, error]]
-    names = (f"{prefix}_pose_raw", f"{prefix}_jacobian_raw", f"{prefix}_step_raw")
-    return [
-        ca.Function(name, given, [ca.densify(out) for out in ca.cse(made)])
-        for name, given, made in zip(names, inputs, outputs, strict=True)
-    ]
-
-
-def _comment(text: str) -> str:
-    """A text that cannot end a C comment."""
-    return " ".join(text.replace("*/", "* /").split())

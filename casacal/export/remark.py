@@ -6,6 +6,7 @@ from pathlib import Path
 
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import arm_from
+from casacal.compensation.told import columns_that_tell, where_told
 from casacal.robots.dh_table import DHTable
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
@@ -22,6 +23,9 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     corrects.
     """
     result = arm_from(result)
+    further = columns_that_tell(result)
+    whole = form in ("c", "casadi")
+    result = where_told(result) if whole else result
     document = result.document
     name = result.source.name
     if document.get("method") == "truth":
@@ -33,16 +37,21 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
     said, keys = document.get("discrepancy") or {}, result.corrected
     error = (document.get("tip") or {}).get("expected_rms_mm")
-    named = " and ".join(effect["words"] for effect in said.get("effects", ()) if effect["key"] in keys)
-    alone = bool(keys) and form not in ("c", "casadi")
+    called = {effect["key"]: effect["words"] for effect in said.get("effects", ())}
+    named = " and ".join(called[key] for key in called if key in keys)
+    alone = bool(keys) and not whole
     if alone:
         error = said.get("expected_rms_mm_without_corrections")
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
     elif keys:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
+    for key, names in further.items():
+        inputs = ", ".join(names)
+        done = "is corrected, and takes" if whole else "is not corrected in this form; the forms c and casadi take"
+        lines.append(f"{MARK}{called[key]} {done} {inputs} as inputs")
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
-        lines.append(f"{MARK}the result's verdict: {level if alone else care}")
+        lines.append(f"{MARK}the result's verdict: {level if alone or (whole and further) else care}")
     shown = (
         "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
     )

@@ -17,6 +17,10 @@ import casadi as ca
 import numpy as np
 
 from casacal import instruments
+from casacal.discrepancy.arm import GravitySag, ThermalGrowth
+from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
+from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField
 from casacal.errors import CasacalError
 from casacal.graphs import graph_data, graph_from
 from casacal.instruments.description import Probe, ResidualBlock
@@ -35,9 +39,13 @@ ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
 UNKNOWNS = (Parameter, Direction, Plane, Frame)
 BUILT_IN = """DialOnPlane DialOnBody TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch TrackedPose
     SelfContact Step"""
+EFFECTS = (
+    *(Backlash, Drift, FaceForm, GearRipple, GravitySag, JointField, LinkSag, ThermalGrowth),
+    *(TorqueCompliance, TransmissionError),
+)
 INSTRUMENTS = (*(getattr(instruments, name) for name in BUILT_IN.split()), TracedInstrument)
 PARTS = (Probe, ResidualBlock, TracedPose)
-KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS)}
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS, *EFFECTS)}
 """What may stand in such data: nothing else is ever made of them."""
 
 
@@ -61,6 +69,8 @@ def problem_data(problem: Problem) -> dict[str, Any]:
     }
     if len(problem.instruments) > 1:
         data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
+    if problem.effects and all(type(effect) in EFFECTS for effect in problem.effects):
+        data["effects"] = _encoded(problem.effects)
     return {"sha256": _digest(data), **data}
 
 
@@ -79,6 +89,7 @@ def problem_from(data: Mapping[str, Any]) -> Problem:
         else:
             named = dict(zip(map(str, kept["names"]), measured, strict=True))
             problem = Problem(robot, named, shared=_decoded(kept["shared"]))
+        problem = problem.with_effects(*_decoded(kept.get("effects", [])))
         _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
         return problem
     except CasacalError:

@@ -34,3 +34,8 @@ def joint_values(q: Any, robot: Robot) -> Array:
 def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """Joint values (count, n; rad, mm), uniform between the limits."""
     return rng.uniform(*robot.limits, size=(count, len(robot.axes)))
+
+
+def joint_units(robot: Robot) -> Array:
+    """What counts as one unit of motion of each joint (n,): a radian, or as many mm as weigh as much."""
+    return np.where(robot.revolute, 1.0, AXIS_WEIGHT)

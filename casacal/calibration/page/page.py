@@ -135,7 +135,7 @@ def _tried(part: Mapping[str, Any] | None) -> dict[str, Any]:
     rows = [
         [
             capital(each["words"]),
-            yes[each["corrected"]],
+            "where rows have its columns" if each["further"] and each["helps"] else yes[each["corrected"]],
             f"{each['evidence']:.1f}",
             *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
             yes[each["helps"]],
