@@ -87,6 +87,8 @@ def test_the_minima_of_independent_solvers_cost_the_same(bound, loss):
         assert other.trace["cost"][-1] == pytest.approx(other.cost, rel=1e-9)
     both = sckf_lm(bound, loss=loss)
     assert both.converged
+    from_filter = lm(bound, start=both.trace["filter_x"][-1], loss=loss)
+    assert both.cost <= from_filter.cost * (1 + 1e-9)
     assert both.cost <= found.cost * (1 + 1e-9), "where it starts elsewhere, tukey has a lower minimum"
     assert both.cost < 0.9 * bound.cost(lm(bound).x, loss), "the loss matters"
 
