@@ -55,6 +55,7 @@ EXTRAS = {
     "tables.workbooks": {"openpyxl"},
     "measuring.gauges": {"serial"},
     "cli.completion": {"shtab"},
+    "bench.rivals": {"pybotics", "robotkinecal", "roboticstoolbox", "figaroh", "pinocchio"},
 }
 """Packages that only some users need, and where they are asked for."""
 NUMPY_ONLY = {"least_squares", "uncertainty"}

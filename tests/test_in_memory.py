@@ -102,7 +102,7 @@ def test_the_door_says_what_it_takes(hsr, arguments, says):
         ({"method": lambda problem: "x"}, "Got a str from the method"),
         ({"method": lambda problem: problem.x0[:3]}, "has the shape"),
         ({"method": lambda problem: problem.x0 * np.nan}, "not finite"),
-        ({"method": "sckf", "loss": huber()}, "knows no robust loss"),
+        ({"method": "sckf", "loss": huber()}, "takes no loss: it takes every row once"),
         ({"holdout": 1.5}, "held-out part"),
         ({"holdout": "a"}, "held-out part"),
         ({"seed": -1}, "seed is -1"),

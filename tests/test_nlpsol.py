@@ -117,7 +117,6 @@ def test_a_solver_that_prints_leaves_the_output_to_who_reads_it(hsr):
     [
         (["--reference", "knitro"], "There is no nlpsol plug-in named 'knitro'"),
         (["--reference", "ipopt", "--no-reference"], "Got --reference ipopt with --no-reference"),
-        (["--reference", "fatrop", "--loss", "huber"], "The reference 'fatrop' knows no robust loss"),
     ],
 )
 def test_the_command_refuses_in_a_line(options, says, hsr, capsys):
@@ -132,9 +131,9 @@ def test_the_reference_is_never_the_method_itself(hsr):
     assert made.reference.solver == "lm"
     made = calibrate(hsr.problem, hsr.samples, method="ipopt", reference="fatrop", discrepancy="none")
     assert (made.reference.solver, made.reference.agrees) == ("fatrop", True)
-    with pytest.raises(CasacalError, match="knows no robust loss"):
-        calibrate(hsr.problem, hsr.samples, loss=huber(), reference="fatrop")
-    assert calibrate(hsr.problem, hsr.samples, loss=huber(), discrepancy="none").reference is None
+    made = calibrate(hsr.problem, hsr.samples, loss=huber(), reference="fatrop")
+    assert (made.reference.solver, made.reference.agrees) == ("fatrop", True)
+    assert made.reference.result.loss == made.result.loss
 
 
 def test_studies_take_it(hsr):

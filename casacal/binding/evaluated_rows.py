@@ -128,12 +128,12 @@ class EvaluatedRows(AllRows, LeastSquares):
         found = self._native.step(x, normal.gradient, normal.information, damping)
         return None if found is None else Step(*found)
 
-    def costs(self, states: Array) -> Array:
-        """Objective at many states (m, n): (m,)."""
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
+        """Objective at many states (m, n): (m,); with a loss where one is given."""
         away = states - self.x0
         away *= away
         total = away @ (self.prior_information / 2)
-        total += self._rows.costs(states)
+        total += self._rows.costs(states, loss)
         return np.asarray(total)
 
     def extended_pass(self, mean: Array, covariance: Array) -> ExtendedPass | None:

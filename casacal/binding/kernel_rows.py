@@ -117,11 +117,17 @@ class KernelRows:
 
         return np.asarray(np.linalg.qr(np.vstack(shared_out(of_piece, self.pieces, self._threads)), mode="r"))
 
-    def costs(self, states: Array) -> Array:
-        """Half the whitened sum of squares at many x (m, n): (m,)."""
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
+        """Half the whitened sum of squares, or the sum of a loss, at many x (m, n): (m,)."""
+
+        def of_piece(piece: Piece, some: Array) -> Array:
+            p, noise = np.ascontiguousarray(piece.parameters(some)), self.noise[piece.numbers].T
+            if loss is None:
+                return piece.kernels.costs(p, piece.lanes)
+            return np.array([loss.cost(piece.kernels.residual(each, piece.lanes) / noise).sum() for each in p])
 
         def total(some: Array) -> Array:
-            found = [piece.kernels.costs(piece.parameters(some), piece.lanes) for piece in self.pieces]
+            found = [of_piece(piece, some) for piece in self.pieces]
             return found[0] if len(found) == 1 else np.sum(found, axis=0)
 
         if len(states) * sum(len(block.noise) for block in self.blocks) < MANY_LANES:

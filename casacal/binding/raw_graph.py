@@ -18,6 +18,7 @@ from casacal.binding.slots import Slot
 from casacal.kernels.batch import Buffered
 from casacal.kernels.block_rows import CurvatureKernel
 from casacal.kernels.rows import Lanes
+from casacal.least_squares.losses import Loss
 from casacal.unknowns import Parameter, Unknown
 
 Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -45,9 +46,9 @@ class RawBlock:
         """The rows as the kernel reads them."""
         return self.kernel.lanes(self.data, self.noise)
 
-    def __call__(self, v: Array) -> tuple[float, Array, Array]:
+    def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Cost of the rows, its gradient (z,) and Hessian (z, z) by what they see of v (n,)."""
-        return self.kernel(v[self.columns], self.constants, self.lanes, threads=self.threads)
+        return self.kernel(v[self.columns], self.constants, self.lanes, loss=loss, threads=self.threads)
 
 
 class RawGraph:

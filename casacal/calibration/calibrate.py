@@ -68,7 +68,7 @@ def calibrate(
             samples, such as one of sessions: all rows of some of its values.
         seed: of the choice of those rows, and of methods that draw random numbers.
         reference: whether an independent solver checks the minimum, or which of CasADi's nlpsol plug-ins does, such as
-            "fatrop"; by default "ipopt". It knows no robust loss.
+            "fatrop"; by default "ipopt". It minimises the same cost, with the loss where there is one.
         noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
             interval; "stated" trusts what was stated.
         outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
@@ -76,7 +76,7 @@ def calibrate(
         discrepancy: "kit" takes into account what arm and cell do beside their geometry: the problem's own effects, or
             those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
             a box, and thousands of faces do.
-        loss: a robust loss, such as `huber()`, for the method "lm" alone.
+        loss: a robust loss, such as `huber()`, for methods that minimise: all but filters and "plane-only".
         backend, threads: what evaluates the rows, as for `bind`.
         progress: called with (step, cost) now and then.
 
@@ -94,7 +94,7 @@ def calibrate(
     _check_word(noise, "as the noise", "found", "stated")
     _check_word(outliers, "for the outliers", "set aside", "keep")
     _check_word(discrepancy, "for the discrepancy", "kit", "none")
-    solver = _reference(reference, loss)
+    solver = _reference(reference)
     began = time.perf_counter()
     single = Measurements.of(rows).map(without_copies)
     groups = [instrument.groups for instrument in source.problem.instruments]
@@ -193,11 +193,9 @@ def _refuse_too_few(fit: BoundProblem) -> None:
     raise SamplesError(samples.file, f"{fit.rows} rows are fitted for {fit.unknowns} unknowns", fix)
 
 
-def _reference(given: bool | str, loss: Loss | None) -> str:
+def _reference(given: bool | str) -> str:
     """The plug-in that is to check the minimum; empty where none is."""
-    if isinstance(given, str) and loss is not None:
-        raise CasacalError(f"The reference '{given}' knows no robust loss", "Leave out the one or the other")
-    if given is False or loss is not None:
+    if given is False:
         return ""
     solver = "ipopt" if given is True else given
     check_solver(solver)
@@ -205,9 +203,9 @@ def _reference(given: bool | str, loss: Loss | None) -> str:
 
 
 def _check(fit: BoundProblem, method: str, result: Result, solver: str) -> Reference:
-    """Solve again by other means: an nlpsol plug-in or, when that is the method, LM."""
-    solver = "lm" if method == solver else solver
-    other = lm(fit) if solver == "lm" else nlpsol(fit, solver=solver)
+    """Solve again by other means, with the same loss: an nlpsol plug-in or, when that is the method, LM."""
+    solver, loss = "lm" if method == solver else solver, result.loss
+    other = lm(fit, loss=loss) if solver == "lm" else nlpsol(fit, solver=solver, loss=loss)
     own = other.trace.get("cost", np.zeros(0))
     cost = float(own[-1]) if own.size else other.cost
     return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

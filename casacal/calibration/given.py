@@ -40,6 +40,13 @@ METHODS: Mapping[str, Method] = {
 RANDOM = ("annealing", "swarm", "evolution")
 """Methods that draw random numbers, to search a box of the geometry: that of effects beside it is too wide."""
 
+NO_LOSS: Mapping[str, str] = {
+    "sckf": "takes every row once, at its full weight, and minimises nothing",
+    "ekf": "takes every row once, at its full weight, and minimises nothing",
+    "plane-only": "is the control of plain least squares, with which others are compared",
+}
+"""Methods that take no loss, and why."""
+
 WORSE = 1e-9  # part of the drawing's cost by which an estimate may exceed it: rounding
 
 
@@ -109,13 +116,18 @@ def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]
         if not callable(method):
             fix = f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem"
             raise CasacalError(f"Got {came(method)} as the method", fix)
-        name = str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
-        return method, name
-    if method not in METHODS:
+        run, name = method, str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")
+    elif method in METHODS:
+        run, name = METHODS[method], method
+    else:
         raise UnknownNameError("method", method, METHODS)
-    if loss is not None and method != "lm":
-        raise CasacalError(f"The method '{method}' knows no robust loss", "Use lm, or leave the method out")
-    return METHODS[method], method
+    if loss is not None and METHODS.get(name) is not run:
+        fix = "Let it minimise problem.cost(x, loss) by itself, and leave the loss out here"
+        raise CasacalError(f"The method '{name}' is a function of the problem alone, and takes no loss", fix)
+    if loss is not None and name in NO_LOSS:
+        known = ", ".join(each for each in METHODS if each not in NO_LOSS)
+        raise CasacalError(f"The method '{name}' takes no loss: it {NO_LOSS[name]}", f"Use one of {known}")
+    return run, name
 
 
 def estimate(

@@ -164,7 +164,7 @@ def _beside(calibration: Calibration, denied: bool) -> str:
 def _reference(calibration: Calibration) -> str:
     reference = calibration.reference
     if reference is None:
-        return "Reference: not run" + ("; IPOPT knows no robust loss." if calibration.result.loss else ".")
+        return "Reference: not run."
     verdict = "agrees" if reference.agrees else "DIFFERS"
     words = (
         f"Reference: {reference.solver} {verdict}; cost {calibration.result.cost:.8g}, its cost {reference.cost:.8g} "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from casacal.cli.common import DONE, add
 from casacal.cli.study import Progress
-from casacal.cli.terminal import say_paragraphs
+from casacal.cli.terminal import complain, say_paragraphs
 from casacal.errors import CasacalError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--only NAME ...", "this set; may be repeated")
     words = "a Python file with `methods`, functions (problem, fitted, unseen) by name, to compare as well"
     add(parser, "--methods FILE", words)
-    add(parser, "--method NAME ...", "this method; may be repeated")
+    add(parser, "--method NAME ...", "this method, or package; may be repeated")
+    add(parser, "--packages", "also pybotics, robotkinecal and figaroh, where they are installed")
     add(parser, "--quick", "few rows, one block of each set: a minute or two")
     add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
     add(parser, "--resume", "keep the records in DIR and run only what is missing")
@@ -57,11 +58,7 @@ def run(options: argparse.Namespace) -> int:
             known = ", ".join(each.name for each in sets)
             raise CasacalError(f"There is no set '{lost[0]}' in '{options.sets}'", f"There are: {known}")
         sets = tuple(each for each in sets if each.name in options.only)
-    ways = {**WAYS, **_own(options.methods)}
-    for name in options.method:
-        if name not in ways:
-            raise UnknownNameError("method of the benchmark", name, list(ways))
-    ways = {name: way for name, way in ways.items() if not options.method or name in options.method}
+    ways = _asked({**WAYS, **_own(options.methods)}, options)
     study, out = benchmark(sets, data, ways, quick=options.quick), Path(options.out)
     with Progress("bench", lambda: None) as progress:
         made = runs.run(
@@ -71,6 +68,25 @@ def run(options: argparse.Namespace) -> int:
     write_text(path, "\n".join(bench_lines(made, sets)) + "\n")
     say_paragraphs(f"{len(made.records)} records, SHA-256 without timings {made.digest}. Written: {path.as_posix()}")
     return DONE
+
+
+def _asked(ways: dict[str, Way], options: argparse.Namespace) -> dict[str, Way]:
+    """The methods that are asked for; of packages those that are installed, of the others a word."""
+    from casacal.bench.rivals import PACKAGES, absent
+
+    known = ways | {name: way for name, way in PACKAGES.items() if name not in ways}
+    for name in options.method:
+        if name not in known:
+            raise UnknownNameError("method of the benchmark", name, list(known))
+    asked = options.method or list(ways)
+    asked += [name for name in PACKAGES if options.packages and name not in asked]
+    lost = {name: absent(name) for name in asked if name in PACKAGES and name not in ways}
+    found = {name: way for name, way in known.items() if name in asked and not lost.get(name)}
+    for words in filter(None, lost.values()):
+        if not found:
+            raise CasacalError(words.partition(", and")[0], words.partition(". ")[2])
+        complain(words)
+    return found
 
 
 def _own(file: str | None) -> dict[str, Way]:

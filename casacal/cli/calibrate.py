@@ -53,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--holdout-by WHAT", words)
     add(parser, "--seed K", "for held-out rows and random methods", kind=whole_number, default=0)
     add_adjustments(parser)
-    add(parser, "--loss", "keep gross rows from pulling the fit; method lm", choices=("huber", "tukey"))
+    words = "keep gross rows from pulling the fit; not with sckf, ekf, plane-only"
+    add(parser, "--loss", words, choices=("huber", "tukey"))
     add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
     add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
     add(parser, "--keep-outliers", "fit all rows, including outliers")

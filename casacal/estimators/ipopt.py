@@ -12,11 +12,19 @@ from casacal.array_types import Array
 from casacal.errors import CasacalError, ProblemError, UnknownNameError, came
 from casacal.estimators.ipopt_objective import Objective, RawForm
 from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
 
-def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-9, verbose: bool = False) -> Result:
+def ipopt(
+    problem: LeastSquares,
+    *,
+    max_steps: int = 200,
+    tolerance: float = 1e-9,
+    loss: Loss | None = None,
+    verbose: bool = False,
+) -> Result:
     """Minimise f over raw coordinates v (normals as free 3-vectors, rotations as quaternions) with v'v = 1 constraints.
 
     Shares the model's residual with the other estimators but neither their parametrisation of planes nor their
@@ -26,11 +34,11 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
         problem: must have a `graph`.
         max_steps: IPOPT iterations at most.
         tolerance: IPOPT's `tol`, on the scaled optimality error.
+        loss: what replaces r^2 / 2 in f, such as `huber()`; the Hessian is then Gauss-Newton's.
         verbose: let IPOPT print.
 
     Returns:
-        The minimum in local coordinates, as from the other estimators: x (n,), deviations from nominal in the units of
-        `problem.units`.
+        The minimum in local coordinates: x (n,), deviations from nominal in the units of `problem.units`.
 
     Raises ProblemError when the problem has no symbolic form.
 
@@ -41,16 +49,19 @@ def ipopt(problem: LeastSquares, *, max_steps: int = 200, tolerance: float = 1e-
         **{"acceptable_obj_change_tol": 1e-11, "acceptable_iter": 3, "nlp_scaling_method": "none"},
         **{"linear_solver": "mumps", "print_level": 5 if verbose else 0, "sb": "yes"},
     }
-    return nlpsol(problem, solver="ipopt", options={"ipopt": options, "show_eval_warnings": verbose})
+    return nlpsol(problem, solver="ipopt", options={"ipopt": options, "show_eval_warnings": verbose}, loss=loss)
 
 
-def nlpsol(problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str, Any] | None = None) -> Result:
+def nlpsol(
+    problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str, Any] | None = None, loss: Loss | None = None
+) -> Result:
     """The same program by any solver that CasADi's nlpsol finds, such as "fatrop" or "sqpmethod".
 
     Args:
         problem: must have a `graph`.
         solver: name of the plug-in.
         options: of CasADi's nlpsol for it; by default silent, and for known plug-ins strict.
+        loss: as for `ipopt`.
 
     Returns:
         The minimum, as `ipopt` gives it.
@@ -61,17 +72,17 @@ def nlpsol(problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str
     """
     check_solver(solver)
     if options is None and solver == "ipopt":
-        return ipopt(problem)
+        return ipopt(problem, loss=loss)
     if not problem.unknowns:
         return nothing_unknown(problem, solver)
     if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     graph: RawForm = problem.graph
-    objective = Objective(graph, problem)
+    objective = Objective(graph, problem, loss)
     program, given, kept = _program(graph, objective, exact=solver == "ipopt")
     try:
         made = ca.nlpsol(
-            "reference", solver, program, given | dict(SILENT.get(solver, {}) if options is None else options)
+            "reference", solver, program, given | dict(_silent(solver, loss) if options is None else options)
         )
         solution = made(x0=np.zeros(graph.start.size), lbg=0.0, ubg=0.0)
     except (RuntimeError, NotImplementedError) as error:
@@ -95,19 +106,23 @@ def nlpsol(problem: LeastSquares, *, solver: str = "ipopt", options: Mapping[str
         steps=int(stats.get("iter_count", 0)),
         residual_rows=problem.rows * objective.evaluations,
         jacobian_rows=problem.rows * objective.evaluations,
+        loss=loss,
     )
 
 
-SILENT: Mapping[str, Mapping[str, Any]] = {
-    "fatrop": {"fatrop": {"print_level": 0, "max_iter": 200, "tolerance": 1e-9}},
-    "sqpmethod": {
-        **{"print_header": False, "print_iteration": False, "print_status": False},
-        **{"max_iter": 200, "tol_pr": 1e-9, "tol_du": 1e-7, "qpsol": "qrqp"},
-        "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
-    },
-    "uno": {"uno": {"logger": "SILENT"}},
-}
-"""Options of plug-ins that would print, or stop early, without them; others are as CasADi has them."""
+def _silent(solver: str, loss: Loss | None) -> Mapping[str, Any]:
+    """Options of plug-ins that would print, or stop early, without them; others are as CasADi has them."""
+    known: Mapping[str, Mapping[str, Any]] = {
+        # with a loss steps shrink by a factor each, and rounding ends them before 1e-9
+        "fatrop": {"fatrop": {"print_level": 0, "max_iter": 200, "tolerance": 1e-9 if loss is None else 1e-5}},
+        "sqpmethod": {
+            **{"print_header": False, "print_iteration": False, "print_status": False},
+            **{"max_iter": 200, "tol_pr": 1e-9, "tol_du": 1e-7, "qpsol": "qrqp"},
+            "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
+        },
+        "uno": {"uno": {"logger": "SILENT"}},
+    }
+    return known.get(solver, {})
 
 
 def check_solver(name: str) -> None:

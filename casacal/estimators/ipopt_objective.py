@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casacal.array_types import Array
+from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 
 
@@ -18,7 +19,7 @@ class RawRows(Protocol):
     columns: NDArray[np.intp]
     """Which of v they see (z,)."""
 
-    def __call__(self, v: Array) -> tuple[float, Array, Array]:
+    def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
         """Cost of the rows at v (n,), its gradient (z,) and Hessian (z, z)."""
 
 
@@ -50,9 +51,9 @@ class Objective:
     is held: unknowns of different faces never meet.
     """
 
-    def __init__(self, graph: RawForm, problem: LeastSquares) -> None:
+    def __init__(self, graph: RawForm, problem: LeastSquares, loss: Loss | None = None) -> None:
         n = graph.start.size
-        self._graph, self._problem, self.start = graph, problem, graph.start
+        self._graph, self._problem, self._loss, self.start = graph, problem, loss, graph.start
         # entries of the upper triangle, column by column, are known by column * n + row
         corners = [np.triu_indices(block.columns.size) for block in graph.blocks]
         meets = [np.sort(b.columns[np.array(ij)], axis=0) for b, ij in zip(graph.blocks, corners, strict=True)]
@@ -97,7 +98,7 @@ class Objective:
         cost, entries = float(value[0]), np.zeros(self.rows.size)
         entries[self._prior] = found
         for block, corner, places in self._blocks:
-            some, slope, bend = block(v)
+            some, slope, bend = block(v, self._loss)
             cost += some
             gradient[block.columns] += slope  # no coordinate stands twice among those of a block
             entries[places] += bend[corner]

@@ -13,6 +13,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, Status
 
@@ -26,13 +27,13 @@ INERTIA, ATTRACTION = 0.7298, 1.49618
 class Search:
     """The objective over the box -1 ... 1 in each unknown, counting candidates and remembering the best."""
 
-    def __init__(self, problem: LeastSquares, *, budget: int, width: float) -> None:
+    def __init__(self, problem: LeastSquares, *, budget: int, width: float, loss: Loss | None) -> None:
         if budget < problem.rows or not width > 0:
             raise ProblemError(
                 f"A budget of {budget} rows and a box of {width:g} standard deviations were given",
                 f"Give at least the {problem.rows} rows of one candidate, and a positive width",
             )
-        self.problem, self.scale = problem, width * problem.start_std
+        self.problem, self.scale, self.loss = problem, width * problem.start_std, loss
         self.candidates = max(budget // problem.rows, 1)
         """How many candidates the budget allows."""
         self.spent, self.gradients = 0, 0
@@ -42,7 +43,7 @@ class Search:
     def costs(self, points: Array) -> Array:
         """Objective (m,) at points (m, n) of the box; infinite where it is not finite."""
         states = self.problem.x0 + self.scale * points
-        found = self.problem.costs(states)
+        found = self.problem.costs(states, self.loss)
         found = np.where(np.isfinite(found), found, np.inf)
         self.spent += len(states)
         lowest = int(np.argmin(found))
@@ -56,7 +57,7 @@ class Search:
         state = self.problem.x0 + self.scale * point
         self.gradients += 1
         pull = self.problem.prior_information * (state - self.problem.x0)
-        return np.asarray(self.scale * (self.problem.normal(state).gradient + pull))
+        return np.asarray(self.scale * (self.problem.normal(state, self.loss).gradient + pull))
 
     def result(self, method: str, steps: int) -> Result:
         """The best candidate, with the curvature there as covariance."""
@@ -65,12 +66,13 @@ class Search:
             method=method,
             problem=self.problem,
             x=self.best,
-            information=self.problem.normal(self.best).information,
+            information=self.problem.normal(self.best, self.loss).information,
             status=Status.BUDGET if np.isfinite(self.best_cost) else Status.NOT_FINITE,
             trace={"cost": costs, "candidates": counts},
             steps=steps,
             residual_rows=(self.spent + self.gradients) * self.problem.rows,
             jacobian_rows=(self.gradients + 1) * self.problem.rows,
+            loss=self.loss,
         )
 
 
@@ -85,6 +87,7 @@ def annealing(
     budget: int = BUDGET,
     width: float = WIDTH,
     local_search: bool = False,
+    loss: Loss | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:
     """Search the box x0 +- width * start_std by generalised simulated annealing, one candidate after another.
@@ -96,6 +99,7 @@ def annealing(
         width: half width of the box, standard deviations.
         local_search: whether SciPy refines accepted candidates with L-BFGS-B, from exact gradients; a gradient counts
             as one more candidate.
+        loss: what replaces r^2 / 2 in f, such as `huber()`.
         progress: called with (candidates, best cost) at each new best.
 
     Returns:
@@ -108,7 +112,7 @@ def annealing(
         return nothing_unknown(problem, "annealing")
     from scipy.optimize import dual_annealing  # a third of a second that other methods need not spend
 
-    search = Search(problem, budget=budget, width=width)
+    search = Search(problem, budget=budget, width=width, loss=loss)
     bounds = [(-1.0, 1.0)] * problem.unknowns
 
     def noted(_: Array, cost: float, __: int) -> None:
@@ -149,6 +153,7 @@ def swarm(
     budget: int = BUDGET,
     width: float = WIDTH,
     particles: int = POPULATION,
+    loss: Loss | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:
     """Search the box x0 +- width * start_std: each particle is drawn to its own best place and to the swarm's.
@@ -157,7 +162,7 @@ def swarm(
     coordinate. A particle that leaves the box stops at its wall.
 
     Args:
-        problem, seed, width: as for `annealing`.
+        problem, seed, width, loss: as for `annealing`.
         budget: rows of residuals to evaluate at most; a swarm larger than it allows is made smaller.
         particles: their number.
         progress: called with (candidates, best cost) after each step.
@@ -167,7 +172,7 @@ def swarm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "swarm")
-    search = Search(problem, budget=budget, width=width)
+    search = Search(problem, budget=budget, width=width, loss=loss)
     rng = np.random.default_rng(seed)
     count = min(particles, search.candidates)
     places = rng.uniform(-1, 1, size=(count, problem.unknowns))
@@ -197,12 +202,13 @@ def evolution(
     budget: int = BUDGET,
     width: float = WIDTH,
     population: int = POPULATION,
+    loss: Loss | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:
     """Search the box x0 +- width * start_std by differential evolution (best/1/bin), without SciPy's polishing.
 
     Args:
-        problem, seed, width: as for `annealing`.
+        problem, seed, width, loss: as for `annealing`.
         budget: rows of residuals to evaluate at most; a population larger than it allows is made smaller.
         population: candidates per generation.
         progress: called with (candidates, best cost) after each generation.
@@ -214,7 +220,7 @@ def evolution(
         return nothing_unknown(problem, "evolution")
     from scipy.optimize import differential_evolution  # a third of a second that other methods need not spend
 
-    search = Search(problem, budget=budget, width=width)
+    search = Search(problem, budget=budget, width=width, loss=loss)
     size = max(min(population, search.candidates // 2), 5)
     rng = np.random.default_rng(seed)
     start = rng.uniform(-1, 1, size=(size, problem.unknowns))

@@ -12,6 +12,7 @@ from casacal.array_types import Array
 from casacal.estimators.lm import MAX_STEPS, lm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.estimators.sckf import sckf
+from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
 
@@ -23,21 +24,22 @@ def sckf_lm(
     *,
     max_steps: int = MAX_STEPS,
     tolerance: float = 1e-9,
+    loss: Loss | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Result:
     """Minimise f from the filter's estimate; the prior stays where it was, so the data count once.
 
     The minimum is that of `lm`: the filter gives another start, not more accuracy. Where that start leads to no
     minimum, or to one that is too high for the stated noise and priors, the drawing is tried as well and the lower
-    minimum kept. Arguments as for `lm`.
+    minimum kept. With a loss the filter still takes every row at its full weight, `lm` not. Arguments as for `lm`.
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "sckf-lm")
     filtered, path = _filtered(problem, progress)
     start = path[-1] if filtered.converged else None
-    tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, progress=progress)]
+    tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress)]
     if start is not None and _doubtful(tried[0]):
-        tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, progress=progress))
+        tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress))
     refined = min(tried, key=lambda found: (not found.converged, found.cost))
     return replace(
         refined,

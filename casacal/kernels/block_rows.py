@@ -14,6 +14,7 @@ from casacal.array_types import Array
 from casacal.kernels.batch import Batch, Buffered, replayed
 from casacal.kernels.program import Program, read_program
 from casacal.kernels.rows import Kernels, Lanes, lane_data
+from casacal.least_squares.losses import Loss
 from casacal.threads import shared_out
 
 WIDTHS = {64: 64, 512: 128}  # samples up to which blocks have another width than the widest: for a face, for few rows
@@ -136,7 +137,9 @@ class CurvatureKernel:
 
     The Hessian is J'WWJ, one matrix product a block, and sum w^2 e d2e/dv2, of which only the upper triangle's entries
     that are not zero are evaluated. Of the last `linear` of v, small effects about zero, second derivatives are left
-    out, and the others' are taken where these are zero: steps need no more.
+    out, and the others' are taken where these are zero: steps need no more. With a loss the cost is its sum, W takes
+    the root of its weights, so that the gradient is exact, and the Hessian is J'WWJ alone: in the exact one, rows
+    beyond the threshold count nothing or less, and solvers lose their way.
     """
 
     def __init__(self, residual: ca.Function, *, linear: int = 0) -> None:
@@ -161,33 +164,41 @@ class CurvatureKernel:
         d = lane_data(self._program, data)
         return Lanes(len(data), blocked(d, repeat=True), blocked(1.0 / noise.T))
 
-    def __call__(self, v: Array, constants: Array, lanes: Lanes, *, threads: int = 1) -> tuple[float, Array, Array]:
+    def __call__(
+        self, v: Array, constants: Array, lanes: Lanes, *, loss: Loss | None = None, threads: int = 1
+    ) -> tuple[float, Array, Array]:
         """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c.
 
         Threads change no digit: blocks are summed up in groups, and the groups in order.
         """
         z, p = self.unknowns, np.concatenate([v, constants])
         groups = [slice(k, k + TOGETHER) for k in range(0, len(lanes.d), TOGETHER)]
-        parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some]), groups, threads)
-        s, bent = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
+        parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some], loss), groups, threads)
+        s, bent, cost = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
         bend = np.zeros((z, z))
         bend[self._rows, self._columns] = bent
-        return float(s[-1, -1]) / 2, s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
+        return float(s[-1, -1] / 2 if loss is None else cost), s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
 
-    def _sums(self, p: Array, d: Array, w: Array) -> tuple[Array, Array]:
-        """Normal matrix of slopes and residual, and entries of the bend, of some blocks."""
+    def _sums(self, p: Array, d: Array, w: Array, loss: Loss | None) -> tuple[Array, Array, float]:
+        """Normal matrix of slopes and residual, entries of the bend, and what a loss costs, of some blocks."""
         width = d.shape[2]
         if width not in self._built:  # threads that come at once may build it twice, alike
             self._built[width] = Buffered(self._block(width))
         evaluate = self._built[width]
         s, bent = np.zeros((self.unknowns + 1, self.unknowns + 1)), np.zeros(self._rows.size)
         weighted, others = np.empty((self.components, self.unknowns + 1, width)), np.empty_like(bent)
+        cost = 0.0
         for one, weights in zip(d, w, strict=True):
             evaluate((p, one, weights), (weighted, others))
+            if loss is None:
+                bent += others
+            else:
+                r = weighted[:, -1:]
+                cost += float(loss.cost(r).sum())
+                weighted *= np.sqrt(loss.weight(r))
             for each in weighted:  # NumPy's product is many times faster than CasADi's
                 s += each @ each.T
-            bent += others
-        return s, bent
+        return s, bent, cost
 
     def _block(self, width: int) -> ca.Function:
         """(p, d, w) -> weighted slopes and residual by component, entries of the bend; of one block."""

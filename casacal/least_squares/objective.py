@@ -5,7 +5,7 @@ Every estimator minimises, or filters towards the minimum of, the negative log p
     f(x) = 1/2 sum_k r_k(x)^2 + 1/2 sum_j ((x_j - x0_j) / s_j)^2,        r_k = e_k / w_k,
 
 with e_k the residual of row k, w_k its standard deviation and s_j the prior standard deviation of unknown j
-(infinite: flat). Whitened means divided by w_k.
+(infinite: flat). Whitened means divided by w_k. With a loss, rho(r_k) stands in place of r_k^2 / 2.
 """
 
 from __future__ import annotations
@@ -196,9 +196,9 @@ class LeastSquares(ABC):
             found = revealed_solution(stacked, gradient, damping)
         return None if found is None else Step(x + scale * found[0], found[1], found[2])
 
-    def costs(self, states: Array) -> Array:
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m, n): (m,)."""
-        return np.array([self.cost(x) for x in states])
+        return np.array([self.cost(x, loss) for x in states])
 
     @property
     def unknowns(self) -> int:
@@ -215,7 +215,7 @@ class LeastSquares(ABC):
         away = x - self.x0
         return float((self.prior_information * away) @ away) / 2
 
-    def cost(self, x: Array) -> float:
-        """The objective f at x (n,)."""
+    def cost(self, x: Array, loss: Loss | None = None) -> float:
+        """The objective f at x (n,), with a loss where one is given."""
         r = self.residual(x)
-        return float(r @ r) / 2 + self.prior_cost(x)
+        return (float(r @ r) / 2 if loss is None else float(loss.cost(r).sum())) + self.prior_cost(x)

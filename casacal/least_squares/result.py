@@ -108,9 +108,7 @@ class Result(Value):
     def cost(self) -> float:
         """The objective at x, recomputed from the problem; with the loss where there is one."""
         with np.errstate(over="ignore", invalid="ignore"):  # an estimate may lie anywhere
-            if self.loss is None:
-                return self.problem.cost(self.x)
-            return float(self.loss.cost(self.problem.residual(self.x)).sum()) + self.problem.prior_cost(self.x)
+            return self.problem.cost(self.x, self.loss)
 
     @cached_property
     def weights(self) -> Array:

@@ -73,11 +73,12 @@ class Metered(LeastSquares):
         self._count(0, self.rows)
         return self.problem.compact_jacobian(x)
 
-    def costs(self, states: Array) -> Array:
+    def costs(self, states: Array, loss: Loss | None = None) -> Array:
         """Objective at many states (m,)."""
-        found = self.problem.costs(states)
+        found = self.problem.costs(states, loss)
         self._count(self.rows * len(states), 0)
-        self._seen(float(np.min(found, initial=math.inf)))
+        if loss is None:
+            self._seen(float(np.min(found, initial=math.inf)))
         return found
 
     def filter_pass(self, first: int, mean: Array, root: Array) -> FilterPass | None:
