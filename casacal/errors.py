@@ -16,6 +16,11 @@ def came(value: object) -> str:
     return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
 
 
+def said(error: BaseException) -> str:
+    """What somebody else's exception says, on one line: "ValueError: too small"."""
+    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+
+
 class CasacalError(Exception):
     """A refusal in one sentence or two; the command line prints it on one line and exits with 2."""
 
@@ -63,3 +68,11 @@ class UnknownNameError(CasacalError):
         hint = f"Did you mean '{close[0]}'? " if close else ""
         shown = ", ".join(known[:40]) + (", ..." if len(known) > 40 else "")
         super().__init__(f"There is no {kind} named '{name}'", f"{hint}Known: {shown or 'none'}")
+
+
+def refuse_unknown(kind: str, names: Iterable[object], existing: Iterable[str]) -> None:
+    """Raise UnknownNameError for the first of some names that does not exist."""
+    known = list(existing)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(kind, str(name), known)

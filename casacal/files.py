@@ -43,23 +43,28 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
     if target.exists() and not target.is_file():
         _into(target, write)
         return
-    try:
+    with writable(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{target.name}."
         sweep(target.parent, prefix)
         temporary = target.with_name(f"{prefix}{mark_of_this_run()}-{secrets.token_hex(4)}{target.suffix}")
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # less what the umask takes away
-    except OSError as error:
-        raise CasacalError(f"'{target}' cannot be written ({error.strerror})", "Choose another place") from error
+        try:
+            if target.exists():
+                shutil.copymode(target, temporary)
+            write(temporary)
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def writable(place: Path) -> Iterator[None]:
+    """Say in a CasacalError what the system has against writing a place, if it refuses what the block does there."""
     try:
-        if target.exists():
-            shutil.copymode(target, temporary)
-        write(temporary)
-        os.replace(temporary, target)
+        yield
     except OSError as error:
-        raise CasacalError(f"'{target}' cannot be written ({error.strerror})", "Choose another place") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        raise CasacalError(f"'{place}' cannot be written ({error.strerror})", "Choose another place") from error
 
 
 def mark_of_this_run() -> str:
@@ -94,12 +99,9 @@ def _runs(process: int) -> bool:
 
 def _into(device: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file elsewhere, and copy it into a device or pipe; raises CasacalError when it cannot."""
-    try:
-        with tempfile.TemporaryDirectory() as place, device.open("wb") as out:
-            write(Path(place) / "whole")
-            out.write((Path(place) / "whole").read_bytes())
-    except OSError as error:
-        raise CasacalError(f"'{device}' cannot be written ({error.strerror})", "Choose another place") from error
+    with writable(device), tempfile.TemporaryDirectory() as place, device.open("wb") as out:
+        write(Path(place) / "whole")
+        out.write((Path(place) / "whole").read_bytes())
 
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:
@@ -146,17 +148,16 @@ def together(folder: Path, names: Sequence[str]) -> Iterator[Path]:
     """
     made = not folder.exists()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
-            sweep(folder, PREFIX)
-            place = Path(tempfile.mkdtemp(dir=folder, prefix=f"{PREFIX}{mark_of_this_run()}-"))
-            try:
-                yield place
-                _place([(place / name, folder / name) for name in names])
-            finally:
-                shutil.rmtree(place, ignore_errors=True)
-    except OSError as error:
-        raise CasacalError(f"'{folder}' cannot be written ({error.strerror})", "Choose another place") from error
+        with writable(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            with _locked(folder):
+                sweep(folder, PREFIX)
+                place = Path(tempfile.mkdtemp(dir=folder, prefix=f"{PREFIX}{mark_of_this_run()}-"))
+                try:
+                    yield place
+                    _place([(place / name, folder / name) for name in names])
+                finally:
+                    shutil.rmtree(place, ignore_errors=True)
     finally:
         if made:  # and still empty: another run may have come in between
             with suppress(OSError):

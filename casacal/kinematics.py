@@ -164,7 +164,7 @@ def rotate(axis: Expression, angle: Expression) -> Expression:
     cross: Expression = ca.skew(_column(axis))  # [w] v = w x v
     squared: Expression = ca.mtimes(cross, cross)
     turn = ca.DM.eye(3) + ca.sin(angle) * cross + (1 - ca.cos(angle)) * squared
-    return _rigid(turn, ca.DM.zeros(3))
+    return rigid(turn, ca.DM.zeros(3))
 
 
 def slide(axis: Expression, length: Expression) -> Expression:
@@ -182,7 +182,7 @@ def screw(axis: Expression, point: Expression, angle: Expression) -> Expression:
     Robotics (2017). With G(angle) as printed there, G v = (I - R) point, as omega v = 0.
     """
     turn = rotate(axis, angle)[:3, :3]
-    return _rigid(turn, _column(point) - ca.mtimes(turn, _column(point)))
+    return rigid(turn, _column(point) - ca.mtimes(turn, _column(point)))
 
 
 def chain(*transforms: Expression) -> Expression:
@@ -226,6 +226,6 @@ def _column(vector: Expression) -> Expression:
     return ca.vertcat(vector[0], vector[1], vector[2])
 
 
-def _rigid(turn: Expression, shift: Expression) -> Expression:
-    """4x4 of a rotation matrix and a translation."""
+def rigid(turn: Expression, shift: Expression) -> Expression:
+    """Transform of a rotation matrix (3x3) and a translation (3, mm), 4x4."""
     return ca.vertcat(ca.horzcat(turn, shift), ca.DM([[0, 0, 0, 1]]))

@@ -7,13 +7,14 @@ import hashlib
 import pickle
 import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from casacal.errors import CasacalError
+from casacal.errors import CasacalError, said
 
 BESIDE = "__casacal_beside__"  # under which a module that `run_file` made holds the files beside it that it imported
 
@@ -44,6 +45,14 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
             sys.modules.pop(module.__name__, None)
     vars(module)[BESIDE] = tuple(beside)
     return module
+
+
+def line_of(file: Path, error: BaseException) -> str:
+    """A user's file, and the last line of it that was running when an error came: "problem.py, line 3"."""
+    frames = traceback.extract_tb(error.__traceback__)
+    places = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
+    line = error.lineno if isinstance(error, SyntaxError) else (places or [None])[-1]
+    return f"{file}, line {line}" if line else str(file)
 
 
 @contextmanager
@@ -123,9 +132,8 @@ def _instance(path: str, text: str, name: str, state: dict[str, Any]) -> Any:
     try:
         cls = _class_from(path, text, name)
     except Exception as error:  # a user's file may raise anything
-        said = " ".join(str(error).split()) or "no message"
         raise CasacalError(
-            f"{path}, which defines {name}, does not run here: {type(error).__name__}: {said}",
+            f"{path}, which defines {name}, does not run here: {said(error)}",
             "Put what it needs beside it, or the class into a module that can be imported in both places",
         ) from error
     made: Any = object.__new__(cls)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -103,7 +104,8 @@ def plain(item: Any) -> Any:
 def alike(one: Any, two: Any) -> bool:
     """Whether two values are equal, with arrays compared element by element (NaN equals NaN)."""
     if isinstance(one, np.ndarray) or isinstance(two, np.ndarray):
-        return _same_array(np.asarray(one), np.asarray(two))
+        a, b = np.asarray(one), np.asarray(two)
+        return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
     if isinstance(one, Mapping) and isinstance(two, Mapping):
         return one.keys() == two.keys() and all(alike(value, two[key]) for key, value in one.items())
     if isinstance(one, (tuple, list)) and isinstance(two, (tuple, list)):
@@ -111,15 +113,9 @@ def alike(one: Any, two: Any) -> bool:
     return bool(one is two or one == two)
 
 
-def _same_array(one: np.ndarray[Any, Any], two: np.ndarray[Any, Any]) -> bool:
-    if one.dtype.kind in "fc" and two.dtype.kind in "fc":
-        return np.array_equal(one, two, equal_nan=True)
-    return np.array_equal(one, two)
-
-
-def short(items: Sequence[Any], most: int = 6, show: Callable[[Any], str] = str) -> str:
+def short(items: Sequence[Any], most: int = 6) -> str:
     """The first few of many items, for a `repr` of a line."""
-    shown = ", ".join(show(item) for item in items[:most])
+    shown = ", ".join(map(str, items[:most]))
     return shown + (f", ... ({len(items)} in all)" if len(items) > most else "")
 
 
@@ -130,3 +126,8 @@ def _state(value: Any) -> dict[str, Any]:
 def is_real(value: object) -> bool:
     """Whether something is one real number, Python's or NumPy's; True and False are none."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def is_finite(value: object) -> bool:
+    """Whether something is one real number, and neither infinite nor not a number."""
+    return is_real(value) and math.isfinite(value)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, UnknownNameError, refuse_unknown
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import load_problem
 from casacal.samples.samples import Samples
@@ -41,16 +41,10 @@ def folds(samples: Samples, kind: str, blocks: str, stated: Mapping[str, Any]) -
         return _against(everything, _folds(np.random.default_rng(0).permutation(len(samples)), FOLDS))
     if kind == BLOCKED:
         return _against(everything, _blocks(samples, blocks))
-    return _stated(samples, stated)
-
-
-def _stated(samples: Samples, stated: Mapping[str, Any]) -> list[tuple[Rows, Rows]]:
-    everything = np.arange(len(samples))
     order = np.random.default_rng(stated.get("seed", 0)).permutation(len(samples))
     if "column" in stated:
         labels, value = _labels(samples, stated["column"]), stated["value"]
-        if value not in labels.names:
-            raise UnknownNameError(f"value of '{stated['column']}' in {samples.file}", value, labels.names)
+        refuse_unknown(f"value of '{stated['column']}' in {samples.file}", [value], labels.names)
         return _against(everything, [np.flatnonzero(labels.codes == labels.names.index(value))])
     asked = max(stated.get("folds", 2), stated.get("rows", 2))
     if asked > len(samples):
@@ -118,16 +112,12 @@ def _whole(least: int) -> Callable[[object], bool]:
     return lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
-def _fraction(value: object) -> bool:
-    return isinstance(value, float) and 0 < value < 1
-
-
 def _label(value: object) -> bool:
     return isinstance(value, str)
 
 
 FORMS: Mapping[str, Mapping[str, Callable[[object], bool]]] = {
-    "part": {"part": _fraction, "seed": _whole(0), "rows": _whole(2)},
+    "part": {"part": lambda value: isinstance(value, float) and 0 < value < 1, "seed": _whole(0), "rows": _whole(2)},
     "folds": {"folds": _whole(2), "seed": _whole(0)},
     "column": {"column": _label, "value": _label},
 }

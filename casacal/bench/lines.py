@@ -13,7 +13,7 @@ from casacal.errors import CasacalError
 from casacal.instruments import TrackedPoint, TrackedPose
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.unknowns.fits import rigid_fit
+from casacal.unknowns.fits import rigid_fit, transform
 
 SAME = 1e-6  # mm by which the arm as lines may differ from the arm as drawn
 ALONG = 1e-9  # sine of the angle between axes below which they are parallel as drawn
@@ -50,9 +50,7 @@ class Lines:
     @property
     def moves(self) -> Array:
         """Transforms (n + 1, 4, 4) at joint values zero: base to first frame, one frame to the next, last to tip."""
-        tip = np.eye(4)
-        tip[:3, 3] = self.tip
-        whole = np.stack([np.eye(4), *self.frames, tip])
+        whole = np.stack([np.eye(4), *self.frames, transform(np.eye(3), self.tip)])
         return np.asarray(np.linalg.inv(whole[:-1]) @ whole[1:])
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from casacal.cli.common import DONE, add
 from casacal.cli.study import Progress
 from casacal.cli.terminal import complain, say_paragraphs
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, refuse_unknown, said
 
 if TYPE_CHECKING:
     from casacal.bench.methods import Way
@@ -75,9 +75,7 @@ def _asked(ways: dict[str, Way], options: argparse.Namespace) -> dict[str, Way]:
     from casacal.bench.rivals import PACKAGES, absent
 
     known = ways | {name: way for name, way in PACKAGES.items() if name not in ways}
-    for name in options.method:
-        if name not in known:
-            raise UnknownNameError("method of the benchmark", name, list(known))
+    refuse_unknown("method of the benchmark", options.method, known)
     asked = options.method or list(ways)
     asked += [name for name in PACKAGES if options.packages and name not in asked]
     lost = {name: absent(name) for name in asked if name in PACKAGES and name not in ways}
@@ -100,8 +98,7 @@ def _own(file: str | None) -> dict[str, Way]:
     try:
         found = vars(run_file(file)).get("methods")
     except (Exception, SystemExit) as error:  # a user's file may raise anything
-        said = " ".join(str(error).split())
-        raise CasacalError(f"{file}: {type(error).__name__}: {said}", "Mend the file") from error
+        raise CasacalError(f"{file}: {said(error)}", "Mend the file") from error
     if not isinstance(found, dict) or not found or not all(callable(way) for way in found.values()):
         raise CasacalError(f"{file} defines no `methods`", 'Add methods = {"mine": mine}, functions by name')
     return {str(name): way for name, way in found.items()}

@@ -24,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--out FILE", "file to write", required=True)
     add(parser, "--source FILE", "for dh and urdf: a file of yours to copy with only its numbers changed")
     add(parser, "--prefix WORD", "for c: prefix of function names; default: the problem's name")
-    add(
-        parser,
-        "--faces A,B,C",
-        "for frame: z normal to the first, x to the second, origin in all three",
-    )
+    add(parser, "--faces A,B,C", "for frame: z normal to the first, x to the second, origin in all three")
     add(parser, "--points A,B,C", "for frame: origin, a point along x, a point beside it")
     add(parser, *FORCE)
     add(parser, *JSON)

@@ -20,11 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, *RESULT)
     add(parser, *INSTRUMENT)
-    add(
-        parser,
-        "JOINTS",
-        "CSV with the joint columns of a samples file, and those that tell an effect (torques)",
-    )
+    add(parser, "JOINTS", "CSV with the joint columns of a samples file, and those that tell an effect (torques)")
     add(parser, "--out FILE", "CSV of poses", required=True)
     add_frame(parser, "poses of the flange or of the tip")
     add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")

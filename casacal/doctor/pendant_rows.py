@@ -90,8 +90,7 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     Raises SamplesError.
     """
     table = read_table(path)
-    turning = [_column(table, f"q{i}", ANGLES) for i, turn in enumerate(turns, 1) if turn]
-    sliding = [_column(table, f"q{i}", LENGTHS) for i, turn in enumerate(turns, 1) if not turn]
+    joints = [_column(table, f"q{i}", ANGLES if turning else LENGTHS) for i, turning in enumerate(turns, 1)]
     for name in table.header:
         stem = name.split("_")[0]
         if stem[:1] == "q" and stem[1:].isdigit() and not 1 <= int(stem[1:]) <= len(turns):
@@ -100,8 +99,6 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
             )
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
     turn = [(name, "") for name in QUATERNION] if set(QUATERNION) <= set(table.header) else _angles(table)
-    in_order, slides = iter(turning), iter(sliding)
-    joints = [next(in_order) if turn_ else next(slides) for turn_ in turns]
     orientations = _numbers(table, turn)
     if len(turn) == 4:
         _check_quaternions(table, orientations)
@@ -109,8 +106,8 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
         _numbers(table, joints),
         _numbers(table, place),
         orientations,
-        _one_unit(table, turning),
-        _one_unit(table, [*place, *sliding]),
+        _one_unit(table, [joint for joint, turning in zip(joints, turns, strict=True) if turning]),
+        _one_unit(table, [*place, *(joint for joint, turning in zip(joints, turns, strict=True) if not turning)]),
         _one_unit(table, turn),
         table.lines,
         table.file,

@@ -13,7 +13,7 @@ from casacal.doctor.axes import Axes
 from casacal.doctor.family import Family, Integers, one_change_away
 from casacal.doctor.pendant_rows import ANGLES, LENGTHS, angle_between
 from casacal.doctor.search import poses_of
-from casacal.robots.joint_space import random_joints
+from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.robots.joints import Conventions
 from casacal.robots.robot import Robot
 
@@ -49,13 +49,13 @@ class Meaning:
         return Family(self.reading[None], np.zeros(1, dtype=bool))
 
 
-def distinct(axes: Axes, family: Family, seed: int = 0) -> list[NDArray[np.intp]]:
+def distinct(axes: Axes, family: Family) -> list[NDArray[np.intp]]:
     """Indices of the readings of each meaning, at most `MOST_MEANINGS` of them; decided at random joint values."""
     if not len(family):
         return []
     n = len(axes.turns)
     spread = np.where(axes.turns, np.pi, 500.0)
-    q = np.random.default_rng(seed).uniform(-spread, spread, (COMPARED, n))
+    q = np.random.default_rng(0).uniform(-spread, spread, (COMPARED, n))
     turn, place = poses_of(axes, family, q)
     told = np.concatenate([turn.reshape(len(family), -1), place.reshape(len(family), -1)], axis=1)
     groups: list[NDArray[np.intp]] = []
@@ -130,7 +130,7 @@ def further_pose(
     sampled = random_joints(robot, TRIED, np.random.default_rng(seed))
     step = np.where(axes.turns, 1.0 if best.joint_unit == "deg" else 0.01, 1.0 if best.length_unit == "mm" else 0.01)
     shown = np.round(best.simplest.to_controller(sampled) / scale / step) * step
-    inside = np.array([_inside(robot, meaning, shown * _scale(axes, meaning)) for meaning in meanings])
+    inside = np.array([inside_limits(robot, m.simplest.to_model(shown * _scale(axes, m))) for m in meanings])
     counts = inside.sum(axis=0)
     shown = shown[counts == counts.max()]
     if len(meanings) == 1:
@@ -167,10 +167,3 @@ def further_pose(
 def _scale(axes: Axes, meaning: Meaning) -> Array:
     """From joint values as shown to rad and mm (n,)."""
     return np.where(axes.turns, ANGLES[meaning.joint_unit], LENGTHS[meaning.length_unit])
-
-
-def _inside(robot: Robot, meaning: Meaning, q: Array) -> NDArray[np.bool_]:
-    """Which postures (N, n; rad, mm) a meaning puts inside the joint limits."""
-    model = meaning.simplest.to_model(q)
-    lower, upper = (np.array([getattr(joint, side) for joint in robot.axes]) for side in ("lower", "upper"))
-    return np.asarray(((model >= lower) & (model <= upper)).all(axis=1))

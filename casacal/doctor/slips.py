@@ -53,8 +53,10 @@ def slips_in(
             for k, (column, starts) in enumerate(_cells(axes, rows, meaning, name)):
                 value, size = _best(miss, shown[row], k, starts)
                 if size <= limit and (column not in found or size < found[column].miss):
-                    turn = _turn(axes, rows, meaning, k)
-                    found[column] = Slip(rows.line(row), column, float(shown[row, k]), _within(value, turn), size)
+                    if k < rows.joints.shape[1] and axes.turns[k]:  # within half a turn of zero
+                        turn = 2 * np.pi / ANGLES[meaning.joint_unit]
+                        value -= turn * round(value / turn)
+                    found[column] = Slip(rows.line(row), column, float(shown[row, k]), value, size)
     return tuple(sorted(found.values(), key=lambda slip: slip.miss))
 
 
@@ -110,14 +112,3 @@ def _best(miss: Callable[[Array], Array], numbers: Array, column: int, starts: A
     sizes = _size(at(values))
     chosen = int(np.argmin(sizes))
     return float(values[chosen]), float(sizes[chosen])
-
-
-def _turn(axes: Axes, rows: PendantRows, meaning: Meaning, column: int) -> float | None:
-    """A whole turn in the unit of a joint's column; None for what does not turn round."""
-    turns = column < rows.joints.shape[1] and axes.turns[column]
-    return 2 * np.pi / ANGLES[meaning.joint_unit] if turns else None
-
-
-def _within(value: float, turn: float | None) -> float:
-    """An angle within half a turn of zero."""
-    return value if turn is None else value - turn * round(value / turn)

@@ -53,14 +53,11 @@ def _verdict(found: Diagnosis) -> str:
     if found.certain:
         return f"Certain: one convention fits, {fit} (tolerance {found.tolerance:g} mm and mrad)"
     if len(found.meanings) > 1 or found.more:
-        return f"Ambiguous: {_count(found)} conventions fit within {found.tolerance:g} mm and mrad; the simplest: {fit}"
+        count = f"{'at least ' if found.more else ''}{len(found.meanings)}"
+        return f"Ambiguous: {count} conventions fit within {found.tolerance:g} mm and mrad; the simplest: {fit}"
     if found.postures < ENOUGH:
         return f"Not certain: one convention fits, {fit}, with {found.postures} different postures, not {ENOUGH}"
     return f"Ambiguous: one convention of the joints fits, {fit}, but {len(best.rotations)} of the orientation do"
-
-
-def _count(found: Diagnosis) -> str:
-    return f"{'at least ' if found.more else ''}{len(found.meanings)}"
 
 
 def _settings(found: Diagnosis) -> Iterable[str]:

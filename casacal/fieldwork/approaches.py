@@ -14,6 +14,7 @@ from casacal.planning.clearance import Clearance
 from casacal.planning.route import Route
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
+from casacal.robots.joint_space import inside_limits
 from casacal.simulation.reach import Touch
 from casacal.values import Value
 
@@ -143,6 +144,5 @@ def _above(arm: Touch, joints: Array, readings: Array, tips: Array, axes: Array,
     targets = tips - retreat * axes
     found = arm.reach(targets, axes, readings, joints)
     reached, _ = arm.place(arm.local, found, readings[:, None])
-    low, high = arm.robot.limits
-    good = (np.linalg.norm(reached - targets, axis=1) < ARRIVED) & ((found >= low) & (found <= high)).all(axis=1)
+    good = (np.linalg.norm(reached - targets, axis=1) < ARRIVED) & inside_limits(arm.robot, found)
     return np.where(good[:, None], found, np.nan)

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from casacal.array_types import Array
 from casacal.binding.nominal import nominal_tips
 from casacal.compensation.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
-from casacal.errors import ProblemError, UnknownNameError
+from casacal.errors import ProblemError, refuse_unknown
 from casacal.fieldwork.approaches import Approaches
 from casacal.pages.drawing import tag, together
 from casacal.pages.render import rendered
@@ -86,8 +86,7 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     draw back, it does not go. Raises CasacalError for a
     robot whose joints the language does not hold, UnknownNameError for a language that there is not.
     """
-    if language not in PROGRAMS:
-        raise UnknownNameError("language of programs", language, PROGRAMS)
+    refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
     form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
     notes = (line for note in _notes(name) for line in in_comments(note))

@@ -15,7 +15,7 @@ from casacal.instruments.description import Probe, Sight
 from casacal.instruments.dial_on_plane import DialOnPlane
 from casacal.kinematics import Expression, rotation
 from casacal.unknowns import Frame, Parameter, Unknown
-from casacal.unknowns.fits import rotation_between
+from casacal.unknowns.fits import rotation_between, transform
 from casacal.unknowns.unknown import unit_vector
 from casacal.values import FrozenMapping
 
@@ -89,15 +89,10 @@ class DialOnBody(DialOnPlane):
         if (np.linalg.norm(normals, axis=1) < 0.5).any():
             raise ProblemError("Some rows are labelled with a face that the body does not have", "Add its normal")
         if key == "body":
-            seen = []
             distinct, which = np.unique(normals, axis=0, return_inverse=True)
-            for i in range(len(distinct)):
-                seen.append(sight.touched_normal(which.ravel() == i))
-            matrix = np.eye(4)
-            matrix[:3, :3] = rotation_between(distinct, np.array(seen))[0]
-            return Frame.encode(matrix)
+            seen = [sight.touched_normal(which.ravel() == i) for i in range(len(distinct))]
+            return Frame.encode(transform(rotation_between(distinct, np.array(seen))[0], np.zeros(3)))
         if key == "offset":
-            return np.array(
-                [float((sight.touched_normal(np.ones(len(normals), dtype=bool)) * sight.tips).sum(1).mean())]
-            )
+            normal = sight.touched_normal(np.ones(len(normals), dtype=bool))
+            return np.array([float((normal * sight.tips).sum(1).mean())])
         return super().propose(key, sight)

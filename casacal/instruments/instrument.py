@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError, UnknownNameError, came
+from casacal.errors import ProblemError, came, refuse_unknown
 from casacal.instruments.description import UNIT_MISTAKES, Dimension, Probe, ResidualBlock, Sight, Suspect, Words
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
@@ -232,8 +232,7 @@ def with_setting(instrument: Instrument, name: str, value: float | tuple[float, 
     """
     present = _fields(instrument)
     numbers = [key for key, held in present.items() if isinstance(held, (int, float)) and not isinstance(held, bool)]
-    if name not in (*numbers, *instrument.ranges):
-        raise UnknownNameError(f"number of {type(instrument).__name__}", name, [*numbers, *instrument.ranges])
+    refuse_unknown(f"number of {type(instrument).__name__}", [name], [*numbers, *instrument.ranges])
     if isinstance(value, tuple):
         if name not in instrument.ranges:
             raise ProblemError(f"{name} of {type(instrument).__name__} is one number, not {value}", "Give one")

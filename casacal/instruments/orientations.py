@@ -112,9 +112,9 @@ class Orientation:
         turn = "seem to turn from the device to the body, not from the body to the device"
         if self.name == "quaternion":
             order = "the quaternions seem to come as x, y, z, w, and the columns call them w, x, y, z"
-            last = ("quat_x", "quat_y", "quat_z", "quat_w")
+            shifted = (*QUATERNION[3:], *QUATERNION[:3])  # where each of w, x, y, z then stands
             return (
-                Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, _shifted(last)),
+                Suspect("order of the quaternions", order, "Rename the columns", QUATERNION, 1.0, shifted),
                 Suspect("sense of the quaternions", f"the quaternions {turn}",
                         "Invert them: negate quat_x, quat_y and quat_z", QUATERNION[1:], -1.0),
             )  # fmt: skip
@@ -126,8 +126,3 @@ class Orientation:
         other = f"the turns seem to come in the other order, the one about {self.name[2]} first"
         fix = f'Rename the columns, or declare orientation="{self.name[::-1].swapcase()}"'
         return (unit, Suspect("order of the turns", other, fix, TURNS, 1.0, TURNS[::-1]))
-
-
-def _shifted(order: tuple[str, ...]) -> tuple[str, ...]:
-    """For each of w, x, y, z the column in which it stands where they were written as x, y, z, w."""
-    return tuple(QUATERNION[order.index(name)] for name in QUATERNION)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +16,7 @@ from casacal.instruments.tool_tip import ToolTip, proposed_point
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Direction, Frame, Parameter
 from casacal.unknowns.fits import rigid_fit
-from casacal.values import FrozenMapping, is_real
+from casacal.values import FrozenMapping, is_finite
 
 AXES = ("x", "y", "z")
 
@@ -80,7 +79,7 @@ class Sockets(ToolTip):
     def __post_init__(self) -> None:
         super().__post_init__()
         given = self.along if isinstance(self.along, Mapping) else {}
-        along = {str(label): float(value) for label, value in given.items() if is_real(value) and math.isfinite(value)}
+        along = {str(label): float(value) for label, value in given.items() if is_finite(value)}
         object.__setattr__(self, "along", FrozenMapping(along))
         if len(set(along.values())) < max(len(given), 2):
             raise ProblemError(
@@ -192,7 +191,7 @@ class KnownPoint(PointInFrame):
         super().__post_init__()
         given = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
         for label, point in given:
-            if not isinstance(point, (tuple, list, np.ndarray)) or len(point) != 3 or not all(map(_is_finite, point)):
+            if not (isinstance(point, (tuple, list, np.ndarray)) and len(point) == 3 and all(map(is_finite, point))):
                 raise ProblemError(
                     f"Point '{label}' of the plate is {point!r}", "Give x, y and z of each point in mm, by its label"
                 )
@@ -209,7 +208,3 @@ class KnownPoint(PointInFrame):
     def known_columns(self) -> Mapping[str, Mapping[str, float]]:
         """Coordinates of the row's point on the plate, mm."""
         return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate(AXES)}
-
-
-def _is_finite(value: object) -> bool:
-    return is_real(value) and bool(np.isfinite(value))  # type: ignore[call-overload]

@@ -17,19 +17,6 @@ from casacal.unknowns import Plane, Unknown
 from casacal.unknowns.fits import packed_symbols
 from casacal.values import FrozenMapping, frozen
 
-DECLARED = (
-    "columns",
-    "unknowns",
-    "known_columns",
-    "known_by",
-    "knows_every_label",
-    "datum",
-    "column_stds",
-    "residual_std",
-    "probe",
-    "blocks",
-)
-
 
 def _declared(name: str, before: Any = None) -> Any:
     """A property as it was declared; in files from before it was, this."""
@@ -57,8 +44,8 @@ class TracedInstrument(Instrument):
     datum = _declared("datum")
     column_stds = _declared("column_stds")
     residual_std = _declared("residual_std")
-    blocks = _declared("blocks", ())
     probe = _declared("probe")
+    blocks = _declared("blocks", ())
 
     @staticmethod
     def of(instrument: Instrument, parameters: Mapping[str, Unknown]) -> TracedInstrument:
@@ -101,3 +88,7 @@ class TracedInstrument(Instrument):
         known = [getattr(row, name, 0.0) for name in names]  # a tip is asked for without a row, at reading zero
         found: list[Expression] = self.graph.call([pose.matrix if isinstance(pose, Product) else pose, *packed, *known])
         return found
+
+
+DECLARED = tuple(name for name, item in vars(TracedInstrument).items() if isinstance(item, property))
+"""What an instrument declares of itself."""

@@ -17,7 +17,7 @@ from casacal.instruments.instrument import Instrument
 from casacal.instruments.orientations import Orientation
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame
-from casacal.unknowns.fits import hand_eye
+from casacal.unknowns.fits import hand_eye, transform
 from casacal.values import is_real
 
 POSITION = ("x", "y", "z")
@@ -137,9 +137,7 @@ class TrackedPose(Instrument):
         """A simulated body sits 100 mm before the flange."""
         if key != "body":
             return super().stands(key, near, normal)
-        mount = np.eye(4)
-        mount[:3, 3] = 20.0, -30.0, 100.0
-        return Frame.encode(mount)
+        return Frame.encode(transform(np.eye(3), np.array([20.0, -30.0, 100.0])))
 
 
 def chord(turn: Expression) -> Expression:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, refuse_unknown
 
 if TYPE_CHECKING:
     import serial
@@ -75,11 +75,9 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
 
     Raises CasacalError for a name or unit that there is not, and for a pattern that is none or has no group `value`.
     """
-    if name not in GAUGES:
-        raise UnknownNameError("gauge", name, GAUGES)
+    refuse_unknown("gauge", [name], GAUGES)
+    refuse_unknown("unit", [] if unit is None else [unit], UNITS)
     known = GAUGES[name]
-    if unit is not None and unit not in UNITS:
-        raise UnknownNameError("unit", unit, UNITS)
     if pattern is not None:
         try:
             groups = re.compile(pattern).groupindex

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, UnknownNameError
+from casacal.errors import CasacalError, refuse_unknown
 from casacal.measuring.examine import Alarm, Suspected, refuse_along
 from casacal.measuring.standing import Standing
 from casacal.measuring.touch import Touch, columns_of, joints_of, labels_of
@@ -65,8 +65,7 @@ class Session(Standing):
             FIT if planned is None else planned.purpose,
         )
         for column, known in () if self.plan is None else self.plan.samples.labels.items():
-            if touch.labels[column] not in known.names:
-                raise UnknownNameError(f"{column} of the plan", touch.labels[column], known.names)
+            refuse_unknown(f"{column} of the plan", [touch.labels[column]], known.names)
         if self.known is not None and self.known.knows(touch):
             refuse_along(self.known, touch)
         return self._after((*self.touches, touch), new=True)

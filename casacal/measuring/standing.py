@@ -179,11 +179,8 @@ class Standing(Value):
         return None if known is None or self.field is None else spectrum(known.belief.root, self.field)
 
     def _slips(self, touches: Sequence[Touch], k: int) -> list[Slip]:
-        known: dict[str, dict[str, None]] = {}
-        for each in (*touches, *self._all_planned):
-            for column, label in each.labels.items():
-                known.setdefault(column, {})[label] = None
-        labels = {column: tuple(names) for column, names in known.items()}
+        every = (*touches, *self._all_planned)
+        labels = {name: tuple(dict.fromkeys(each.labels[name] for each in every)) for name in touches[k].labels}
         return slips_of(self.problem, touches[k], self.planned(touches[k].number), labels)
 
     @cached_property

@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.instruments.description import OVERTRAVEL, readings_within
 from casacal.planning.route import FIT, Route
 from casacal.problem.problem import Problem
 from casacal.samples.layout import LARGEST, Layout
 from casacal.samples.samples import Samples
-from casacal.values import FrozenMapping, Value, is_real, read_only
+from casacal.values import FrozenMapping, Value, is_finite, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +93,10 @@ def columns_of(reading: float | Mapping[str, float] | None, layout: Layout) -> d
         raise CasacalError(f"Got one reading, but a touch has {wanted}", "Give them by name")
     else:
         given = {asked[0]: reading}
-    for name in given:
-        if name not in asked:
-            raise UnknownNameError("column of a touch", name, asked)
+    refuse_unknown("column of a touch", given, asked)
     for name in asked:
         value = given.get(name)
-        if not is_real(value) or not math.isfinite(value):  # type: ignore[arg-type]
+        if not is_finite(value):
             raise CasacalError(f"Got {came(value)} as the {name}", f"Give a number; a touch has {wanted}")
     return {name: float(given[name]) for name in asked}
 
@@ -112,9 +110,7 @@ def labels_of(plane: str | Mapping[str, str] | None, layout: Layout, planned: To
         given: Mapping[str, str] = {asked[0]: plane.strip()}
     else:
         given = {} if plane is None else plane
-    for name in given:
-        if name not in asked:
-            raise UnknownNameError("label of a touch", name, asked)
+    refuse_unknown("label of a touch", given, asked)
     found = {name: given.get(name, "" if planned is None else planned.labels[name]) for name in asked}
     for name, label in found.items():
         if not isinstance(label, str) or not label:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.files import write_text
+from casacal.files import writable, write_text
 from casacal.measuring.touch import Touch, rows_of
 from casacal.planning.route import CHECK, PURPOSES
 from casacal.samples.layout import Layout
@@ -145,7 +145,7 @@ class TouchFile(Value):
 
 def _added(path: Path, data: bytes) -> None:
     """Put bytes at the end of a file, on the disk when this returns; raises CasacalError where that cannot be."""
-    try:
+    with writable(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         out = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
@@ -154,5 +154,3 @@ def _added(path: Path, data: bytes) -> None:
             os.fsync(out)
         finally:
             os.close(out)
-    except OSError as error:
-        raise CasacalError(f"'{path}' cannot be written ({error.strerror})", "Choose another place") from error

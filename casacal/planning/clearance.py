@@ -22,6 +22,7 @@ from casacal.problem.cell import Cell
 from casacal.robots.links import Links
 from casacal.robots.robot import Robot
 from casacal.uncertainty.expectation import Box
+from casacal.unknowns.fits import transform
 from casacal.values import Value, is_real
 
 ALONG = 12  # points looked at on every rod, its ends among them
@@ -87,9 +88,7 @@ def nodes_of(robot: Robot, joints: Array) -> Array:
 
 def _body(box: Box) -> Body:
     low, high = np.array(box, dtype=np.float64).T
-    pose = np.eye(4)
-    pose[:3, 3] = (low + high) / 2
-    return Body.box(pose, high - low)
+    return Body.box(transform(np.eye(3), (low + high) / 2), high - low)
 
 
 def _along(rods: Array) -> Array:

@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.slots import ENOUGH, Slot
 from casacal.instruments.description import Probe
-from casacal.problem.cell import Cell, Face
+from casacal.problem.cell import Cell, Face, triple
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.reach import Touch
@@ -178,9 +178,3 @@ def fresh(label: str, faces: Sequence[Face]) -> str:
     while any(face.label == label for face in faces):
         label += "'"
     return label
-
-
-def triple(values: Array) -> tuple[float, float, float]:
-    """Three numbers of an array (3,)."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -19,6 +19,7 @@ from casacal.robots.joint_space import random_joints
 from casacal.robots.links import Links
 from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
+from casacal.unknowns.fits import transform
 from casacal.values import Value
 
 SIDES = 8  # sides of the prism around a cylinder
@@ -200,7 +201,5 @@ def _body(shape: LinkShape) -> Body:
 
 def _plate(face: Face) -> Body:
     """What carries a face: a plate whose top it is."""
-    pose = np.eye(4)
-    pose[:3, :3] = face.axes.T
-    pose[:3, 3] = np.asarray(face.centre) - THICK / 2 * face.axes[0]
-    return Body.box(pose, np.array([THICK, *face.size]))
+    middle = np.asarray(face.centre) - THICK / 2 * face.axes[0]
+    return Body.box(transform(face.axes.T, middle), np.array([THICK, *face.size]))

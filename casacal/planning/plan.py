@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
@@ -97,8 +97,7 @@ def plan(
 
     """
     refuse(problem, touches, pool, starts, again, check, box, targets)
-    if criterion not in (names := [each.value for each in Criterion]):
-        raise UnknownNameError("criterion", str(criterion), names)
+    refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
     wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
@@ -173,9 +172,7 @@ def bound_pool(
         after.check(problem.layout())
         pool = joined(pool, after)
     bound = bind(problem, pool)
-    for name in loose or {}:
-        if name not in bound.names:
-            raise UnknownNameError("unknown", name, bound.names)
+    refuse_unknown("unknown", loose or {}, bound.names)
     return bound
 
 

@@ -13,7 +13,7 @@ from casacal.array_types import Array
 from casacal.binding.slots import instances
 from casacal.errors import SamplesError
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import AXIS_WEIGHT
+from casacal.robots.joint_space import joint_units
 from casacal.robots.robot import Robot
 from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
@@ -103,8 +103,7 @@ def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
     count = len(joints)
     if count < 2:
         return np.arange(count)
-    places = joints / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
-    middle = np.mean(robot.limits, axis=0) / np.where(robot.revolute, 1.0, AXIS_WEIGHT)
+    places, middle = joints / joint_units(robot), np.mean(robot.limits, axis=0) / joint_units(robot)
     apart = np.abs(places[:, None] - places).max(axis=2)
     order = [int(np.abs(places - middle).max(axis=1).argmin())]
     left = set(range(count)) - set(order)

@@ -192,7 +192,7 @@ def plate(
     centre: Sequence[float], *, size: float = 600.0, normal: Sequence[float] = (0, 0, 1), label: str = "plate"
 ) -> tuple[Face, ...]:
     """One square face at `centre` (3, mm)."""
-    return (Face(label, _triple(centre), _triple(normal), (size, size)),)
+    return (Face(label, triple(centre), triple(normal), (size, size)),)
 
 
 def corner(centre: Sequence[float], *, size: float = 600.0, towards: Sequence[float] = (-1, 0)) -> tuple[Face, ...]:
@@ -206,7 +206,7 @@ def corner(centre: Sequence[float], *, size: float = 600.0, towards: Sequence[fl
     aside = np.cross([0.0, 0.0, 1.0], ahead)
     normals = {"floor": np.array([0.0, 0.0, 1.0]), "wall": ahead, "side": aside}
     return tuple(
-        Face(label, _triple(middle - half * normal), _triple(normal), (size, size)) for label, normal in normals.items()
+        Face(label, triple(middle - half * normal), triple(normal), (size, size)) for label, normal in normals.items()
     )
 
 
@@ -217,9 +217,9 @@ def gauge_block(
 
     Declare the length to the instrument with `steps={"top": Step(on="base", height=step)}`.
     """
-    base = Face("base", _triple(centre), _triple(normal), (size, size))
+    base = Face("base", triple(centre), triple(normal), (size, size))
     unit, aside, _ = base.axes
-    return base, Face("top", _triple(np.asarray(centre) + step * unit + size * aside), _triple(normal), (size, size))
+    return base, Face("top", triple(np.asarray(centre) + step * unit + size * aside), triple(normal), (size, size))
 
 
 def flatness_din_876(grade: str, length: float) -> float:
@@ -230,6 +230,7 @@ def flatness_din_876(grade: str, length: float) -> float:
     return (base + length / divisor) / 1000
 
 
-def _triple(values: Sequence[float] | Array) -> tuple[float, float, float]:
+def triple(values: Sequence[float] | Array) -> tuple[float, float, float]:
+    """Three numbers of an array or a sequence (3,)."""
     x, y, z = (float(value) for value in values)
     return x, y, z

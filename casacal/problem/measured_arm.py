@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from casacal.discrepancy import Effect
-from casacal.errors import ProblemError, UnknownNameError, came
+from casacal.errors import ProblemError, came, refuse_unknown
 from casacal.instruments import Instrument, Words
 from casacal.instruments.instrument import check_declaration
 from casacal.robots.robot import Robot
@@ -75,9 +75,8 @@ def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
         if isinstance(names, str) or not isinstance(names, Sequence) or len(set(names)) < 2:
             fix = f'Name two instruments or more, such as shared={{"{key}": ("dial", "spike")}}'
             raise ProblemError(f"'{key}' is shared by {names!r}", fix)
+        refuse_unknown("instrument", names, instruments)
         for name in names:
-            if name not in instruments:
-                raise UnknownNameError("instrument", str(name), list(instruments))
             if key not in instruments[name].unknowns:
                 have = ", ".join(instruments[name].unknowns) or "none"
                 raise ProblemError(f"'{name}' has no unknown '{key}' to share", f"It has: {have}")
@@ -163,8 +162,7 @@ class MeasuredArm(Value):
 
     def number(self, name: str) -> int:
         """Which instrument has a name, from 0; raises UnknownNameError where none has it."""
-        if name not in self.names:
-            raise UnknownNameError("instrument", str(name), list(self.names))
+        refuse_unknown("instrument", [name], self.names)
         return self.names.index(name)
 
     def prefix(self, instrument: int) -> str:

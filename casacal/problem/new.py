@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from casacal.errors import CasacalError, ProblemError
+from casacal.files import writable
 from casacal.problem.problem_file import load_problem
 from casacal.problem.problem_text import Given, angles, conventions, imported, lengths, listed, quoted, tuple_of, word
 from casacal.robots.dh_table import DHTable
@@ -161,24 +162,18 @@ def _written(
     if folder.exists():
         raise CasacalError(f"'{folder}' exists already", "Choose another name, or move it away")
     readme = README.format(name=name, folder=folder.as_posix(), **told)
-    refusal, fix = f"'{folder}' cannot be written", "Choose another place"
-    try:
+    with writable(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    except OSError as error:
-        raise CasacalError(f"{refusal} ({error.strerror})", fix) from error
-    try:
-        for file, data in {"problem.py": problem.encode(), "README.md": readme.encode(), **files}.items():
-            (draft / file).write_bytes(data)
         try:
+            for file, data in {"problem.py": problem.encode(), "README.md": readme.encode(), **files}.items():
+                (draft / file).write_bytes(data)
             load_problem(draft).problem.models  # noqa: B018  (a problem that cannot be compiled is not handed over)
+            shutil.rmtree(draft / "__pycache__", ignore_errors=True)
+            draft.chmod(0o755)
+            os.rename(draft, folder)
         except ProblemError as error:
             raise ProblemError(error.what.replace(str(draft), str(folder)), error.fix) from error
-        shutil.rmtree(draft / "__pycache__", ignore_errors=True)
-        draft.chmod(0o755)
-        os.rename(draft, folder)
-    except OSError as error:
-        raise CasacalError(f"{refusal} ({error.strerror})", fix) from error
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
     return folder

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from casacal.errors import CasacalError, ProblemError, came
+from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
-from casacal.user_code import BESIDE, run_file
+from casacal.user_code import BESIDE, line_of, run_file
 from casacal.values import Value
 
 LARGEST_KEPT = 2_000_000  # bytes beyond which the text of a file is not kept with its hash
@@ -117,10 +116,6 @@ def _execute(file: Path) -> dict[str, Any]:
     try:
         return vars(run_file(file))
     except (Exception, SystemExit) as error:  # a user's file may raise anything
-        places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
-        line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else (places or [None])[-1]
-        where = f"{file}, line {line}" if line else str(file)
         if isinstance(error, CasacalError):
-            raise ProblemError(f"{where}: {error.what}", error.fix) from error
-        said = " ".join(str(error).split()) or "no message"
-        raise ProblemError(f"{where}: {type(error).__name__}: {said}", "Mend the problem file") from error
+            raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
+        raise ProblemError(f"{line_of(file, error)}: {said(error)}", "Mend the problem file") from error

@@ -168,11 +168,8 @@ def _c_text(traced: Trace, prefix: str | None) -> str:
 def _parts(traced: Trace) -> list[_Part]:
     """Functions of values p; and of deviations z with constants c, as estimators use them."""
     symbols, built = traced.free
-    q, zc, row = (
-        {"q": traced.q},
-        {"z": traced.z, "c": traced.c},
-        {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))},
-    )
+    q, zc = {"q": traced.q}, {"z": traced.z, "c": traced.c}
+    row = {"row": ca.vertcat(*traced.columns.values(), ca.SX(0, 1))}
     p = {"p": ca.vertcat(*(ca.vec(symbol) for symbol in symbols.values()))}
     at = ca.vertcat(*(ca.vec(ca.SX(u.packed(getattr(traced.p, key)))) for key, u in traced.unknowns.items()))
     slopes = {"residual": traced.residual, "jacobian": traced.jacobian.T}

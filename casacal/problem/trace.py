@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 
 from casacal.discrepancy.effect import Effect, Here, Site
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, said
 from casacal.instruments import Instrument
 from casacal.kinematics import Expression, Product
 from casacal.robots.robot import Robot
@@ -201,8 +201,8 @@ def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, wor
     if found.numel() in (0, 1):  # nothing at all, or all components alike
         return ca.DM([float(each) for each in alike]) * ca.sum1(found)
     if found.numel() != sum(alike):
-        said = f"residual of '{words}' has {found.numel()} components"
-        raise ProblemError(said, f"It must have one, or the {sum(alike)} of the instrument's residual")
+        what = f"residual of '{words}' has {found.numel()} components"
+        raise ProblemError(what, f"It must have one, or the {sum(alike)} of the instrument's residual")
     each = iter(range(found.numel()))
     return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
 
@@ -218,7 +218,7 @@ def _traced(
         found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
     except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
         raise ProblemError(
-            f"{what} of '{owner}' failed with {type(error).__name__}: {' '.join(str(error).split())}",
+            f"{what} of '{owner}' failed with {said(error)}",
             "It must build CasADi expressions from its arguments; see casacal.kinematics",
         ) from error
     if found != shape and (shape is not None or found[1] != 1):

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from casacal.errors import ProblemError, came
-from casacal.kinematics import Expression, chain, position, rotation, screw, slide
+from casacal.kinematics import Expression, chain, position, rigid, rotation, screw, slide
 from casacal.robots.joints import Joint
 from casacal.robots.robot import PoseFunction, Robot
 from casacal.unknowns import Direction, Parameter
@@ -191,4 +191,4 @@ class Facing:
 def _inverse(pose: Expression) -> Expression:
     """The transform back."""
     turn = rotation(pose).T
-    return ca.vertcat(ca.horzcat(turn, -ca.mtimes(turn, position(pose))), ca.DM([[0, 0, 0, 1]]))
+    return rigid(turn, -ca.mtimes(turn, position(pose)))

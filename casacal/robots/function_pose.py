@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.graphs import graph_data
-from casacal.kinematics import Expression
+from casacal.kinematics import Expression, rigid
 from casacal.robots.joints import Joint, joints_of
 from casacal.robots.traced_pose import TracedPose
 from casacal.unknowns import Parameter, Unknown
@@ -140,7 +140,7 @@ def _pose(function: ca.Function, found: Sequence[Expression], per_mm: float) -> 
     else:
         gives = " and ".join(f"{rows}x{columns}" for rows, columns in shapes) or "nothing"
         raise ProblemError(f"{_said(function)} gives {gives}", f"Let it give the flange's pose: {WANTED}")
-    return ca.densify(ca.vertcat(ca.horzcat(turn, ca.vec(place) / per_mm), ca.DM([[0, 0, 0, 1]])))
+    return ca.densify(rigid(turn, ca.vec(place) / per_mm))
 
 
 def _check_last_row(function: ca.Function, row: ca.SX) -> None:

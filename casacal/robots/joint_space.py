@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import CasacalError, came
 from casacal.robots.robot import Robot
 
@@ -34,6 +34,12 @@ def joint_values(q: Any, robot: Robot) -> Array:
 def random_joints(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """Joint values (count, n; rad, mm), uniform between the limits."""
     return rng.uniform(*robot.limits, size=(count, len(robot.axes)))
+
+
+def inside_limits(robot: Robot, joints: Array) -> Rows:
+    """Which postures (N, n; rad, mm) are inside the limits of all joints (N,)."""
+    lower, upper = robot.limits
+    return np.asarray(((joints >= lower) & (joints <= upper)).all(axis=1))
 
 
 def joint_units(robot: Robot) -> Array:

@@ -45,8 +45,8 @@ class Links:
         if conventions is not None and robot.arm is not None:
             bare = replace(robot.arm, conventions=None)
             plain = TracedPose.of(bare.pose, robot.parameters, len(robot.axes))
-        turns = tuple(bool(each) for each in robot.revolute)
-        pose = _pose_of(plain, len(turns))
+        turns, q = tuple(bool(each) for each in robot.revolute), ca.SX.sym("q", len(robot.axes))
+        pose = ca.Function("pose", [q], [ca.SX(plain(SimpleNamespace(**plain.drawn), q))])
         home, twists = _twists(pose, len(turns))
         axes, points = np.zeros((2, len(turns), 3))
         for j, (turning, moving) in enumerate(twists):
@@ -99,12 +99,6 @@ class Links:
             if np.abs(np.array(flange(there))[:, 0] - np.array(pose(there))[:3, 3]).max() > ALIKE:
                 fix = "Leave out LinkSag; GravitySag asks nothing of the order"
                 raise ProblemError(f"The joints of '{robot.name}' do not carry one another in order", fix)
-
-
-def _pose_of(traced: TracedPose, joints: int) -> ca.Function:
-    """q (n,) -> flange pose (4x4, mm) of the arm as drawn."""
-    q = ca.SX.sym("q", joints)
-    return ca.Function("pose", [q], [ca.SX(traced(SimpleNamespace(**traced.drawn), q))])
 
 
 def _twists(pose: ca.Function, joints: int) -> tuple[Array, list[tuple[Array, Array]]]:

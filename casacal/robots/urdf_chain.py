@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.kinematics import Expression, chain, rotate, rotate_x, rotate_y, rotate_z, slide
+from casacal.kinematics import Expression, chain, rigid, rotate, rotate_x, rotate_y, rotate_z, slide
 from casacal.robots.files.urdf import Triple, UrdfFile, UrdfJoint, check_joint
 from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.joints import Conventions, Joint
@@ -87,9 +87,8 @@ class UrdfChain:
         shift = ca.vertcat(p.x[i], p.y[i], p.z[i])
         turn = origin_matrix(joint)[:3, :3]
         place = ca.mtimes(ca.DM(fixed[:3, :3]), shift) + ca.DM(fixed[:3, 3])
-        upper = ca.horzcat(ca.DM(fixed[:3, :3] @ turn), place)
-        placed = ca.vertcat(upper, ca.DM([[0, 0, 0, 1]]))
-        return [placed, rotate_x(p.rx[i]), rotate_y(p.ry[i]), rotate_z(p.rz[i])]
+        origin = rigid(ca.DM(fixed[:3, :3] @ turn), place)
+        return [origin, rotate_x(p.rx[i]), rotate_y(p.ry[i]), rotate_z(p.rz[i])]
 
     def parameters(self, length_std: float | None, angle_std: float | None) -> dict[str, Unknown]:
         """Unknowns x, y, z (mm): the origins; rx, ry, rz (rad, nominally zero): small turns of each joint's frame.

@@ -16,7 +16,7 @@ from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.instruments.description import Probe
 from casacal.kernels.batch import Batch
-from casacal.robots.joint_space import AXIS_WEIGHT
+from casacal.robots.joint_space import AXIS_WEIGHT, inside_limits
 from casacal.robots.robot import Robot
 
 ARRIVED = 1e-16
@@ -132,7 +132,7 @@ class Touch:
         middle = (lower + upper) / 2
         turned = middle + (joints - middle + np.pi) % (2 * np.pi) - np.pi
         wrapped = np.where(self.robot.revolute, turned, joints)
-        return wrapped, np.all((wrapped >= lower) & (wrapped <= upper), axis=1)
+        return wrapped, inside_limits(self.robot, wrapped)
 
     def _error(self, joints: Array, readings: Array, targets: Array, axes: Array) -> tuple[Array, Array]:
         tip, axis, tip_slope, axis_slope = self(joints, readings)

@@ -14,7 +14,7 @@ from casacal.instruments import Instrument
 from casacal.kernels.batch import Batch
 from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
-from casacal.robots.joint_space import random_joints
+from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.touches import random_tips, spot, stands
@@ -183,9 +183,8 @@ def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
     for _ in range(ROUNDS):
         start = _starts(bench, target, waiting, rng)
         found, met = _met(bench, start, target[waiting], waiting)
-        lower, upper = robot.limits
-        inside = ((found[:, :n] >= lower) & (found[:, :n] <= upper)).all(axis=1)
-        inside &= (bench.beyond(found, waiting) < 1e-6) & ((found[:, n:] >= least) & (found[:, n:] <= most)).all(axis=1)
+        inside = inside_limits(robot, found[:, :n]) & (bench.beyond(found, waiting) < 1e-6)
+        inside &= ((found[:, n:] >= least) & (found[:, n:] <= most)).all(axis=1)
         free[waiting[met & inside]] = found[met & inside]
         waiting = waiting[~(met & inside)]
         if not waiting.size:

@@ -80,7 +80,7 @@ def try_touches(
     they are. starts: random poses among which each finds where to begin.
     """
     count = len(which)
-    growth = np.ones(count) if growth is None else growth
+    waiting = np.arange(count) if waiting is None else waiting
     axes = np.array([face.axes for face in cell.faces])[which]
     centres = np.array([face.centre for face in cell.faces])[which]
     half = np.array([face.size for face in cell.faces])[which] / 2
@@ -90,12 +90,10 @@ def try_touches(
     targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
     directions = _tilted(axes, cell.tilt, rng)
     poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
-    if waiting is not None:
-        which, lift, readings, uv = which[waiting], lift[waiting], readings[waiting], uv[waiting]
-        growth = growth[waiting]
-        axes, centres, half, targets, directions, poses = (
-            each[waiting] for each in (axes, centres, half, targets, directions, poses)
-        )
+    which, grown = which[waiting], (np.ones(count) if growth is None else growth)[waiting]
+    lift, readings, uv, axes, centres, half, targets, directions, poses = (
+        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions, poses)
+    )
     joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
     joints, inside = touch.within_limits(joints)
     heights = lift + (axes[:, 0] * centres).sum(axis=1)
@@ -104,7 +102,7 @@ def try_touches(
             here = which == i
             form_rng = np.random.default_rng(form_seed)
             heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
-    heights = heights / growth  # where the arm without its growth stands as it touches
+    heights = heights / grown  # where the arm without its growth stands as it touches
     joints = touch.land(joints, readings, axes[:, 0], heights)
     tip, direction, *_ = touch(joints, readings)
     offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))

@@ -8,7 +8,7 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
@@ -26,7 +26,6 @@ from casacal.threads import one_thread_each
 Asked = TypeVar("Asked")
 Outcome = TypeVar("Outcome")
 
-AHEAD = 4  # tasks a process has waiting; more would only delay the end of an interrupted run
 CONNECT_SECONDS = 10
 
 
@@ -39,7 +38,7 @@ class Errand:
     """A task for a worker, and how the worker comes by its study."""
 
     task: Task
-    study_of: Callable[[Task], Study]
+    study: Callable[[], Study]
 
 
 def errands(study: Study, tasks: Sequence[Task], file: str | Path | None, quick: bool) -> list[Errand]:
@@ -48,24 +47,19 @@ def errands(study: Study, tasks: Sequence[Task], file: str | Path | None, quick:
     Raises StudyError for one that only this process understands.
     """
     if file is not None:
-        return [Errand(task, partial(_read, str(Path(file).resolve()), quick, study.trials)) for task in tasks]
+        return [Errand(task, partial(_read, str(Path(file).resolve()), quick, study.trials, task)) for task in tasks]
     try:
         luggage = pickle.dumps(study)
     except Exception as error:  # closures and whatever else a user's methods hold
         what = f"The study '{study.name}' cannot be given to workers: {' '.join(str(error).split())}"
         raise StudyError(what, "Write it to a file, or run it here") from error
-    return [Errand(task, partial(_unpacked, luggage)) for task in tasks]
+    return [Errand(task, partial(_loaded, luggage)) for task in tasks]
 
 
 def perform_errand(errand: Errand) -> list[Record]:
     """Records of a task, in a worker; raises StudyError when its casacal or its study file is another one."""
     with _ONE_AT_A_TIME:
-        return perform(errand.study_of(errand.task), errand.task)
-
-
-def _unpacked(luggage: bytes, task: Task) -> Study:
-    del task
-    return _loaded(luggage)
+        return perform(errand.study(), errand.task)
 
 
 @lru_cache(maxsize=4)
@@ -103,14 +97,9 @@ def in_processes(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], w
     """
     one_thread_each()
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin_worker)
-    waiting, running = list(reversed(tasks)), set[Future[Outcome]]()
     try:
-        while waiting or running:
-            while waiting and len(running) < AHEAD * workers:
-                running.add(pool.submit(function, waiting.pop()))
-            finished, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
+        for future in as_completed([pool.submit(function, task) for task in tasks]):
+            yield future.result()
     except BrokenProcessPool:
         raise StudyError(
             "A worker process died",

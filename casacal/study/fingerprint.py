@@ -76,16 +76,13 @@ def _described(value: Any, within: tuple[int, ...]) -> Any:
         return _class(value, within)
     if isinstance(value, (ModuleType, BuiltinFunctionType)):
         return ["named", value.__name__]
-    state = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)} if _is_data(value) else _state(value)
-    return ["object", _class(type(value), within), _described(state, within)]
-
-
-def _is_data(value: Any) -> bool:
-    return dataclasses.is_dataclass(value) and not isinstance(value, type)
+    return ["object", _class(type(value), within), _described(_state(value), within)]
 
 
 def _state(value: Any) -> Any:
-    """Attributes of an object that is no dataclass; what has none counts by its text."""
+    """Fields of a dataclass, attributes of any other object; what has none counts by its text."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     return vars(value) if hasattr(value, "__dict__") else str(value)
 
 

@@ -39,12 +39,19 @@ class Paired:
     losses: int
 
 
-def mean_interval(values: Array, *, seed: int = 0) -> Interval:
+def mean_interval(values: Array) -> Interval:
     """Mean of values (N,) with its bootstrap percentile interval; not a number without values."""
-    return _bootstrap(np.asarray(values, dtype=np.float64), seed)
+    values = np.asarray(values, dtype=np.float64)
+    if not values.size:
+        return Interval(math.nan, math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    draws = (values[rng.integers(values.size, size=(AT_ONCE, values.size))] for _ in range(RESAMPLES // AT_ONCE))
+    means = np.concatenate([draw.mean(axis=1) for draw in draws])
+    low, high = np.quantile(means, (0.025, 0.975))
+    return Interval(float(values.mean()), float(low), float(high))
 
 
-def paired(one: Array, other: Array, *, seed: int = 0) -> Paired:
+def paired(one: Array, other: Array) -> Paired:
     """Compare positive figures (N,), (M,) of two methods trial by trial, over the trials that both took part in.
 
     Pairs with a value that is not finite, such as failures, are left out and not counted.
@@ -57,7 +64,7 @@ def paired(one: Array, other: Array, *, seed: int = 0) -> Paired:
     logs = np.log(a[both] / b[both])
     differing = logs[np.abs(logs) > NO_DIFFERENCE]
     p = float(wilcoxon(differing).pvalue) if differing.size else 1.0
-    mean = _bootstrap(logs, seed)
+    mean = mean_interval(logs)
     ratio = Interval(math.exp(mean.value), math.exp(mean.low), math.exp(mean.high))
     return Paired(ratio, p, int(both.sum()), int((differing < 0).sum()), int((differing > 0).sum()))
 
@@ -84,13 +91,3 @@ def quantiles(values: Sequence[float] | Array) -> tuple[float, float, float]:
     if not finite.size:
         return math.nan, math.nan, math.nan
     return float(np.median(finite)), float(np.quantile(finite, 0.95)), float(finite.max())
-
-
-def _bootstrap(values: Array, seed: int) -> Interval:
-    if not values.size:
-        return Interval(math.nan, math.nan, math.nan)
-    rng = np.random.default_rng(seed)
-    draws = (values[rng.integers(values.size, size=(AT_ONCE, values.size))] for _ in range(RESAMPLES // AT_ONCE))
-    means = np.concatenate([draw.mean(axis=1) for draw in draws])
-    low, high = np.quantile(means, (0.025, 0.975))
-    return Interval(float(values.mean()), float(low), float(high))

@@ -8,7 +8,6 @@ import json
 import os
 import platform
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -16,9 +15,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from casacal.errors import CasacalError, StudyError, came
+from casacal.errors import CasacalError, StudyError, came, said
 from casacal.files import write_json, write_text
 from casacal.study.description import Run, Study
+from casacal.user_code import line_of
 
 
 @dataclass(frozen=True)
@@ -72,25 +72,21 @@ def _dotted(file: Path) -> tuple[list[str], Path]:
 def lines_of(source: StudyFile, run: Any) -> list[str]:
     """What the study's report says of a run, as lines; raises StudyError when it fails, or says nothing."""
     try:
-        said = source.report(run)
+        told = source.report(run)
     except (Exception, SystemExit) as error:  # a user's function may raise anything
         raise _failure(Path(source.path), error) from error
-    if isinstance(said, str):
-        return said.splitlines()
-    if not isinstance(said, Iterable):
-        raise StudyError(f"Got {came(said)} from report(run) of '{source.path}'", "Return the lines of report.md")
-    return [str(line) for line in said]
+    if isinstance(told, str):
+        return told.splitlines()
+    if not isinstance(told, Iterable):
+        raise StudyError(f"Got {came(told)} from report(run) of '{source.path}'", "Return the lines of report.md")
+    return [str(line) for line in told]
 
 
 def _failure(file: Path, error: BaseException) -> CasacalError:
     """A refusal that names the last line of the file itself that was running."""
     if isinstance(error, CasacalError):
         return error
-    places = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).name == file.name]
-    line = error.lineno if isinstance(error, SyntaxError) else (places or [None])[-1]
-    said = " ".join(str(error).split()) or "no message"
-    where = f"{file}, line {line}" if line else str(file)
-    return StudyError(f"{where}: {type(error).__name__}: {said}", "Mend the study file")
+    return StudyError(f"{line_of(file, error)}: {said(error)}", "Mend the study file")
 
 
 def _imported(file: Path) -> ModuleType:

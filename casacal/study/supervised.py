@@ -148,7 +148,7 @@ def _serve(send: Connection, errand: Errand, seconds: float, shared: bool) -> No
         os.environ.setdefault(THREADS, "1")
     _at_most(BEGIN_SECONDS)
     try:
-        study = errand.study_of(errand.task)
+        study = errand.study()
     except CasacalError as error:
         send.send(error)
         return

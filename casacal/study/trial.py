@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.errors import said
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result, as_result
 from casacal.study.description import Study, Trial
@@ -102,7 +103,7 @@ def trial_records(study: Study, task: Task) -> Iterator[Record | None]:
             rows = warm_up(made.problem)
             before = _state(made.problem)
         except _caught() as error:  # a cell out of reach fails every method, and the study goes on
-            yield from ({**head, **failed(_said(error))} for head in waiting)
+            yield from ({**head, **failed(said(error))} for head in waiting)
             return
         yield None
         intact = True
@@ -166,7 +167,7 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
             detail = _detail(made, metered, result, trial) if trial < study.details else {}
     except _caught() as error:  # failures are rows with their message
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
-        return {**failed(_said(error)), TIMINGS: spent}
+        return {**failed(said(error)), TIMINGS: spent}
     counts = (metered.residual_rows, metered.jacobian_rows)
     if metered.used_graph:  # its evaluations happen inside the solver, which counts them itself
         counts = (result.residual_rows, result.jacobian_rows)
@@ -184,10 +185,6 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
 def failed(message: str) -> Record:
     """The record of a method that gave no answer, and what it said instead."""
     return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}, TIMINGS: {}}
-
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
 def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:

@@ -11,6 +11,7 @@ import io
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -81,22 +82,11 @@ def read_arrays(path: Path) -> Columns:
     Raises SamplesError for anything else.
     """
     file = str(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what NumPy thinks of how a header is written
-            named = _members(path, file) if zipfile.is_zipfile(path) else _fields(path, file)
+    what = "this is not an array file of NumPy without Python objects, or it is damaged"
+    with readable(file, what, "Write it with numpy.save or numpy.savez"):
+        named = _members(path, file) if zipfile.is_zipfile(path) else _fields(path, file)
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    except FileNotFoundError:
-        raise SamplesError(file, "there is no such file", "Check the path") from None
-    except CasacalError:
-        raise
-    except Exception as error:  # whatever a damaged file makes of the library, it is the file that must change
-        raise SamplesError(
-            file,
-            f"this is not an array file of NumPy without Python objects, or it is damaged ({type(error).__name__})",
-            "Write it with numpy.save or numpy.savez",
-        ) from None
     check_names((name for name, _ in named), file)
     for name, values in named:
         if values.ndim != 1:
@@ -108,6 +98,21 @@ def read_arrays(path: Path) -> Columns:
     if not named or not len(named[0][1]):
         raise SamplesError(file, "the columns hold no rows", "Give all columns the same number of rows")
     return columns_of_arrays(dict(named), file, digest)
+
+
+@contextmanager
+def readable(file: str, what: str, fix: str) -> Iterator[None]:
+    """Say in a SamplesError what is wrong with a file that a library refuses, and leave the library's warnings out."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles, of how a header is written, and the like
+            yield
+    except FileNotFoundError:
+        raise SamplesError(file, "there is no such file", "Check the path") from None
+    except CasacalError:
+        raise
+    except Exception as error:  # whatever a damaged file makes of the library, it is the file that must change
+        raise SamplesError(file, f"{what} ({type(error).__name__})", fix) from None
 
 
 def _fields(path: Path, file: str) -> list[tuple[str, NDArray[Any]]]:

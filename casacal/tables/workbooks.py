@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-import warnings
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from casacal.errors import CasacalError, SamplesError
-from casacal.tables.arrays import check_unpacked, pieces
+from casacal.tables.arrays import check_unpacked, pieces, readable
 from casacal.tables.grammar import UNSHOWN, Comments
 from casacal.tables.text import Table, make_table
 
@@ -45,24 +45,13 @@ def read_workbook(path: str | Path) -> Table:
             f"{path} is an Excel workbook, which needs a library", "Install it with pip install openpyxl"
         ) from None
     file = str(path)
-    try:
+    with readable(file, "this is no readable workbook", "Save it again, or as CSV"):
         check_unpacked(Path(path), file)
         _check_tags(Path(path), file)
         data = Path(path).read_bytes()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what the library thinks of styles and the like
-            book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
-            try:
-                file, rows, comments = _first_sheet(book, file)
-            finally:
-                book.close()
-    except FileNotFoundError:
-        raise SamplesError(file, "there is no such file", "Check the path") from None
-    except CasacalError:
-        raise
-    except Exception as error:  # whatever a damaged archive makes of the library, it is the file that must change
-        raise SamplesError(file, f"this is no readable workbook ({type(error).__name__})", "Save it again, or as CSV"
-        ) from None  # fmt: skip
+        opened = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
+        with closing(opened) as book:
+            file, rows, comments = _first_sheet(book, file)
     return make_table(file, hashlib.sha256(data).hexdigest(), rows, "\t", comments)
 
 

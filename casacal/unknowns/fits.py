@@ -44,10 +44,7 @@ def rigid_fit(there: Array, here: Array) -> Array | None:
     turn, fixed = rotation_between(there - there.mean(axis=0), here - here.mean(axis=0))
     if len(here) < 3 or not fixed:
         return None
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn
-    matrix[:3, 3] = here.mean(axis=0) - turn @ there.mean(axis=0)
-    return matrix
+    return transform(turn, here.mean(axis=0) - turn @ there.mean(axis=0))
 
 
 def rotation_between(there: Array, here: Array) -> tuple[Array, bool]:
@@ -80,26 +77,24 @@ def hand_eye(turns: Array, places: Array, quaternions: Array, read: Array) -> tu
     # S' M = T B for every row: vec(T B) = (1 x T) vec(B), vec(S' M) = (M' x 1) vec(S')
     cross = np.einsum("kia,kjb->ijab", seen, turns).reshape(9, 9)
     left, _, right = np.linalg.svd(cross)
-    station, body = _rotation(left[:, 0].reshape(3, 3), right[0].reshape(3, 3))
+    station, body = left[:, 0].reshape(3, 3), right[0].reshape(3, 3)  # of unknown size and common sign
+    sign = np.sign(np.linalg.det(station)) or 1.0
+    station, body = _nearest(sign * station), _nearest(sign * body).T
     # p = S_R (T_R b + t) + s, linear in b and s
     rows = np.concatenate([np.einsum("ij,kjl->kil", station, turns), np.tile(np.eye(3), (len(turns), 1, 1))], axis=2)
     wanted = read - places @ station.T
     shifts, *_ = np.linalg.lstsq(rows.reshape(-1, 6), wanted.ravel(), rcond=None)
-    return _frame(body, shifts[:3]), _frame(station, shifts[3:])
-
-
-def _rotation(station: Array, body: Array) -> tuple[Array, Array]:
-    """The two rotations nearest to matrices of unknown size and common sign."""
-    sign = np.sign(np.linalg.det(station)) or 1.0
-    return _nearest(sign * station), _nearest(sign * body).T
+    return transform(body, shifts[:3]), transform(station, shifts[3:])
 
 
 def _nearest(matrix: Array) -> Array:
+    """The rotation nearest to a matrix."""
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
-def _frame(turn: Array, shift: Array) -> Array:
+def transform(turn: Array, shift: Array) -> Array:
+    """The transform (4, 4; mm) of a rotation (3, 3) and a translation (3; mm)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, shift
     return matrix

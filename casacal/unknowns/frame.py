@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.kinematics import rotation_of_quaternion
+from casacal.kinematics import rigid, rotation_of_quaternion
 from casacal.unknowns.unknown import (
     Expression,
     Unknown,
@@ -169,5 +169,4 @@ class Frame(Unknown):
     @staticmethod
     def _assemble(nominal: Expression, turn: Expression, shift: Expression) -> Expression:
         columns = ca.horzcat(nominal[0:3], nominal[3:6], nominal[6:9])
-        upper = ca.horzcat(ca.mtimes(columns, turn), nominal[9:12] + shift)
-        return ca.vertcat(upper, ca.DM([[0, 0, 0, 1]]))
+        return rigid(ca.mtimes(columns, turn), nominal[9:12] + shift)

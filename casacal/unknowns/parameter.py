@@ -80,10 +80,6 @@ class Parameter(Unknown):
             given = math.inf if self.values is None else PRIOR_STD[self.unit]
         return spread(given, self._all.size, "prior_std of a parameter")
 
-    @cached_property
-    def _start(self) -> Array | None:
-        return None if self.start_std is None else spread(self.start_std, self._all.size, "start_std")[self._free]
-
     @property
     def size(self) -> int:
         """Number of free components."""
@@ -102,7 +98,9 @@ class Parameter(Unknown):
     @cached_property
     def start_stds(self) -> Array:
         """Prior, or start where flat, of the free components."""
-        return np.asarray(read_only(start_stds(self.prior_stds, self._start, self.units, "a parameter")))
+        given = self.start_std
+        start = None if given is None else spread(given, self._all.size, "start_std")[self._free]
+        return np.asarray(read_only(start_stds(self.prior_stds, start, self.units, "a parameter")))
 
     @property
     def nominal(self) -> Array | None:

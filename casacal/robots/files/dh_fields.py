@@ -77,15 +77,12 @@ def table_of(fields: Fields) -> DHTable:
     try:
         return DHTable(
             name=fields.block.get("name") or fields.file.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0],
-            alpha=columns["alpha"],
-            a=columns["a"],
-            d=columns["d"],
-            theta=columns["theta"],
             joints=joints,
             convention=convention,
             parallel=parallel,
             beta=beta,
             conventions=conventions_of(fields, joints),
+            **columns,  # type: ignore[arg-type]
         )
     except ProblemError as error:
         raise ProblemError(f"{fields.file}: {error.what}", error.fix) from None

@@ -16,6 +16,7 @@ from casacal.errors import ProblemError, SamplesError
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import BLOCK_FIELDS, OFFSETS, ROW_FIELDS, Fields, check_names, degrees, plain
 from casacal.robots.joints import Conventions, Joint
+from casacal.tables import grammar
 from casacal.tables.text import read_table
 
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
@@ -59,8 +60,7 @@ def read_csv(path: str | Path) -> Fields:
 
 def decode(path: Path) -> str:
     """Text of a file that `read_table` accepts, line ends as they are."""
-    data = path.read_bytes()
-    return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+    return grammar.decode(path.read_bytes(), str(path))
 
 
 def _block(text: str, file: str) -> dict[str, Any]:

@@ -120,25 +120,21 @@ def _shapes(
     path: str | Path, link: str, collision: ElementTree.Element
 ) -> Iterator[tuple[str, tuple[float, ...], Array]]:
     """Kind, size (mm) and pose in the link's frame of what a <collision> holds; nothing of what is not looked at."""
+
+    def read(key: str, text: str, count: int) -> list[float]:
+        return _numbers(path, f"{key} of a collision of link '{link}'", text, count, ", metres or radians")
+
     origin, geometry = collision.find("origin"), collision.find("geometry")
     place: list[Triple] = [ZERO, ZERO]
     for k, key in enumerate(("xyz", "rpy")):
         if origin is not None and key in origin.attrib:
-            x, y, z = _numbers(
-                path, f"{key} of a collision of link '{link}'", origin.attrib[key], 3, ", metres or radians"
-            )
+            x, y, z = read(key, origin.attrib[key], 3)
             place[k] = (x, y, z)
     for part in [] if geometry is None else geometry:
         if part.tag not in SIZES:
             continue
         keys, count = SIZES[part.tag]
-        size = [
-            value
-            for key in keys.split()
-            for value in _numbers(
-                path, f"{key} of a collision of link '{link}'", part.get(key, ""), count, ", metres or radians"
-            )
-        ]
+        size = [value for key in keys.split() for value in read(key, part.get(key, ""), count)]
         if min(size) <= 0 or max(size) > LARGEST:
             what = f"{path}: the collision {part.tag} of link '{link}' measures {' '.join(f'{s:g}' for s in size)}"
             raise ProblemError(what, f"Give metres, above zero and below {LARGEST:g}")

@@ -20,6 +20,7 @@ ATTRIBUTES = {
     "mimic": ("joint", "multiplier", "offset"),
 }
 """Parts of a joint that matter here, and what they may say."""
+EXPAND = "Expand it first: xacro ARM.urdf.xacro > ARM.urdf"
 PLACING = ("origin", "axis", "parent", "child")  # those in which nothing may be overlooked
 
 
@@ -86,13 +87,11 @@ class _Reader:
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self.path.append(tag)
+        if tag.startswith("xacro:"):
+            self._refuse(f"is xacro (<{tag}>)", EXPAND)
         if len(self.path) > 3:  # what other programs keep inside the parts of a joint, however deep
-            if tag.startswith("xacro:"):
-                self._refuse(f"is xacro (<{tag}>)", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
             return
         self._spelling(tag, attributes)
-        if tag.startswith("xacro:"):
-            self._refuse(f"is xacro (<{tag}>)", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
         if len(self.path) == 1:
             if tag != "robot":
                 self._refuse(f"begins with <{tag}>, a URDF with <robot>", "Give a URDF")
@@ -154,7 +153,7 @@ class _Reader:
 
     def _numbers(self, text: str, whose: str, count: int) -> list[float]:
         if "${" in text or "$(" in text:
-            self._refuse(f"is xacro ({whose} is '{text}')", "Expand it first: xacro ARM.urdf.xacro > ARM.urdf")
+            self._refuse(f"is xacro ({whose} is '{text}')", EXPAND)
         values = numbers_in(text, count)
         if not values:
             self._refuse(f"has {whose} '{text}'", f"Give {count} number{'s' if count > 1 else ''} in metres or radians")
