@@ -9,19 +9,17 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.further import LOAD, MASS, check_payload, read_payload
+from casacal.discrepancy.effect import Here, Site, weighted
+from casacal.discrepancy.further import LOAD, MASS, Loaded
 from casacal.discrepancy.smooth import OverTime
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
-from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravitySag(Effect):
+class GravitySag(Loaded):
     """Joints that give under a weight: each in proportion to the lever of that weight about it.
 
     The weight hangs at the flange or at the tip, or between; all joints give alike, and each a little differently.
@@ -39,7 +37,6 @@ class GravitySag(Effect):
     size: float = 0.15
     doubt: float = 6.0
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    payload: str = ""
 
     moves = True
     elastic = True
@@ -48,23 +45,8 @@ class GravitySag(Effect):
     words = "gravity sag"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "down", direction(self.down))
-        check_payload(self.payload)
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The column of the payload, if there is one."""
-        return (self.payload,) if self.payload else ()
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """The payload, where a column says it."""
-        del site
-        return (MASS,) if self.payload else ()
-
-    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say, kg; raises ProblemError where they do not."""
-        del site
-        return read_payload(samples, self.payload) if self.payload else {}
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.

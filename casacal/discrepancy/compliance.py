@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.array_types import Rows as Chosen
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.further import LOAD, MASS, check_columns_of, check_payload, read_columns_of, read_payload
+from casacal.discrepancy.further import LOAD, MASS, Loaded, check_columns_of, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -85,7 +85,7 @@ Triples = tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkSag(Effect):
+class LinkSag(Loaded):
     """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
 
     It takes the place of `GravitySag`, whose key it has. Where masses are known, each joint has a give of its own: one
@@ -109,7 +109,6 @@ class LinkSag(Effect):
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
-    payload: str = ""
 
     moves = True
     elastic = True
@@ -118,6 +117,7 @@ class LinkSag(Effect):
     words = "gravity sag of the links"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "down", direction(self.down))
         masses: tuple[Any, ...] = tuple(self.masses) if np.iterable(self.masses) else (self.masses,)
         rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
@@ -131,24 +131,8 @@ class LinkSag(Effect):
             raise ProblemError(f"Got {odd[0]!r} as a centre of mass", "Give three numbers of mm for each link")
         if centres and not masses:
             raise ProblemError("Centres of mass came without masses", "Give both, or none")
-        check_payload(self.payload)
         object.__setattr__(self, "masses", masses)
         object.__setattr__(self, "centres", centres)
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The column of the payload, if there is one."""
-        return (self.payload,) if self.payload else ()
-
-    def columns(self, site: Site) -> tuple[str, ...]:
-        """The payload, where a column says it."""
-        del site
-        return (MASS,) if self.payload else ()
-
-    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say, kg; raises ProblemError where they do not."""
-        del site
-        return read_payload(samples, self.payload) if self.payload else {}
 
     @staticmethod
     def from_urdf(

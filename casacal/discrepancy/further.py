@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.discrepancy.effect import Effect, Site
 from casacal.errors import ProblemError
 from casacal.samples.samples import Samples
 
@@ -17,19 +19,37 @@ LOAD = 5.0  # kilograms of payload that are expected to pull about as much as al
 MASS = "payload"  # column of a row model
 
 
-def check_payload(column: object) -> None:
-    """Raise ProblemError unless this is the name of a column, or empty."""
-    if not isinstance(column, str):
-        raise ProblemError(f"Got {column!r} as the payload", "Name the column that holds it, such as 'payload_kg'")
+@dataclass(frozen=True, kw_only=True)
+class Loaded(Effect):
+    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row."""
 
+    payload: str = ""
 
-def read_payload(samples: Samples, column: str) -> dict[str, Array]:
-    """The payload (N,) of each row, kg, by its name in a row model; raises ProblemError where a row has none."""
-    kilograms = read_columns_of(samples, (column,), 1, "payload", "kilograms")[:, 0]
-    if (kilograms < 0).any():
-        line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
-        raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
-    return {MASS: kilograms}
+    def __post_init__(self) -> None:
+        if not isinstance(self.payload, str):
+            fix = "Name the column that holds it, such as 'payload_kg'"
+            raise ProblemError(f"Got {self.payload!r} as the payload", fix)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The column of the payload, if there is one."""
+        return (self.payload,) if self.payload else ()
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The payload, where a column says it."""
+        del site
+        return (MASS,) if self.payload else ()
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say (N,), kg; raises ProblemError where they do not."""
+        del site
+        if not self.payload:
+            return {}
+        kilograms = read_columns_of(samples, (self.payload,), 1, "payload", "kilograms")[:, 0]
+        if (kilograms < 0).any():
+            line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
+            raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
+        return {MASS: kilograms}
 
 
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
