@@ -14,6 +14,7 @@ from conftest import ROOT
 import casacal
 from casacal import DialOnBody, DialOnPlane, Problem, calibrate, check, dial_zero, simulate
 from casacal.calibration.verdict import verdict_of
+from casacal.checks.fitted_faults import zero_moved
 from casacal.cli.main import main
 from casacal.errors import ProblemError, SimulationError
 from casacal.samples.samples import Samples
@@ -257,3 +258,5 @@ def test_zeros_that_moved_twice_are_named_with_their_places_and_sizes(middle):
     told = re.findall(r"near line (\d+), by (\S+) mm", found[0].cause)
     assert [int(place) for place, _ in told] == [samples.lines[30], samples.lines[62]]
     assert [float(size) for _, size in told] == pytest.approx([0.4, -0.7], abs=0.01)
+    undone = zero_moved(problem, shifted, column="reading").samples.columns["reading"]
+    np.testing.assert_allclose(undone, samples.columns["reading"], atol=0.02)

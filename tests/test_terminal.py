@@ -285,3 +285,17 @@ def test_no_help_speaks_in_riddles():
         assert "the tip is where the instrument touches" in said
     for action in (action for parser in parsers.values() for action in parser._actions):
         assert action.help or action.metavar == "COMMAND", action.option_strings
+
+
+@UNIX
+def test_what_solvers_print_by_python_by_c_or_past_both_goes_to_the_errors():
+    program = (
+        "import ctypes, os, sys\n"
+        "from casacal.cli.terminal import on_stderr\n"
+        "with on_stderr():\n"
+        "    print('python'); ctypes.CDLL(None).puts(b'c'); os.write(1, b'past')\n"
+        "print('after')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "after\n"
+    assert all(word in done.stderr for word in ("python", "c\n", "past"))

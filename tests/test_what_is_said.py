@@ -198,6 +198,14 @@ def test_the_advice_to_check_keeps_what_was_set_but_not_what_is_wrong(corner_sim
     turned = with_a_dial_the_other_way_round(tmp_path, corner_simulation)
     sign = load_problem(HSR).problem.instrument.sign
     asked = ["calibrate", str(HSR), turned, "--set", "noise_std=0.012", "--set", f"sign={sign}", "--prior", "a2=0.5"]
-    assert main([*asked, "--no-reference"]) == 1
+    assert main([*asked, "--accuracy", "0.7", "--no-reference"]) == 1
     said = spoken(capsys)
-    assert f"run casacal check {HSR} {turned} --set noise_std=0.012 --prior a2=0.5." in said
+    assert f"run casacal check {HSR} {turned} --set noise_std=0.012 --prior a2=0.5 --accuracy 0.7." in said
+
+
+def test_the_better_set_up_says_that_it_keeps_clear_of_nothing(tmp_path, capsys):
+    asked = ["plan", str(HSR), "--touches", "40", "--pool", "300", "--out", str(tmp_path / "plan")]
+    assert main([*asked, "--keep-out", "5000:5100,0:10,0:10"]) == 0
+    assert "both ignore what must be kept clear of" in spoken(capsys).partition("touches: ")[0]
+    assert main(asked) == 0
+    assert "clear of" not in spoken(capsys)

@@ -69,7 +69,7 @@ def told(
 
 def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
     """What another set-up would be worth."""
-    without = ", with nothing to keep clear of in either" if kept_clear else ""
+    without = "; both ignore what must be kept clear of" if kept_clear else ""
     now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
     return (
         f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
