@@ -296,6 +296,7 @@ def test_what_solvers_print_by_python_by_c_or_past_both_goes_to_the_errors():
         "    print('python'); ctypes.CDLL(None).puts(b'c'); os.write(1, b'past')\n"
         "print('after')\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=buffered)
     assert done.stdout == "after\n"
     assert all(word in done.stderr for word in ("python", "c\n", "past"))
