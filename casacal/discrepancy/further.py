@@ -12,7 +12,7 @@ from casacal.discrepancy.effect import Effect, Site
 from casacal.errors import ProblemError
 from casacal.samples.samples import Samples
 
-NOT_KEPT = "Give it in a text file: of frames, arrays and large files no further columns are kept"
+NOT_KEPT = "Add it to the file; of frames, arrays and large files no further columns are kept"
 
 
 LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
