@@ -186,9 +186,13 @@ def test_it_is_taken_where_the_dense_likelihood_is_greater(hsr):
 
 
 def _hyper(found):
-    """Logarithm of the hyper-priors: log-normal about the sizes to expect, and about the noise as stated."""
-    doubts = {effect.key: effect.doubt for effect in found.rows.problem.effects}
-    apart = [math.log(found.times[key]) / math.log(doubts[key]) for key in found.times]
+    """Logarithm of the hyper-priors: log-normal about sizes to expect, wider below, and about the noise as stated."""
+    apart = []
+    for effect in found.rows.problem.effects:
+        if effect.key in found.times:
+            times = found.times[effect.key]
+            doubt = effect.doubt if times > 1 else max(effect.doubt, min(effect.doubt**2, 6.0))
+            apart.append(math.log(times) / math.log(doubt))
     return -sum(each**2 for each in (*apart, math.log(found.rows.scale[OTHERS]) / math.log(3.0))) / 2
 
 

@@ -26,7 +26,7 @@ class GravitySag(Loaded):
 
     Args:
         size: by how much the flange sags where all give alike, mm, RMS over the joints' ranges.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
         down: direction of gravity in the base frame.
         payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
             then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
@@ -35,7 +35,7 @@ class GravitySag(Loaded):
     """
 
     size: float = 0.15
-    doubt: float = 6.0
+    doubt: float = 2.5
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     moves = True
@@ -107,12 +107,12 @@ class ThermalGrowth(OverTime):
     Args:
         size: of the growth from the first row to the last, parts of one; steel and aluminium grow by 1.2e-5 and
             2.4e-5 for each kelvin.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
     size: float = 2e-5
-    doubt: float = 6.0
+    doubt: float = 2.5
 
     moves = True
     elsewhere = 0.5  # some time in a session

@@ -35,7 +35,7 @@ class TorqueCompliance(Effect):
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
         size: of a joint's give, rad/Nm (mm/N of a sliding one).
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -94,7 +94,7 @@ class LinkSag(Loaded):
 
     Args:
         size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
         down: direction of gravity in the base frame.
         masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
         payload: column of the samples that says what hangs at the flange in each row, kg, beside these masses, such as
@@ -105,7 +105,7 @@ class LinkSag(Loaded):
     """
 
     size: float = 0.15
-    doubt: float = 6.0
+    doubt: float = 2.5
     down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
@@ -141,7 +141,7 @@ class LinkSag(Loaded):
         base: str | None = None,
         tip: str | None = None,
         size: float = 0.15,
-        doubt: float = 6.0,
+        doubt: float = 2.5,
         down: tuple[float, float, float] = (0.0, 0.0, -1.0),
         payload: float | str = 0.0,
     ) -> LinkSag:

@@ -144,7 +144,7 @@ class Effect(Portable, ABC):
     size: float
     """Standard deviation to expect of an unknown of weight one, in its unit."""
     doubt: float
-    """Times by which the size may well be off, either way; one holds it as it is."""
+    """Times by which the size may well be larger; it may be smaller by the square of it, up to six; one holds it."""
     elsewhere: ClassVar[float] = 0.0
     """Value of its columns at postures that are no rows, where the tip is asked for."""
     most: ClassVar[float] = 5.0

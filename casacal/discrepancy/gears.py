@@ -33,13 +33,13 @@ class TransmissionError(Effect):
     Args:
         order: waves per turn of the joint; a gear's own where its ratio is given.
         size: of sine and cosine, rad.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
     order: int = 1
     size: float = 40e-6
-    doubt: float = 6.0
+    doubt: float = 2.5
 
     moves = True
 
@@ -80,12 +80,12 @@ class GearRipple(Effect):
 
     Args:
         size: of sine and cosine, rad at the joint.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
     size: float = 40e-6
-    doubt: float = 6.0
+    doubt: float = 2.5
 
     moves = True
     key = "ripple"
@@ -119,14 +119,14 @@ class Backlash(Effect):
 
     Args:
         size: of half the play, rad.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
         columns_of: the column of the samples that says how each joint came, 1 where it grew, -1 where it fell, 0 where
             that is not known; one for each joint. None takes the row before for where it came from.
 
     """
 
     size: float = 20e-6
-    doubt: float = 6.0
+    doubt: float = 2.5
     columns_of: tuple[str, ...] = ()
 
     moves = True

@@ -52,7 +52,7 @@ class FaceForm(Effect):
 
     Args:
         size: standard deviation of the height, mm.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
         reach: distance, in half widths of a face, over which heights are alike.
 
     """
@@ -110,7 +110,7 @@ class Drift(OverTime):
 
     Args:
         size: of the way from the first row to the last, mm.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -147,7 +147,7 @@ class JointField(Effect):
 
     Args:
         size: standard deviation, mm.
-        doubt: times by which that may be off.
+        doubt: times by which that may well be more, see `Effect.doubt`.
         reach: radians over which errors are alike; of a sliding joint, a quarter of its travel counts as one.
         rank: how many rows stand for all.
 

@@ -68,6 +68,7 @@ def evidence(rows: Told, prior: Array) -> float:
 
 MORE = 1.3  # noise as found over stated beyond which something errs that is larger than expected
 LARGE = 50.0  # times its size of an effect of no physical size, from which the search then starts once more
+SMALLER = math.log(6.0)  # how much smaller than usual any effect may well be: some arms hardly have it
 NOISE_DOUBT = 3.0  # times by which noise may well exceed what was stated
 
 
@@ -103,7 +104,8 @@ def effect_sizes(
         problem: with unknowns of effects, at the sizes that are expected of them.
         x: where it is fitted (n,).
         beside: for each of its unknowns (n,) the effect that it belongs to, empty for those of the geometry.
-        known: for each effect the times by which its size may well be off (one holds it), and those that it never is.
+        known: for each effect the times by which its size may well be larger (one holds it; see `_below` for smaller),
+            and those that it never is.
         stated: stated noise over that with which the problem weighs its rows. These weights are the most: what geometry
             alone leaves in the rows is explained by effects in part, never made more.
         least: part of the stated noise that there is at least; None leaves the noise as it is.
@@ -163,6 +165,17 @@ def _objective(
     learnt = len(prior) - float((prior * spreads).sum())
     gradient.append(2 * (rows - learnt - left / variance))
     free = spread > 0
-    hyper = np.where(free, (logs - expected) / np.where(free, spread, 1.0), 0.0)
-    slope = np.where(free, hyper / np.where(free, spread, 1.0), 0.0)
+    off = logs - expected
+    smaller = np.append(_below(spread[:-1]), spread[-1])  # there is always some noise
+    wide = np.where(free, np.where(off < 0, smaller, spread), 1.0)
+    hyper = np.where(free, off / wide, 0.0)
+    slope = hyper / wide
     return value + float(hyper @ hyper), np.array(gradient) + 2 * slope
+
+
+def _below(spread: Array) -> Array:
+    """Spread of the log of sizes below the usual one: twice that above it up to `SMALLER`, never less than above it.
+
+    No gear has six times the usual error and still turns, but many have a sixth of it.
+    """
+    return np.maximum(spread, np.minimum(2 * spread, SMALLER))
