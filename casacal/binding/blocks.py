@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.nominal import proposed_by, row_columns, told_sizes
 from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site, Survey
@@ -34,7 +34,7 @@ class Block:
     """For each row pattern the slots of the model's unknowns, in the model's order."""
     pattern: NDArray[np.int32]
     """Row pattern of each sample (N,)."""
-    columns: NDArray[np.intp]
+    columns: Index
     """Positions in x of the model's z, by row pattern (patterns, nz)."""
     constants: Array
     """c by row pattern (patterns, nc)."""
@@ -47,7 +47,7 @@ class Block:
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
 
-    def rows(self, index: NDArray[np.intp] | slice) -> Array:
+    def rows(self, index: Index | slice) -> Array:
         """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
         return np.column_stack([self.samples.joints[index], *(column[index] for column in self.row_columns)])
 
@@ -61,7 +61,7 @@ class Block:
         return outputs
 
     @property
-    def by_pattern(self) -> list[NDArray[np.intp]]:
+    def by_pattern(self) -> list[Index]:
         """The samples that have each pattern, in order."""
         return rows_by_code(self.pattern, len(self.slots))
 

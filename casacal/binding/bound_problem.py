@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Index
 from casacal.binding.blocks import make_block
 from casacal.binding.evaluated_rows import EvaluatedRows
 from casacal.binding.kernel_rows import KernelRows
@@ -19,7 +19,7 @@ from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.effect import Survey
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements, Places, sets_of
+from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
 from casacal.values import FrozenMapping, alike, read_only, short
@@ -109,7 +109,7 @@ class BoundProblem(EvaluatedRows):
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return self._like(self.slots, sets_of(samples), self.scale)
 
-    def take(self, rows: Sequence[int] | Places) -> BoundProblem:
+    def take(self, rows: Sequence[int] | Index) -> BoundProblem:
         """The same unknowns on some of the samples, by their numbers."""
         return self.on(*self.measured.take(rows).sets)
 
@@ -139,7 +139,7 @@ class BoundProblem(EvaluatedRows):
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
 
-    def first_part(self) -> tuple[BoundProblem, NDArray[np.intp]] | None:
+    def first_part(self) -> tuple[BoundProblem, Index] | None:
         """The geometry alone, where there are effects beside it."""
         geometry = np.flatnonzero([not key for key in self.beside])
         return (self.under(self.problem.without_effects), geometry) if geometry.size < self.unknowns else None

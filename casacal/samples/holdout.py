@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
@@ -15,10 +14,10 @@ from casacal.tables.columns import Labels, combinations
 
 WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
 
-Rows = NDArray[np.intp]
 
-
-def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None) -> tuple[Rows, Rows]:
+def split(
+    samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None
+) -> tuple[Index, Index]:
     """Rows to fit and rows held out: a given part of them, drawn at random.
 
     Args:
@@ -52,7 +51,7 @@ def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: s
 
 def split_each(
     measured: Measurements, holdout: float, seed: int, by: str, faces: Sequence[str | None]
-) -> tuple[Rows, Rows]:
+) -> tuple[Index, Index]:
     """The same of several instruments, each by itself; one whose samples have no such column is fitted whole."""
     parts, refused = [], list[CasacalError]()
     for some, face in zip(measured.sets, faces, strict=True):
@@ -70,7 +69,7 @@ def split_each(
     return fitted, held
 
 
-def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> NDArray[np.bool_]:
+def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> Rows:
     """The given part of each label's rows (N,): at random, or those nearest to one of them, itself among them."""
     distinct, codes = combinations(list(samples.labels.values()), len(samples))
     mask = np.zeros(len(samples), dtype=bool)
@@ -105,7 +104,7 @@ def _groups(samples: Samples, by: str, face: str | None) -> Labels:
     raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
 
 
-def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> NDArray[np.bool_]:
+def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> Rows:
     """All rows (N,) of about the given part of the groups, at least of one; none where nothing is to be held out."""
     if not holdout:
         return np.zeros(len(samples), dtype=bool)

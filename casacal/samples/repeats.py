@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.instruments.description import Dimension
 from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
@@ -26,8 +26,8 @@ MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products lo
 class Repeats:
     """Which rows repeat one another: the group of each row (N,), and the rows of each group (G,)."""
 
-    codes: NDArray[np.intp]
-    sizes: NDArray[np.intp]
+    codes: Index
+    sizes: Index
 
     @property
     def any(self) -> bool:
@@ -55,7 +55,7 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
     return Repeats(np.concatenate(codes), np.concatenate(sizes))
 
 
-def copies_of(samples: Samples) -> NDArray[np.bool_]:
+def copies_of(samples: Samples) -> Rows:
     """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
@@ -122,7 +122,7 @@ def is_listing(listed: Mapping[str, Any]) -> bool:
     return all(WHOLE.fullmatch(word) for line in values for word in line.split())
 
 
-def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[NDArray[np.bool_], float]:
+def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[Rows, float]:
     """Which rows (N,) are listed ones, and what part of all N are fitted ones: larger where not all were listed.
 
     Rows of an instrument with other columns are never those that were fitted.
@@ -139,7 +139,7 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
     return same, float(same.mean()) * listed["rows"] / len(known)
 
 
-def copies(samples: Samples) -> NDArray[np.bool_]:
+def copies(samples: Samples) -> Rows:
     """Which rows (N,) say once more, to the last digit of joints and readings, what an earlier one says.
 
     Rows that were pasted are copies; touches that were made again may agree by chance where a dial is coarse, and then
@@ -157,7 +157,7 @@ def copies(samples: Samples) -> NDArray[np.bool_]:
     return before > 0
 
 
-def _earlier(codes: NDArray[np.intp]) -> NDArray[np.intp]:
+def _earlier(codes: Index) -> Index:
     """How many earlier rows (N,) have the same code."""
     order = np.argsort(codes, kind="stable")
     ordered = codes[order]

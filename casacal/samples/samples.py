@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout, numeric_columns, read_quantities
 from casacal.tables.arrays import columns_of_arrays, digest_of
@@ -60,7 +59,7 @@ class Samples(Value):
         beside = f", {short(read)}" if read else ""
         return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
 
-    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Samples:
+    def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
         index = np.asarray(rows, dtype=np.intp)
         return Samples(
@@ -143,7 +142,7 @@ class Samples(Value):
         return Samples(joints, own, labels, columns.lines, further, columns.file, columns.sha256)
 
 
-def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
+def _lines(lines: Sequence[int], index: Index) -> Sequence[int]:
     """Lines of some rows: a tuple of few, an array of many."""
     if len(index) < MANY:
         return tuple(int(lines[k]) for k in index.tolist())

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
@@ -34,7 +33,7 @@ def find_touches(
     touch: Touch,
     probe: Probe,
     cell: Cell,
-    which: NDArray[np.intp],
+    which: Index,
     lift: Array,
     rng: np.random.Generator,
     form_rng: np.random.Generator,
@@ -65,15 +64,15 @@ def try_touches(
     touch: Touch,
     probe: Probe,
     cell: Cell,
-    which: NDArray[np.intp],
+    which: Index,
     lift: Array,
     form_seeds: list[int | None],
     rng: np.random.Generator,
-    waiting: NDArray[np.intp] | None = None,
+    waiting: Index | None = None,
     growth: Array | None = None,
     *,
     starts: int = STARTS,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+) -> tuple[Array, Array, Rows]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
     What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen
 from casacal.least_squares.elimination import taken_out, triangle
@@ -29,7 +28,7 @@ class PriorMoves:
     """Chance of moves as large as these, where priors and model are right."""
 
 
-def chance_of_move(bound: Seen, x: Array, covariance: Array, own: NDArray[np.intp]) -> float:
+def chance_of_move(bound: Seen, x: Array, covariance: Array, own: Index) -> float:
     """Chance that some unknowns (k,) move as far as they did: chi-square of x'(P - C)^+ x, P their priors' covariance.
 
     What the samples do not see has not moved and does not count. One where a prior is flat.

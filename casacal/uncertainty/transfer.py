@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
@@ -63,9 +62,7 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
     return tuple(found)
 
 
-def _left_out(
-    others: BoundProblem, bound: BoundProblem, rows: NDArray[np.intp], result: Result, face: str
-) -> LeftOut | None:
+def _left_out(others: BoundProblem, bound: BoundProblem, rows: Index, result: Result, face: str) -> LeftOut | None:
     fit = lm(others, start=result.x, loss=result.loss)
     if not fit.converged:
         return None
@@ -95,8 +92,6 @@ HALVINGS = 2  # how often the postures are halved into regions
 GONE = 1e12  # times a prior's information by which an effect is taken away
 
 """Rows that are looked at; more add memory, not insight."""
-
-Rows = NDArray[np.intp]
 
 
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
@@ -151,20 +146,20 @@ def _densities(seen: list[Told], prior: Array) -> float:
     return total
 
 
-def _splits_of(bound: BoundProblem) -> dict[str, list[Rows]]:
+def _splits_of(bound: BoundProblem) -> dict[str, list[Index]]:
     """The splits of an only instrument's samples; of several, faces of all, the instruments themselves, and regions."""
     if len(bound.samples) == 1:
         return splits(bound.samples[0], bound.groups_by[0])
     return _splits({FACES: bound.faces, INSTRUMENTS: bound.measured.by_instrument()}, bound.measured.joints)
 
 
-def splits(samples: Samples, face: str | None) -> dict[str, list[Rows]]:
+def splits(samples: Samples, face: str | None) -> dict[str, list[Index]]:
     """Rows that are left out together, by the name of the split: faces, regions, values of further columns."""
     columns = {FACES if name == face else name: labels for name, labels in samples.labels.items()}
     return _splits(columns, samples.joints)
 
 
-def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Rows]]:
+def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Index]]:
     found = {}
     for name, labels in columns.items():
         groups = np.array_split(np.arange(len(labels.names)), min(MOST_PARTS, len(labels.names)))
@@ -178,7 +173,7 @@ def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Rows
     return found
 
 
-def _halves(joints: Array, rows: Rows) -> list[Rows]:
+def _halves(joints: Array, rows: Index) -> list[Index]:
     """Rows on either side of the middle of the direction in which their postures spread most, joints all alike."""
     spread = joints.std(axis=0)
     places = joints[rows] / np.where(spread > 0, spread, 1.0)

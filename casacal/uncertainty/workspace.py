@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Marginal, Seen
 from casacal.least_squares.linalg import posterior_covariance
@@ -167,7 +166,7 @@ def flange_accuracy(bound: Seen, x: Array, off: Array | None = None) -> tuple[fl
     return before, bayesian_bound(information, bound.prior_std, slopes, points, off)
 
 
-def tool_unknowns(bound: Seen, x: Array) -> NDArray[np.intp]:
+def tool_unknowns(bound: Seen, x: Array) -> Index:
     """Positions in x (n,) of the unknowns that move the tip and hardly, by the weight they shift, the flange."""
     joints = workspace_joints(bound.problem.robot, poses=FEW_POSES)
     tip = np.abs(bound.tip_jacobian(x, joints)).max(axis=0)
