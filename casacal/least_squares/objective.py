@@ -51,9 +51,9 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class FilterPass:
-    """What a fused filter did: rows first ... stop - 1, the belief after them, and its trace.
+    """What a cubature filter did with rows up to `stop`: the belief after them, and its trace, one entry a row.
 
-    mean: (n,); root: (n, n), lower triangular. means: (rows done, n); innovations, stds: (rows done,).
+    mean: (n,); root: (n, n), lower triangular; means: (rows done, n), all in units of `start_std` about x0.
     """
 
     stop: int
