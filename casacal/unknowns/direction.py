@@ -15,7 +15,6 @@ from casacal.errors import ProblemError
 from casacal.unknowns.unknown import (
     Expression,
     Unknown,
-    all_or_nothing,
     check_stds,
     shared_std,
     start_stds,
@@ -134,10 +133,6 @@ class Direction(Unknown):
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1."""
         return [ca.dot(raw, raw) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Direction:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a direction"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Direction:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""

@@ -16,7 +16,6 @@ from casacal.kinematics import rigid, rotation_of_quaternion
 from casacal.unknowns.unknown import (
     Expression,
     Unknown,
-    all_or_nothing,
     check_stds,
     shared_std,
     spread,
@@ -151,10 +150,6 @@ class Frame(Unknown):
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """q'q - 1."""
         return [ca.dot(raw[:4], raw[:4]) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Frame:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a frame"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Frame:
         """Copy with another prior; rotations share one standard deviation, translations another."""

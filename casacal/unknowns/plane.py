@@ -15,7 +15,6 @@ from casacal.errors import ProblemError
 from casacal.unknowns.unknown import (
     Expression,
     Unknown,
-    all_or_nothing,
     check_stds,
     shared_std,
     spread,
@@ -184,10 +183,6 @@ class Plane(Unknown):
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1."""
         return [ca.dot(raw[:3], raw[:3]) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Plane:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a plane"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Plane:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""

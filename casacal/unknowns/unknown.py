@@ -131,9 +131,13 @@ class Unknown(ABC):
         del raw
         return []
 
-    @abstractmethod
     def with_free(self, free: Sequence[bool]) -> Unknown:
-        """Copy with only the flagged of its present free coordinates left free."""
+        """Copy with only the flagged of its present free coordinates left free; ProblemError where it stays whole."""
+        if len(set(free)) > 1:
+            what = f"a {type(self).__name__.lower()}"
+            raise ProblemError(f"Only a part of {what} would be held", f"Hold or free {what} as a whole")
+        assert is_dataclass(self)
+        return replace(self, free=any(free), held_as_proposed=True)
 
     def component_names(self, key: str) -> tuple[str, ...]:
         """Names of all components, free or held, that can be freed one by one; none by default."""
@@ -193,13 +197,6 @@ def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: 
     if not np.isfinite(result).all() or (result <= 0).any():
         raise ProblemError(f"start_std of {what} is {_shown(result)}", "Give positive finite numbers")
     return result
-
-
-def all_or_nothing(free: Sequence[bool], what: str) -> bool:
-    """Whether an unknown that cannot be split stays free; raises ProblemError for a part of it."""
-    if len(set(free)) > 1:
-        raise ProblemError(f"Only a part of {what} would be held", f"Hold or free {what} as a whole")
-    return bool(free) and bool(free[0])
 
 
 def shared_std(stds: Sequence[float], present: Array) -> float:
