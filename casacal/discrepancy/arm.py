@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -12,7 +12,6 @@ import numpy as np
 from casacal.discrepancy.effect import Here, Site, weighted
 from casacal.discrepancy.further import LOAD, MASS, Loaded
 from casacal.discrepancy.smooth import OverTime
-from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
 from casacal.unknowns import Parameter
@@ -34,19 +33,7 @@ class GravitySag(Loaded):
 
     """
 
-    size: float = 0.15
-    doubt: float = 6.0
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
-
-    moves = True
-    elastic = True
-    unit = "mm"
-    key = "give"
     words = "gravity sag"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "down", direction(self.down))
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.
@@ -81,15 +68,6 @@ class GravitySag(Loaded):
         levers = np.array(site.robot.traced.levers.map(POSTURES)(postures.T)).reshape(3, POSTURES, -1)
         along = np.einsum("a,akj->kj", np.array(self.down), levers)[:, site.robot.revolute]
         return float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)
-
-
-def direction(down: Sequence[float]) -> tuple[float, float, float]:
-    """A direction of gravity as a unit vector; raises ProblemError for what is none."""
-    given = np.asarray(down)
-    if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
-        raise ProblemError(f"Gravity points along {down!r}", "Give three numbers, such as down=(0, 0, -1)")
-    x, y, z = (float(value) for value in given / np.linalg.norm(given))
-    return x, y, z
 
 
 APART = 0.5  # by how much of what all give one joint gives more or less than the others

@@ -12,9 +12,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.array_types import Rows as Chosen
-from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
+from casacal.discrepancy.arm import LEAST_SAG, POSTURES
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.further import LOAD, MASS, Loaded, check_columns_of, read_columns_of
+from casacal.discrepancy.further import DOWN, LOAD, MASS, Loaded, check_columns_of, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -104,21 +104,13 @@ class LinkSag(Loaded):
 
     """
 
-    size: float = 0.15
-    doubt: float = 6.0
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
 
-    moves = True
-    elastic = True
-    unit = "mm"
-    key = "give"
     words = "gravity sag of the links"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "down", direction(self.down))
         masses: tuple[Any, ...] = tuple(self.masses) if np.iterable(self.masses) else (self.masses,)
         rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
         wrong = [mass for mass in masses if not (is_real(mass) and 0 <= mass <= HEAVIEST)]
@@ -142,7 +134,7 @@ class LinkSag(Loaded):
         tip: str | None = None,
         size: float = 0.15,
         doubt: float = 6.0,
-        down: tuple[float, float, float] = (0.0, 0.0, -1.0),
+        down: tuple[float, float, float] = DOWN,
         payload: float | str = 0.0,
     ) -> LinkSag:
         """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.

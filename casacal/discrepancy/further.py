@@ -14,21 +14,36 @@ from casacal.samples.samples import Samples
 
 NOT_KEPT = "Add it to the file; of frames, arrays and large files no further columns are kept"
 
-
+DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
 LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
 MASS = "payload"  # column of a row model
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded(Effect):
-    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row."""
+    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row.
+
+    size: by how much the flange sags, mm. down: direction of gravity in the base frame.
+    """
 
     payload: str = ""
+    size: float = 0.15
+    doubt: float = 6.0
+    down: tuple[float, float, float] = DOWN
+
+    moves = True
+    elastic = True
+    unit = "mm"
+    key = "give"
 
     def __post_init__(self) -> None:
         if not isinstance(self.payload, str):
             fix = "Name the column that holds it, such as 'payload_kg'"
             raise ProblemError(f"Got {self.payload!r} as the payload", fix)
+        given = np.asarray(self.down)
+        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+            raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
+        object.__setattr__(self, "down", tuple((given / np.linalg.norm(given)).tolist()))
 
     @property
     def further(self) -> tuple[str, ...]:
