@@ -105,10 +105,6 @@ class Measurements(Value):
             parts.append(Labels([f"{name} {label}" if have else name for label in own.names], own.codes))
         return Labels.joined(parts)
 
-    def by_instrument(self) -> Labels:
-        """The name (N,) of the instrument that each row is of."""
-        return Labels(self.names, self.instruments)
-
     def map(self, change: Callable[[Samples], Samples]) -> Measurements:
         """The samples of each instrument changed alike."""
         return Measurements(self.names, tuple(map(change, self.sets)))

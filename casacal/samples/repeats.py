@@ -149,22 +149,12 @@ def copies(samples: Samples) -> Rows:
     joints = np.unique(samples.joints, axis=0, return_inverse=True)[1].ravel()
     values = np.column_stack([joints, *samples.columns.values()])
     _, codes, sizes = np.unique(values, axis=0, return_inverse=True, return_counts=True)
-    codes = codes.ravel()
-    before = _earlier(codes)
+    codes, before = codes.ravel(), np.empty(len(samples), dtype=np.intp)  # how many earlier rows are the same
+    before[np.argsort(codes, kind="stable")] = np.arange(len(codes)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     if len(sizes) > joints.max(initial=-1) + 1:  # some posture has two readings
         times = int(np.gcd.reduce(sizes))
         return before >= (sizes // times)[codes]
     return before > 0
-
-
-def _earlier(codes: Index) -> Index:
-    """How many earlier rows (N,) have the same code."""
-    order = np.argsort(codes, kind="stable")
-    ordered = codes[order]
-    starts = np.searchsorted(ordered, ordered, side="left")
-    earlier = np.empty(len(codes), dtype=np.intp)
-    earlier[order] = np.arange(len(codes)) - starts
-    return earlier
 
 
 def _on_grid(samples: Samples, layout: Layout) -> Array:

@@ -16,6 +16,8 @@ from casacal.array_types import Array, Index
 
 Codes: TypeAlias = NDArray[np.int32]
 
+MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
+
 
 class Labels(Sequence[str]):
     """Labels of rows; reads like a tuple of str and equals one with the same labels.

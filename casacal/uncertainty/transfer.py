@@ -91,8 +91,6 @@ MOST_PARTS = 12  # parts of a split; where labels are more, some are left out to
 HALVINGS = 2  # how often the postures are halved into regions
 GONE = 1e12  # times a prior's information by which an effect is taken away
 
-"""Rows that are looked at; more add memory, not insight."""
-
 
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
     """By how much the logarithm of the rows' likelihood is larger with each effect than without it, at its size.
@@ -150,7 +148,8 @@ def _splits_of(bound: BoundProblem) -> dict[str, list[Index]]:
     """The splits of an only instrument's samples; of several, faces of all, the instruments themselves, and regions."""
     if len(bound.samples) == 1:
         return splits(bound.samples[0], bound.groups_by[0])
-    return _splits({FACES: bound.faces, INSTRUMENTS: bound.measured.by_instrument()}, bound.measured.joints)
+    rows = bound.measured
+    return _splits({FACES: bound.faces, INSTRUMENTS: Labels(rows.names, rows.instruments)}, rows.joints)
 
 
 def splits(samples: Samples, face: str | None) -> dict[str, list[Index]]:
