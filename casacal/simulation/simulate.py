@@ -126,8 +126,8 @@ def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw
     instrument = problem.instrument
     if instrument.probe is None:
         cell = Disturbances() if cell is None else cell
-        rows, truth, arm = fitting_rows(problem, cell, samples, draw)
-        true, frames = FrozenMapping(truth.local), FrozenMapping(truth.frames)
+        rows, bench, arm = fitting_rows(problem, cell, samples, draw)
+        true, frames = FrozenMapping(bench.local), FrozenMapping(bench.frames)
         return Simulation(problem, Measurements.of(rows), true, cell, draw.seed, arm, frames=frames)
     cell = default_cell(problem) if cell is None else cell
     if not isinstance(cell, Cell):
