@@ -133,25 +133,13 @@ class AllRows:
         return np.asarray(self.blocks[instrument].posture("tip", x, joints)[0])
 
     def tip_jacobian(
-        self,
-        x: Array,
-        joints: Array,
-        instrument: int = 0,
-        by: Index | None = None,
-        *,
-        usual: bool = True,
+        self, x: Array, joints: Array, instrument: int = 0, by: Index | None = None, *, usual: bool = True
     ) -> Array:
         """Derivative (3 N, n) of those tips by x, or by some (s,) of its unknowns, in units of mm per unit of x.
 
         usual: as for `Block.posture`.
         """
-        block = self.blocks[instrument]
-        _, slopes = block.posture("tip_jacobian", x, joints, usual=usual)
-        by = np.arange(x.size) if by is None else by
-        _, inside, seen = np.intersect1d(by, block.columns[0], return_indices=True)
-        jacobian = np.zeros((3 * len(joints), by.size))
-        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
-        return jacobian
+        return self.blocks[instrument].slopes("tip", x, joints, by, usual=usual)[1]
 
     def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""

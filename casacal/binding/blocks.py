@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,17 @@ class Block:
         data = np.hstack([joints, np.tile(self.usual if usual else self.elsewhere, (len(joints), 1))])
         outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
         return outputs
+
+    def slopes(
+        self, what: Literal["tip", "flange"], x: Array, joints: Array, by: Index | None = None, *, usual: bool = True
+    ) -> tuple[Array, Array]:
+        """Points (N, 3; mm) of the arm as `posture` has them, their derivative (3 N, s) by x or some (s,) of it."""
+        points, slopes = self.posture(f"{what}_jacobian", x, joints, usual=usual)
+        by = np.arange(x.size) if by is None else by
+        _, inside, seen = np.intersect1d(by, self.columns[0], return_indices=True)
+        jacobian = np.zeros((3 * len(joints), by.size))
+        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
+        return points, jacobian
 
     @property
     def by_pattern(self) -> list[Index]:

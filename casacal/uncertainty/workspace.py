@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from casacal.array_types import Array, Index
-from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Marginal, Seen
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.joint_space import random_joints
@@ -176,12 +175,6 @@ def tool_unknowns(bound: Seen, x: Array) -> Index:
 
 def _flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:
     """Flange origins (N, 3; mm) at joint values (N, n; rad, mm), and their derivative (3 N, n) by x."""
-    whole: BoundProblem = bound.whole if isinstance(bound, Marginal) else bound
-    everything = bound.expand(x) if isinstance(bound, Marginal) else x
-    places = bound.shared if isinstance(bound, Marginal) else np.arange(x.size)
-    block = whole.blocks[0]
-    points, slopes = block.posture("flange_jacobian", everything, joints)
-    _, inside, seen = np.intersect1d(places, block.columns[0], return_indices=True)
-    jacobian = np.zeros((3 * len(joints), x.size))
-    jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
-    return np.asarray(points), jacobian
+    if isinstance(bound, Marginal):
+        return bound.blocks[0].slopes("flange", bound.expand(x), joints, bound.free)
+    return bound.blocks[0].slopes("flange", x, joints)
