@@ -98,8 +98,7 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     stds = bound.start_std if flat_counts else bound.prior_std
     if bound.groups is not None:
         return _of_many_faces(bound, stds)
-    if len(bound.measured) > MOST_ROWS:
-        bound = bound.take(np.unique(np.linspace(0, len(bound.measured) - 1, MOST_ROWS).astype(int)))
+    bound = bound.thinned(MOST_ROWS)
     noise = bound.noise
     slopes = bound.jacobian(bound.x0) * noise[:, None]
     stands = bound.datum.copy()  # faces, and what else is of one label alone, such as where a dial was set to zero
