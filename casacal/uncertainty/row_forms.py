@@ -113,11 +113,6 @@ def whitened(form: csr_matrix, rows: AllRows) -> csr_matrix:
     return csr_matrix(scale @ total @ scale)
 
 
-def diagonal(values: Array) -> csr_matrix:
-    """Rows (N,) that err more than others, in proportion to values."""
-    return csr_matrix(diags(values))
-
-
 def _membership(places: Index) -> csr_matrix:
     return csr_matrix((np.ones(len(places)), (np.arange(len(places)), places)))
 
