@@ -67,12 +67,6 @@ def _count(function: Any) -> int:
     return int(function.numel_in(first))
 
 
-def _offsets(joints: Sequence[Joint], std: float | None) -> dict[str, Unknown]:
-    """The zero offsets (rad) of the joints that turn: what is unknown of a function that has no parameters."""
-    turning = tuple(str(i) for i, joint in enumerate(joints, 1) if joint.turns)
-    return {"zero": Parameter((0.0,) * len(turning), unit="rad", prior_std=std, labels=turning)} if turning else {}
-
-
 def _traced(
     function: ca.Function, parameters: Mapping[str, Unknown], joints: Sequence[Joint], length: str, std: float | None
 ) -> tuple[TracedPose, Mapping[str, Unknown]]:
@@ -93,9 +87,12 @@ def _traced(
     if given != sum(sizes):
         what = f"{_said(function)} takes {sum(sizes)} numbers besides q, and the parameters are {given}"
         raise ProblemError(what, "Give one for each, in the order of its inputs")
-    unknowns = known or _offsets(joints, std)
     turns = np.array([joint.turns for joint in joints])
     scale, turning = ca.DM(np.where(turns, 1.0, per_mm)), np.flatnonzero(turns).tolist()
+    unknowns: dict[str, Unknown] = {**known}
+    if not known and turning:
+        labels = tuple(str(j + 1) for j in turning)
+        unknowns["zero"] = Parameter((0.0,) * len(turning), unit="rad", prior_std=std, labels=labels)
 
     def pose(p: Any, q: Expression) -> Expression:
         numbers = [getattr(p, key) * (per_mm if each.unit == "mm" else 1.0) for key, each in known.items()]

@@ -129,7 +129,10 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
     """
     nobody = np.zeros(len(samples), dtype=bool)
     known = np.array([line.split() for line in listed["values"]], dtype=np.float64)
-    near = _near(layout)
+    near = np.full(len(layout.joints), float(NEAR_READING))  # without readings, joints are
+    if layout.columns:
+        joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
+        near = np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)
     if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
         return nobody, 0.0
     # one unit of these is as near as two rows may be; half a step more is rounding
@@ -164,11 +167,3 @@ def _on_grid(samples: Samples, layout: Layout) -> Array:
     kinds = [*layout.joints, *(layout.columns[name] for name in names)]
     whole = np.column_stack([np.round(value / GRID[kind]) for value, kind in zip(values, kinds, strict=True)])
     return np.asarray(np.clip(whole, -LARGEST, LARGEST))
-
-
-def _near(layout: Layout) -> Array:
-    """Steps (n + c,) within which two rows are one; where the instrument reads nothing, joints are its reading."""
-    if not layout.columns:
-        return np.full(len(layout.joints), float(NEAR_READING))
-    joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
-    return np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)

@@ -156,7 +156,9 @@ def default_cell(problem: Problem) -> Cell:
     for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
-            reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
+            which, count = np.arange(30) % len(cell.faces), len(cell.faces)
+            *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * count, np.random.default_rng(1))
+            reached = float(min(good[which == i].mean() for i in range(count)))
             if reached > share:
                 best, share = cell, reached
         if best is not None and share >= enough:
@@ -226,10 +228,3 @@ def _facets_at(centre: Array, plunger: Array, size: float) -> Cell:
         normal, place = math.cos(SLOPE) * towards + math.sin(SLOPE) * aside, centre + 0.75 * size * aside
         faces.append(Face(label, (place[0], place[1], place[2]), (normal[0], normal[1], normal[2]), (size, size)))
     return Cell(faces=tuple(faces), tilt=SLOPE + math.radians(1.0))
-
-
-def _share_reached(touch: Touch, probe: Probe, cell: Cell, rng: np.random.Generator) -> float:
-    which = np.arange(30) % len(cell.faces)
-    *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
-    shares = [good[which == i].mean() for i in range(len(cell.faces))]
-    return float(min(shares))

@@ -122,7 +122,12 @@ def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[
     heights = slopes @ x - r
     priors = {key: _without(bound, prior, key) for key in keys}
     found: dict[str, dict[str, float]] = {key: {} for key in priors}
-    for name, parts in _splits_of(bound).items():
+    if len(bound.samples) == 1:
+        parted = splits(bound.samples[0], bound.groups_by[0])
+    else:
+        every = bound.measured
+        parted = _splits({FACES: bound.faces, INSTRUMENTS: Labels(every.names, every.instruments)}, every.joints)
+    for name, parts in parted.items():
         rows = [bound.residuals_of(part) for part in parts]
         seen = [Told.of(slopes[part], heights[part]) for part in rows]
         whole = _densities(seen, prior)
@@ -142,14 +147,6 @@ def _densities(seen: list[Told], prior: Array) -> float:
             Told(rest.information[np.ix_(known, known)], rest.toward[known], rest.square), prior[known]
         )
     return total
-
-
-def _splits_of(bound: BoundProblem) -> dict[str, list[Index]]:
-    """The splits of an only instrument's samples; of several, faces of all, the instruments themselves, and regions."""
-    if len(bound.samples) == 1:
-        return splits(bound.samples[0], bound.groups_by[0])
-    rows = bound.measured
-    return _splits({FACES: bound.faces, INSTRUMENTS: Labels(rows.names, rows.instruments)}, rows.joints)
 
 
 def splits(samples: Samples, face: str | None) -> dict[str, list[Index]]:
