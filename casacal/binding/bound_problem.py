@@ -30,7 +30,7 @@ NO_FACTORS: Mapping[str, float] = FrozenMapping({})
 def bind(
     problem: Problem, *samples: Samples | Measurements, backend: str | None = None, threads: int | None = None
 ) -> BoundProblem:
-    """Bind a problem to its samples, one set per instrument: nominal values, unknowns and weights are settled here.
+    """Bind a problem to its samples, one set per instrument: nominals, unknowns (mm, rad), weights (rows,) are settled.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
     noise of each row is evaluated there and held.
@@ -41,9 +41,6 @@ def bind(
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
-
-    Returns:
-        What estimators see: n unknowns in mm and rad, whitened residuals (rows,).
 
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 

@@ -1,4 +1,7 @@
-"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm a file where it is long."""
+"""Estimators: plain functions of a `LeastSquares`; one algorithm a file where it is long.
+
+Each returns a `Result`: x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
+"""
 
 from casacal.estimators.controls import null_step as null_step
 from casacal.estimators.controls import plane_only as plane_only

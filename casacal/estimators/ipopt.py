@@ -37,9 +37,6 @@ def ipopt(
         loss: what replaces r^2 / 2 in f, such as `huber()`; the Hessian is then Gauss-Newton's.
         verbose: let IPOPT print.
 
-    Returns:
-        The minimum in local coordinates: x (n,), deviations from nominal in the units of `problem.units`.
-
     Raises ProblemError when the problem has no symbolic form.
 
     """
@@ -62,9 +59,6 @@ def nlpsol(
         solver: name of the plug-in.
         options: of CasADi's nlpsol for it; by default silent, and for known plug-ins strict.
         loss: as for `ipopt`.
-
-    Returns:
-        The minimum, as `ipopt` gives it.
 
     Raises ProblemError when the problem has no symbolic form, UnknownNameError when there is no such plug-in, and
     CasacalError when it takes no such program.

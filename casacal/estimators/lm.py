@@ -39,7 +39,6 @@ def lm(
     """Minimise f by damped Gauss-Newton steps in all unknowns at once; ends on any input, after `max_steps` at most.
 
     Args:
-        problem: what to minimise.
         start: first x (n,); default the prior's mean x0.
         max_steps: steps tried at most.
         tolerance: stop when the undamped step, in posterior standard deviations, sqrt(step' H step), falls below it.
@@ -47,9 +46,7 @@ def lm(
         loss: what replaces r^2 / 2 in f, such as `huber()`; the covariance then counts rows by their weights.
         progress: called with (step, cost) after each accepted step.
 
-    Returns:
-        x (n,), deviations from nominal in the units of `problem.units`, its covariance (n, n), the objective after each
-        step, and a status that says how it ended.
+    The trace holds the objective after each step.
 
     """
     if not problem.unknowns:

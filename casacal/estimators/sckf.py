@@ -115,9 +115,7 @@ def sckf(
         process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
         progress: called with (rows done, norm of the innovation) now and then.
 
-    Returns:
-        The mean after the last row as x (n,), deviations from nominal in the units of `problem.units`, its covariance
-        (n, n), and the trace: means `x` (rows + 1, n), innovations and their standard deviations (rows,).
+    Returns the mean after the last row; the trace holds means `x` (rows + 1, n), innovations and their stds (rows,).
 
     """
     if not problem.unknowns:
