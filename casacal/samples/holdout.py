@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from casacal.array_types import Array, Index, Rows
+from casacal.array_types import Index, Rows
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
@@ -77,19 +77,16 @@ def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *
         rows = np.flatnonzero(codes == k)
         order = rng.permutation(rows)
         if near:
-            order = rows[np.argsort(_distances(samples.joints[rows], samples.joints[order[0]]), kind="stable")]
+            joints = samples.joints[rows]
+            spread = joints.std(axis=0)  # each joint in units of its own
+            away = (joints - samples.joints[order[0]]) / np.where(spread > 0, spread, 1.0)
+            order = rows[np.argsort((away**2).sum(axis=1), kind="stable")]
         chosen = order[: round(holdout * len(rows))]
         if len(chosen) == len(rows):
             shown = " ".join(labels) or "all rows"
             raise CasacalError(f"Holding out {holdout:g} leaves no row of '{shown}' to fit", "Hold fewer rows out")
         mask[chosen] = True
     return mask
-
-
-def _distances(joints: Array, middle: Array) -> Array:
-    """How far postures (k, n) are from one (n,), each joint in units of its own spread."""
-    spread = joints.std(axis=0)
-    return np.asarray((((joints - middle) / np.where(spread > 0, spread, 1.0)) ** 2).sum(axis=1))
 
 
 def _groups(samples: Samples, by: str, face: str | None) -> Labels:

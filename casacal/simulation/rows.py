@@ -233,9 +233,8 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array,
             break
         eased = slopes * ease
         gram = eased @ eased.transpose(0, 2, 1)
-        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * np.eye(gram.shape[1]) + 1e-300 * np.eye(
-            gram.shape[1]
-        )
+        eye = np.eye(gram.shape[1])
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * eye + 1e-300 * eye
         step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
         largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
         free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]

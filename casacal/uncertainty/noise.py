@@ -76,7 +76,8 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
         shared = 0.0 if known is None else known.shared
         if abs(math.log(scale / before[0])) < SETTLED and abs(shared - before[1]) < SETTLED:
             break
-        result = lm(bound.with_noise(_scale(scale, shared)), start=result.x, loss=loss)
+        used = {OTHERS: scale, SHARED: shared} if shared else {OTHERS: scale}
+        result = lm(bound.with_noise(used), start=result.x, loss=loss)
     own = None if shared else _by_face(result, scale)
     return noise_over_stated(result if own is None else _settled_by_face(bound, result, own, loss))
 
@@ -105,10 +106,6 @@ def noise_over_stated(result: Result) -> Noise:
     again = repeats_in(bound) if result.loss is None else None
     ratio, low, high = (mean * each for each in _interval(result, again))
     return Noise(ratio, low, high, scale, None if again is None else pure_error(result, again))
-
-
-def _scale(factor: float, shared: float) -> dict[str, float]:
-    return {OTHERS: factor, SHARED: shared} if shared else {OTHERS: factor}
 
 
 def _interval(result: Result, again: Repeats | None) -> tuple[float, float, float]:
