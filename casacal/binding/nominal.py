@@ -60,11 +60,11 @@ def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str,
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
-    poses = stacked_poses(problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples)))
+    model, inputs = problem.models[i], _nominal_inputs(problem, i, samples)
+    poses = stacked_poses(model.columns.pose(*inputs))
     if problem.effects and np.isnan(poses).any():  # effects that ask for a tip which rows have yet to propose
         return nominal_sight(problem.without_effects, i, samples)
-    model = problem.models[i]
-    plungers = None if model.plunger is None else model.columns.plunger(*_nominal_inputs(problem, i, samples))
+    plungers = None if model.plunger is None else model.columns.plunger(*inputs)
     return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -61,15 +61,16 @@ class TransmissionError(Effect):
 
     def joints(self, here: Here) -> Expression:
         """u_c cos(k q) + u_s sin(k q)."""
-        u, found = getattr(here.p, self.key), []
-        turning = iter(range(u.numel() // 2))
-        for j, turns in enumerate(here.robot.revolute):
-            if not turns:
-                found.append(0)
-                continue
-            k = 2 * next(turning)
-            found.append(u[k] * ca.cos(self.order * here.q[j]) + u[k + 1] * ca.sin(self.order * here.q[j]))
-        return ca.vertcat(*found)
+        turning = np.flatnonzero(here.robot.revolute).tolist()
+        return _waves(here, getattr(here.p, self.key), [(j, self.order) for j in turning])
+
+
+def _waves(here: Here, u: Expression, waves: Sequence[tuple[int, float]]) -> Expression:
+    """Cosine and sine of so many waves per turn of some joints, all joints (n,)."""
+    off = [ca.SX(0)] * len(here.robot.axes)
+    for k, (j, order) in enumerate(waves):
+        off[j] += u[2 * k] * ca.cos(order * here.q[j]) + u[2 * k + 1] * ca.sin(order * here.q[j])
+    return ca.vertcat(*off)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,11 +99,8 @@ class GearRipple(Effect):
 
     def joints(self, here: Here) -> Expression:
         """u_c cos(k r q) + u_s sin(k r q), r the ratio, k one and two."""
-        u, off = getattr(here.p, self.key), [ca.SX(0)] * len(here.robot.axes)
         waves = [(j, order * here.robot.axes[j].gear_ratio) for j in _geared(here.robot) for order in (1, 2)]
-        for k, (j, turns) in enumerate(waves):
-            off[j] += u[2 * k] * ca.cos(turns * here.q[j]) + u[2 * k + 1] * ca.sin(turns * here.q[j])
-        return ca.vertcat(*off)
+        return _waves(here, getattr(here.p, self.key), waves)
 
 
 def _geared(robot: Robot) -> list[int]:

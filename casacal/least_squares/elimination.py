@@ -43,9 +43,8 @@ class GroupRows:
         if not information.any():
             return self
         own = np.vstack([self.own, np.diag(np.sqrt(information))])
-        return replace(
-            self, own=own, shared=np.vstack([self.shared, np.zeros((len(own) - len(self.own), self.among.size))])
-        )
+        nothing = np.zeros((len(own) - len(self.own), self.among.size))
+        return replace(self, own=own, shared=np.vstack([self.shared, nothing]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,7 +130,12 @@ def _pose(function: ca.Function, found: Sequence[Expression], per_mm: float) -> 
     shapes = [tuple(each.shape) for each in found]
     if shapes in ([(4, 4)], [(3, 4)]):
         if shapes == [(4, 4)]:
-            _check_last_row(function, ca.SX(found[0])[3, :3])
+            row = ca.SX(found[0])[3, :3]  # where it does not begin with 0, 0, 0, it is a column, of a transposed pose
+            symbols = ca.symvar(row)
+            (value,) = ca.Function("row", symbols, [row]).call([ca.DM(0.1)] * len(symbols))
+            if np.abs(np.array(value)).max() > NEARLY:
+                what = f"{_said(function)} gives a matrix whose last row is not 0, 0, 0, 1"
+                raise ProblemError(what, "Let it give the pose of the flange in the base frame, not a transposed one")
         turn, place = found[0][:3, :3], found[0][:3, 3]
     elif shapes in ([(3, 1), (3, 3)], [(1, 3), (3, 3)], [(3, 3), (3, 1)], [(3, 3), (1, 3)]):
         turn, place = sorted(found, key=lambda each: -int(each.numel()))
@@ -138,15 +143,6 @@ def _pose(function: ca.Function, found: Sequence[Expression], per_mm: float) -> 
         gives = " and ".join(f"{rows}x{columns}" for rows, columns in shapes) or "nothing"
         raise ProblemError(f"{_said(function)} gives {gives}", f"Let it give the flange's pose: {WANTED}")
     return ca.densify(rigid(turn, ca.vec(place) / per_mm))
-
-
-def _check_last_row(function: ca.Function, row: ca.SX) -> None:
-    """Raise ProblemError where the last row of a pose does not begin with 0, 0, 0, as that of a transposed one."""
-    symbols = ca.symvar(row)
-    (value,) = ca.Function("row", symbols, [row]).call([ca.DM(0.1)] * len(symbols))
-    if np.abs(np.array(value)).max() > NEARLY:
-        what = f"{_said(function)} gives a matrix whose last row is not 0, 0, 0, 1"
-        raise ProblemError(what, "Let it give the pose of the flange in the base frame, not a transposed one")
 
 
 def _check_rigid(function: ca.Function, traced: TracedPose, count: int) -> None:

@@ -96,29 +96,6 @@ def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw)
     return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), bench, arm
 
 
-def _true(
-    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, draw: Draw
-) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-    """Local coordinates of all that is unknown, the frames among it, and the nominals that they are about, by name."""
-    instrument, reached = problem.instrument, random_tips(problem)
-    local: dict[str, Array] = {}
-    nominals: dict[str, Array] = {}
-    frames: dict[str, Array] = {}
-    for key, unknown in problem.model.unknowns.items():
-        seen = [None] if unknown.per is None else labels[unknown.per].names
-        named = {_named(instrument, key, label): label or key for label in seen}
-        for k, (name, label) in enumerate(named.items()):
-            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
-            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            local[name] = np.asarray(draw.known.get(name, drawn))
-            if isinstance(unknown, Frame) and unknown.nominal is None:
-                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
-            if isinstance(cell, Cell) and _is_flat(unknown):
-                local[name] = plane_coordinates(unknown, nominals[name], *place)
-    return local, frames, nominals
-
-
 def _named(instrument: Instrument, key: str, label: str | None) -> str:
     """The name of an unknown, or of the one that rows of a label see."""
     return key if label is None else f"{key}.{instrument.instance(key, label)}"
@@ -133,11 +110,22 @@ def _bench(
     draw: Draw,
 ) -> Bench:
     """The true arm before its true instrument, and all that is unknown of them."""
-    model, instrument, robot = problem.model, problem.instrument, problem.robot
-    local, frames, nominals = _true(problem, cell, labels, rng, draw)
-    z, c = [], []
+    model, instrument, robot, reached = problem.model, problem.instrument, problem.robot, random_tips(problem)
+    local, nominals, frames = dict[str, Array](), dict[str, Array](), dict[str, Array]()
+    z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
     for key, unknown in model.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
+        seen = [None] if unknown.per is None else labels[unknown.per].names
+        named = {_named(instrument, key, label): label or key for label in seen}
+        for k, (name, label) in enumerate(named.items()):
+            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
+            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            local[name] = np.asarray(draw.known.get(name, drawn))
+            if isinstance(unknown, Frame) and unknown.nominal is None:
+                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
+            if isinstance(cell, Cell) and _is_flat(unknown):
+                local[name] = plane_coordinates(unknown, nominals[name], *place)
         names = [_named(instrument, key, label) for label in of_rows]
         z.append(np.array([local[name] for name in names]).reshape(samples, -1))
         if key in model.constants:
@@ -153,8 +141,8 @@ def _bench(
     return Bench(
         problem,
         evaluate,
-        np.hstack(z) if z else np.zeros((samples, 0)),
-        np.hstack(c) if c else np.zeros((samples, 0)),
+        np.hstack(z),
+        np.hstack(c),
         np.array(known, dtype=np.float64).T.reshape(samples, -1),
         _faces(problem, cell, labels, samples),
         local,

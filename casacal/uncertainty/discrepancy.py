@@ -46,11 +46,13 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     if not geometry.converged:
         return bound
     standard = _Linear.of(bound, problem.with_kit, geometry.x)
-    many = find_noise and not problem.effects and bound.rows > ENOUGH
-    if many and _errs_together(standard.sized(PART)):
-        found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
-        if err_as_stated(found):
-            return found
+    if find_noise and not problem.effects and bound.rows > ENOUGH:
+        part = standard.sized(PART)
+        field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.beside == JointField.key]
+        if field and float(field[0]) > float(np.median(part.noise)):  # rows err together by more than each does alone
+            found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
+            if err_as_stated(found):
+                return found
     return standard.sized(1.0 if find_noise else None)
 
 
@@ -131,12 +133,6 @@ class _Found:
     rows: BoundProblem
     times: Mapping[str, float]
     told: Told
-
-
-def _errs_together(whole: BoundProblem) -> bool:
-    """Whether rows err together by more than each does alone."""
-    sizes = [slot.unknown.prior_stds[0] for slot in whole.slots if slot.beside == JointField.key]
-    return bool(sizes) and float(sizes[0]) > float(np.median(whole.noise))
 
 
 def times_found(whole: BoundProblem) -> dict[str, float]:
