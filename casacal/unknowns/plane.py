@@ -12,18 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import (
-    Expression,
-    Unknown,
-    check_stds,
-    shared_std,
-    spread,
-    start_stds,
-    stereographic,
-    stereographic_local,
-    tangent_basis,
-    unit_vector,
-)
+from casacal.unknowns.unknown import Expression, check_stds, spread, start_stds, tangent_basis, unit_vector
+from casacal.unknowns.whole import Whole, shared_std, tilted, tilts_of
 from casacal.values import plain
 
 
@@ -46,7 +36,7 @@ class PlaneValue:
 
 
 @dataclass(frozen=True)
-class Plane(Unknown):
+class Plane(Whole):
     """A plane with three local coordinates: two tilts of its normal (rad) and an offset along it (mm).
 
     Three, not six: of a normal and a point only the unit normal and n . gamma can be seen (erratum E7).
@@ -70,6 +60,7 @@ class Plane(Unknown):
     held_as_proposed: bool = False
 
     nominal_size = 12
+    parts = (("tilt1", "rad"), ("tilt2", "rad"), ("offset", "mm"))
 
     def __post_init__(self) -> None:
         for name in ("normal", "point", "prior_std", "start_std"):
@@ -81,16 +72,6 @@ class Plane(Unknown):
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
         if self.normal is not None and self.point is not None:
             self.encode(self.normal, self.point)
-
-    @property
-    def size(self) -> int:
-        """Three, or none when held."""
-        return 3 if self.free else 0
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """rad, rad, mm."""
-        return ("rad", "rad", "mm")[: self.size]
 
     @property
     def prior_stds(self) -> Array:
@@ -111,11 +92,6 @@ class Plane(Unknown):
             return None
         return self.encode(self.normal, self.point)
 
-    @property
-    def raw_size(self) -> int:
-        """A normal and an offset, or none when held."""
-        return 4 if self.free else 0
-
     @staticmethod
     def encode(normal: Sequence[float] | Array, point: Sequence[float] | Array) -> Array:
         """Numbers (12,) that fix a nominal plane through `point` (3, mm)."""
@@ -125,17 +101,11 @@ class Plane(Unknown):
             raise ProblemError(f"The point of a plane is {point!r}", "Give three finite numbers in mm")
         return np.concatenate([unit, tangent_basis(unit).T.ravel(), base])
 
-    def names(self, key: str) -> tuple[str, ...]:
-        """key.tilt1, key.tilt2, key.offset."""
-        return (f"{key}.tilt1", f"{key}.tilt2", f"{key}.offset")[: self.size]
-
     def at(self, nominal: Expression, local: Expression) -> PlaneValue:
         """Plane at (tilt1, tilt2, offset)."""
         if not self.free:
             return PlaneValue(nominal[:3], nominal[9:12], 0.0)
-        along, across = stereographic(local[:2])
-        normal = along * nominal[:3] + across[0] * nominal[3:6] + across[1] * nominal[6:9]
-        return PlaneValue(normal, nominal[9:12], local[2])
+        return PlaneValue(tilted(nominal, local[:2]), nominal[9:12], local[2])
 
     def nominal_plane(self, nominal: Array) -> tuple[Array, Array]:
         """Its normal and base point."""
@@ -175,10 +145,7 @@ class Plane(Unknown):
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Tilts and offset of a raw plane with unit normal."""
-        if not self.free:
-            return ca.DM.zeros(0, 1)
-        across = ca.vertcat(ca.dot(nominal[3:6], raw[:3]), ca.dot(nominal[6:9], raw[:3]))
-        return ca.vertcat(stereographic_local(ca.dot(nominal[:3], raw[:3]), across), raw[3])
+        return ca.vertcat(tilts_of(nominal, raw[:3]), raw[3]) if self.free else ca.DM.zeros(0, 1)
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1."""

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
@@ -131,13 +130,9 @@ class Unknown(ABC):
         del raw
         return []
 
+    @abstractmethod
     def with_free(self, free: Sequence[bool]) -> Unknown:
-        """Copy with only the flagged of its present free coordinates left free; ProblemError where it stays whole."""
-        if len(set(free)) > 1:
-            what = f"a {type(self).__name__.lower()}"
-            raise ProblemError(f"Only a part of {what} would be held", f"Hold or free {what} as a whole")
-        assert is_dataclass(self)
-        return replace(self, free=any(free), held_as_proposed=True)
+        """Copy with only the flagged of its present free coordinates left free."""
 
     def component_names(self, key: str) -> tuple[str, ...]:
         """Names of all components, free or held, that can be freed one by one; none by default."""
@@ -197,27 +192,6 @@ def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: 
     if not np.isfinite(result).all() or (result <= 0).any():
         raise ProblemError(f"start_std of {what} is {_shown(result)}", "Give positive finite numbers")
     return result
-
-
-def shared_std(stds: Sequence[float], present: Array) -> float:
-    """One standard deviation for coordinates that share it: that of a changed one, so that naming any sets them all."""
-    changed = [float(new) for new, old in zip(stds, present, strict=True) if new != old]
-    return max(changed) if changed else float(present[0])
-
-
-def stereographic(local: Expression) -> tuple[Expression, Expression]:
-    """Point of the unit sphere at local coordinates u: (along the pole, across it).
-
-    Inverse stereographic projection, smooth without square roots: ((1 - s), u) / (1 + s) with s = |u|^2 / 4.
-    To second order |u| is the angle in rad (|u| = 2 tan(angle / 2)).
-    """
-    s = ca.dot(local, local) / 4
-    return (1 - s) / (1 + s), local / (1 + s)
-
-
-def stereographic_local(along: Expression, across: Expression) -> Expression:
-    """Local coordinates of a point of the unit sphere: 2 across / (1 + along), the inverse of `stereographic`."""
-    return 2 * across / (1 + along)
 
 
 def tangent_basis(unit: Array) -> Array:
