@@ -22,9 +22,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import FrozenMapping, alike, read_only, short
-
-NO_FACTORS: Mapping[str, float] = FrozenMapping({})
+from casacal.values import EMPTY, FrozenMapping, alike, read_only, short
 
 
 def bind(
@@ -58,7 +56,7 @@ class BoundProblem(EvaluatedRows):
         samples: Sequence[Samples],
         backend: str | None = None,
         threads: int | None = None,
-        scale: Mapping[str, float] = NO_FACTORS,
+        scale: Mapping[str, float] = EMPTY,
         surveys: Sequence[Survey | None] = (),
         stated: KernelRows | None = None,
     ) -> None:
@@ -125,7 +123,7 @@ class BoundProblem(EvaluatedRows):
         slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
         return self._like(slots, self.samples, self.scale if noise is None else noise)
 
-    def with_noise(self, scale: Mapping[str, float] = NO_FACTORS) -> BoundProblem:
+    def with_noise(self, scale: Mapping[str, float] = EMPTY) -> BoundProblem:
         """The same rows, their stated noise times a factor for each face, or each of several instruments.
 
         "" stands for those that are not named; without any, it is the noise as stated.

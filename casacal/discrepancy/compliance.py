@@ -10,8 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.array_types import Rows as Chosen
+from casacal.array_types import Array, Rows
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES
 from casacal.discrepancy.effect import Effect, Here, Site, weighted
 from casacal.discrepancy.further import DOWN, LOAD, MASS, Loaded, check_columns_of, read_columns_of
@@ -192,7 +191,7 @@ class LinkSag(Loaded):
         links, count = self._links(site), len(site.robot.axes)
         return links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(np.array(self.down))
 
-    def _pull(self, site: Site) -> tuple[Chosen, float]:
+    def _pull(self, site: Site) -> tuple[Rows, float]:
         """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
         count = len(site.robot.axes)
         q = ca.SX.sym("q", count)
@@ -202,5 +201,5 @@ class LinkSag(Loaded):
         about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
         about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T
         found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
-        feels: Chosen = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
+        feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
         return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))

@@ -119,11 +119,6 @@ def angles(values: Sequence[float]) -> str:
     return listed("deg(", [degrees(value) for value in values], ")", 4, taken=8)
 
 
-def lengths(values: Sequence[float]) -> str:
-    """Lengths as a tuple."""
-    return tuple_of(plain(value) for value in values)
-
-
 def tuple_of(items: Iterable[str], indent: int = 4) -> str:
     """Items as a tuple, also where there is one alone."""
     found = list(items)

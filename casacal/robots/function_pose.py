@@ -44,10 +44,7 @@ class FromFunction:
             length: unit of every length that goes in or comes out.
             parameters: a `Parameter` for these numbers, in their order; those in "mm" are converted.
             joints: as for `Robot`; default all revolute.
-            angle_std: of `zero` where the function takes no parameters, rad; default 1e-3.
-
-        Returns:
-            The robot with these parameters or, without any, `zero`: offsets of the joints that turn.
+            angle_std: of `zero`, the offsets of turning joints, where it takes no parameters, rad; default 1e-3.
 
         Raises ProblemError for other shapes, and for a function that is no graph of elementary operations.
 

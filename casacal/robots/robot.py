@@ -147,9 +147,6 @@ class Robot(Value, FromFunction):
             beta: nominal turn of each of them, rad; default zero.
             conventions: then `pose` takes the controller's joint values, and limits are the controller's too.
 
-        Returns:
-            The robot, with parameters `alpha`, `a`, `d` and `theta` (n,) each, and `beta` where rows are parallel.
-
         Raises ProblemError when the columns differ in length, or a row is not parallel that is named so.
 
         """
@@ -204,9 +201,6 @@ class Robot(Value, FromFunction):
             angle_std: of rx, ry, rz, rad; default 1e-3.
             conventions: what the controller's joint values mean, where they are not the URDF's.
 
-        Returns:
-            The robot, with parameters `x`, `y`, `z` (mm) and `rx`, `ry`, `rz` (rad), one number per moving joint each.
-
         Raises ProblemError that names the joint or link, and what to do.
 
         """
@@ -236,9 +230,7 @@ class Robot(Value, FromFunction):
             joints: as for `Robot`; default all revolute.
             conventions: what the controller's joint values mean, where they are not the screws'.
 
-        Returns:
-            The robot, with unknowns `axis1`, ... (two tilts each), `point1`, ... (3, mm), `zero` (one per turning
-            joint) and `home`.
+        Unknowns are `axis1`, ... (two tilts each), `point1`, ... (3, mm), `zero` (one per turning joint) and `home`.
 
         Raises ProblemError when the columns differ in length or an axis has no direction.
 

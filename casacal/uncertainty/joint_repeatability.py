@@ -86,14 +86,6 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     return PureError(int((bound.repeats.sizes > 1).sum()), ratio, low, high, f, chance, shared)
 
 
-def condensed(result: Result, again: Repeats) -> tuple[Array, float]:
-    """Whitened residuals, one of each group of repeats, and their degrees of freedom."""
-    problem = result.problem
-    assert isinstance(problem, BoundProblem)
-    free = max(len(again.sizes) - effective_unknowns(problem, result.x), 1.0)
-    return again.condensed(problem.residual(result.x)), free
-
-
 EXPECTED = 15e-6
 """What joints of an industrial arm do not repeat, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
 

@@ -21,8 +21,8 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
-from casacal.uncertainty.figures import HALF_WEIGHT, leverages, noise_interval, ratio_interval
-from casacal.uncertainty.joint_repeatability import PureError, condensed, pure_error, repeats_in
+from casacal.uncertainty.figures import HALF_WEIGHT, effective_unknowns, leverages, noise_interval, ratio_interval
+from casacal.uncertainty.joint_repeatability import PureError, pure_error, repeats_in
 from casacal.values import FrozenMapping, Value
 
 SETTLED = 0.003  # relative change of the factor that ends the search
@@ -114,8 +114,8 @@ def _interval(result: Result, again: Repeats | None) -> tuple[float, float, floa
     assert isinstance(bound, BoundProblem)
     if again is None or not bound.scale.get(SHARED, 0.0):
         return noise_interval(result)
-    rows, free = condensed(result, again)
-    return ratio_interval(float((rows**2).sum()), free)
+    free = max(len(again.sizes) - effective_unknowns(bound, result.x), 1.0)
+    return ratio_interval(float((again.condensed(bound.residual(result.x)) ** 2).sum()), free)
 
 
 def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = None) -> dict[str, float] | None:

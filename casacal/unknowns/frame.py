@@ -12,8 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.kinematics import rigid, rotation_of_quaternion
-from casacal.unknowns.unknown import Expression, check_stds, spread, start_stds
+from casacal.kinematics import Expression, rigid, rotation_of_quaternion
+from casacal.unknowns.unknown import check_stds, spread, start_stds
 from casacal.unknowns.whole import Whole, shared_std, stereographic, stereographic_local
 from casacal.values import plain
 

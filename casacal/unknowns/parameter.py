@@ -12,7 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import PRIOR_STD, Expression, Unknown, check_stds, spread, start_stds
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import PRIOR_STD, Unknown, check_stds, spread, start_stds
 from casacal.values import plain, read_only
 
 

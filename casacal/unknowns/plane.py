@@ -12,7 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import Expression, check_stds, spread, start_stds, tangent_basis, unit_vector
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import check_stds, spread, start_stds, tangent_basis, unit_vector
 from casacal.unknowns.whole import Whole, shared_std, tilted, tilts_of
 from casacal.values import plain
 

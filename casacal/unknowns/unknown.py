@@ -6,14 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-
-Expression: TypeAlias = Any
+from casacal.kinematics import Expression
 
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 """Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""

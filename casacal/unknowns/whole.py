@@ -10,7 +10,8 @@ import casadi as ca
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import Expression, Unknown
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import Unknown
 
 
 class Whole(Unknown):
