@@ -1,4 +1,7 @@
-"""What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines."""
+"""What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines.
+
+Each says its `size`, and by `doubt` the times by which that may be off.
+"""
 
 from casacal.discrepancy.arm import GravitySag as GravitySag
 from casacal.discrepancy.arm import ThermalGrowth as ThermalGrowth

@@ -25,7 +25,6 @@ class GravitySag(Loaded):
 
     Args:
         size: by how much the flange sags where all give alike, mm, RMS over the joints' ranges.
-        doubt: times by which that may be off.
         down: direction of gravity in the base frame.
         payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
             then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
@@ -85,7 +84,6 @@ class ThermalGrowth(OverTime):
     Args:
         size: of the growth from the first row to the last, parts of one; steel and aluminium grow by 1.2e-5 and
             2.4e-5 for each kelvin.
-        doubt: times by which that may be off.
 
     """
 

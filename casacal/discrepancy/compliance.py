@@ -34,7 +34,6 @@ class TorqueCompliance(Effect):
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
         size: of a joint's give, rad/Nm (mm/N of a sliding one).
-        doubt: times by which that may be off.
 
     """
 
@@ -93,7 +92,6 @@ class LinkSag(Loaded):
 
     Args:
         size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
-        doubt: times by which that may be off.
         down: direction of gravity in the base frame.
         masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
         payload: column of the samples that says what hangs at the flange in each row, kg, beside these masses, such as

@@ -33,7 +33,6 @@ class TransmissionError(Effect):
     Args:
         order: waves per turn of the joint; a gear's own where its ratio is given.
         size: of sine and cosine, rad.
-        doubt: times by which that may be off.
 
     """
 
@@ -81,7 +80,6 @@ class GearRipple(Effect):
 
     Args:
         size: of sine and cosine, rad at the joint.
-        doubt: times by which that may be off.
 
     """
 
@@ -117,7 +115,6 @@ class Backlash(Effect):
 
     Args:
         size: of half the play, rad.
-        doubt: times by which that may be off.
         columns_of: the column of the samples that says how each joint came, 1 where it grew, -1 where it fell, 0 where
             that is not known; one for each joint. None takes the row before for where it came from.
 

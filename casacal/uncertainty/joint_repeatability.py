@@ -108,13 +108,8 @@ MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more shoul
 def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
     """Whether rows that see more of the joints may err more than others where a fit stands.
 
-    A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2.
-
-    Args:
-        bound: with effects at their sizes, x0 zero.
-        x: where the rows were linearised (n,).
-        told: what they say there.
-
+    A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:
+    with effects at their sizes, x0 zero. told: what its rows say at x (n,), where they were linearised.
     """
     held = posterior_covariance(told.information, bound.prior_std)
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known

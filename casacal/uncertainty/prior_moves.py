@@ -48,13 +48,7 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
     """Moves of all unknowns with a finite prior, but for those that only say where the touched thing stands.
 
     The sum of squares is one of independent normal numbers, weighted with eigenvalues; two moments of it are matched
-    (Satterthwaite).
-
-    Args:
-        bound: the problem.
-        x: its estimate (n,).
-        covariance: of that estimate (n, n).
-
+    (Satterthwaite). covariance: (n, n), of the estimate x (n,).
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
     std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]

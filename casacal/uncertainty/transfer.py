@@ -111,11 +111,8 @@ def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[
 def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
     """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
 
-    Args:
-        bound, x, keys: as for `in_sample_gains`. Of very many rows some stand for all.
-
-    Returns no split where there is no face beside another, and no region that could be left out.
-
+    Arguments as for `in_sample_gains`; of very many rows some stand for all. Returns no split where there is no face
+    beside another, and no region that could be left out.
     """
     bound = bound.thinned(MOST_ROWS)
     slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information

@@ -52,8 +52,7 @@ class Frame(Whole):
         if self.matrix is None and not self.free and not self.held_as_proposed:
             raise ProblemError("A frame is held but has no matrix", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a frame"), "prior_std of a frame")
-        if self.matrix is not None:
-            self.encode(np.asarray(self.matrix, dtype=np.float64))
+        _ = self.nominal  # or a sentence
 
     @property
     def size(self) -> int:

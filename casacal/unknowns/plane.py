@@ -71,8 +71,7 @@ class Plane(Whole):
         if self.normal is None and not self.free and not self.held_as_proposed:
             raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
-        if self.normal is not None and self.point is not None:
-            self.encode(self.normal, self.point)
+        _ = self.nominal  # or a sentence
 
     @property
     def prior_stds(self) -> Array:
@@ -89,9 +88,7 @@ class Plane(Whole):
     @property
     def nominal(self) -> Array | None:
         """Normal (3), two vectors across it (6), base point (3, mm); None when the data must propose them."""
-        if self.normal is None or self.point is None:
-            return None
-        return self.encode(self.normal, self.point)
+        return None if self.normal is None or self.point is None else self.encode(self.normal, self.point)
 
     @staticmethod
     def encode(normal: Sequence[float] | Array, point: Sequence[float] | Array) -> Array:
@@ -140,9 +137,7 @@ class Plane(Whole):
 
     def raw_value(self, nominal: Expression, raw: Expression) -> PlaneValue:
         """Plane of a raw normal, unit only where the constraint holds."""
-        if not self.free:
-            return self.at(nominal, raw)
-        return PlaneValue(raw[:3], nominal[9:12], raw[3])
+        return PlaneValue(raw[:3], nominal[9:12], raw[3]) if self.free else self.at(nominal, raw)
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Tilts and offset of a raw plane with unit normal."""
