@@ -12,8 +12,8 @@ import numpy as np
 
 from casacal.array_types import Array, Rows
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES
-from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.further import DOWN, LOAD, MASS, Loaded, check_columns_of, read_columns_of
+from casacal.discrepancy.effect import Here, Site, weighted
+from casacal.discrepancy.further import DOWN, LOAD, MASS, ByColumns, Loaded, check_columns_of, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -25,7 +25,7 @@ from casacal.values import is_real
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueCompliance(Effect):
+class TorqueCompliance(ByColumns):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
     `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
@@ -47,9 +47,6 @@ class TorqueCompliance(Effect):
     key = "yield"
     words = "joint compliance under measured torque"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns_of", tuple(self.columns_of))
-
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """The give of each joint, rad/Nm."""
         check_columns_of(self.columns_of, len(site.robot.axes), "torques")
@@ -59,11 +56,6 @@ class TorqueCompliance(Effect):
         """The torque about each joint."""
         del site
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The columns of torques."""
-        return self.columns_of
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """As the rows say; raises ProblemError where they do not."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,6 +66,20 @@ class Loaded(Effect):
             line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
             raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
         return {MASS: kilograms}
+
+
+class ByColumns(Effect, ABC):
+    """An effect of which a column of the samples for each joint says something."""
+
+    columns_of: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """These columns."""
+        return self.columns_of
 
 
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:

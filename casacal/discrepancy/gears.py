@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
-from casacal.discrepancy.further import read_columns_of
+from casacal.discrepancy.further import ByColumns, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
@@ -107,7 +107,7 @@ def _geared(robot: Robot) -> list[int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(Effect):
+class Backlash(ByColumns):
     """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
 
     Nobody knows how the joints came to the first row, so that each stands there where it likes within its play. Who
@@ -128,9 +128,6 @@ class Backlash(Effect):
     key = "play"
     words = "backlash"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns_of", tuple(self.columns_of))
-
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
         return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
@@ -142,11 +139,6 @@ class Backlash(Effect):
     def away(self, site: Site) -> Mapping[str, float]:
         """Either way: what the tip may stand off is the same for both; never the first row."""
         return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The columns of ways of approach, if there are such."""
-        return self.columns_of
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """As the rows say; raises ProblemError where they do not."""

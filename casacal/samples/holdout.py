@@ -33,12 +33,11 @@ def split(
     """
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
+    part = "Give a fraction from 0 to below 1, such as 0.3"
     if not isinstance(holdout, (int, float)):
-        raise CasacalError(
-            f"Got {came(holdout)} as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
-        )
+        raise CasacalError(f"Got {came(holdout)} as the held-out part", part)
     if not 0 <= holdout < 1:
-        raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
+        raise CasacalError(f"The held-out part is {holdout:g}", part)
     if not isinstance(by, str):
         raise CasacalError(f"Got {came(by)} as what is held out together", f"Give {', '.join(WAYS)} or a column")
     rng = np.random.default_rng(seed)
