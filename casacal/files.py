@@ -41,7 +41,9 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
     if target.is_dir():
         raise CasacalError(f"'{target}' is a folder", "Name a file")
     if target.exists() and not target.is_file():
-        _into(target, write)
+        with writable(target), tempfile.TemporaryDirectory() as place, target.open("wb") as out:
+            write(Path(place) / "whole")
+            out.write((Path(place) / "whole").read_bytes())
         return
     with writable(target):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -95,13 +97,6 @@ def _runs(process: int) -> bool:
     except (PermissionError, OverflowError):
         pass
     return True
-
-
-def _into(device: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a file elsewhere, and copy it into a device or pipe; raises CasacalError when it cannot."""
-    with writable(device), tempfile.TemporaryDirectory() as place, device.open("wb") as out:
-        write(Path(place) / "whole")
-        out.write((Path(place) / "whole").read_bytes())
 
 
 def write_json(path: str | Path, document: Mapping[str, Any]) -> None:

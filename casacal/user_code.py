@@ -18,6 +18,9 @@ from casacal.errors import CasacalError, said
 
 BESIDE = "__casacal_beside__"  # under which a module that `run_file` made holds the files beside it that it imported
 
+RUNNING = frozenset({*sys.stdlib_module_names, "casacal", "casadi", "numpy", "scipy", "pandas", "matplotlib"})
+"""Modules that stay whatever lies in a folder: Python's own, casacal and what it runs on."""
+
 _IMPORTING = threading.RLock()
 """The import system is one for all threads: one file runs at a time, and those that it loads itself."""
 
@@ -62,21 +65,17 @@ def _folder_first(folder: Path) -> Iterator[list[str]]:
     Yields a list that in the end holds the files that were imported from there.
     """
     beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
-    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside - _running()}
+    beside -= RUNNING
+    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside}
     sys.path.insert(0, str(folder))
     loaded: list[str] = []
     try:
         yield loaded
     finally:
         sys.path.remove(str(folder))
-        for name in [name for name in sys.modules if name.split(".")[0] in beside - _running()]:
+        for name in [name for name in sys.modules if name.split(".")[0] in beside]:
             loaded.append(str(getattr(sys.modules.pop(name), "__file__", None) or ""))
         sys.modules.update(aside)
-
-
-def _running() -> frozenset[str]:
-    """Names that stay whatever lies in a folder: Python's own, casacal and what it runs on."""
-    return frozenset(sys.stdlib_module_names) | {"casacal", "casadi", "numpy", "scipy", "pandas", "matplotlib"}
 
 
 class Portable:

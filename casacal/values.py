@@ -43,6 +43,9 @@ class FrozenMapping(Mapping[K, V]):
         return repr(dict(self))
 
 
+EMPTY: FrozenMapping[Any, Any] = FrozenMapping({})
+
+
 class Value:
     """Base of the frozen dataclasses (`eq=False`) that hold arrays and mappings.
 

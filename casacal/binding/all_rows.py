@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.binding.blocks import Block
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements, Places
+from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import Repeats, repeats_in
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
@@ -66,7 +65,7 @@ class AllRows:
         return Labels(names, codes)
 
     @cached_property
-    def leading(self) -> NDArray[np.bool_]:
+    def leading(self) -> Rows:
         """Which residuals (rows,) are of the unit in which their instrument speaks; figures are of these."""
         found = []
         for block, instrument in zip(self.blocks, self.problem.instruments, strict=True):
@@ -81,31 +80,31 @@ class AllRows:
         return repeats_in(self.measured, self.groups_by)
 
     @cached_property
-    def starts(self) -> Places:
+    def starts(self) -> Index:
         """The first residual of each instrument, and after the last how many there are."""
         return np.cumsum([0, *(block.noise.size for block in self.blocks)])
 
     @cached_property
-    def components(self) -> Places:
+    def components(self) -> Index:
         """How many residuals each sample has (N,)."""
         return np.concatenate([np.full(len(block.noise), block.noise.shape[1]) for block in self.blocks])
 
     @cached_property
-    def sample_of(self) -> Places:
+    def sample_of(self) -> Index:
         """The sample that each residual is of (rows,)."""
         return np.repeat(np.arange(len(self.components)), self.components)
 
     @cached_property
-    def first_of(self) -> Places:
+    def first_of(self) -> Index:
         """The first residual of each sample (N,)."""
         return np.cumsum(self.components) - self.components
 
     @cached_property
-    def component_of(self) -> Places:
+    def component_of(self) -> Index:
         """Which component of its sample's residual each one is (rows,)."""
         return np.arange(self.sample_of.size) - self.first_of[self.sample_of]
 
-    def residuals_of(self, samples: Places | NDArray[np.bool_]) -> Places:
+    def residuals_of(self, samples: Index | Rows) -> Index:
         """Numbers of the residuals of some samples, in the order of all."""
         chosen = np.zeros(len(self.components), dtype=bool)
         chosen[samples] = True
@@ -134,25 +133,13 @@ class AllRows:
         return np.asarray(self.blocks[instrument].posture("tip", x, joints)[0])
 
     def tip_jacobian(
-        self,
-        x: Array,
-        joints: Array,
-        instrument: int = 0,
-        by: NDArray[np.intp] | None = None,
-        *,
-        usual: bool = True,
+        self, x: Array, joints: Array, instrument: int = 0, by: Index | None = None, *, usual: bool = True
     ) -> Array:
         """Derivative (3 N, n) of those tips by x, or by some (s,) of its unknowns, in units of mm per unit of x.
 
         usual: as for `Block.posture`.
         """
-        block = self.blocks[instrument]
-        _, slopes = block.posture("tip_jacobian", x, joints, usual=usual)
-        by = np.arange(x.size) if by is None else by
-        _, inside, seen = np.intersect1d(by, block.columns[0], return_indices=True)
-        jacobian = np.zeros((3 * len(joints), by.size))
-        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
-        return jacobian
+        return self.blocks[instrument].slopes("tip", x, joints, by, usual=usual)[1]
 
     def poses(self, x: Array, joints: Array, instrument: int = 0) -> Array:
         """Flange poses (N, 4, 4; mm) at joint values (N, n; rad, mm)."""

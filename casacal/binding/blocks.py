@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.nominal import proposed_by, row_columns, told_sizes
 from casacal.binding.slots import Slot, nominals
 from casacal.discrepancy.effect import Site, Survey
@@ -34,7 +35,7 @@ class Block:
     """For each row pattern the slots of the model's unknowns, in the model's order."""
     pattern: NDArray[np.int32]
     """Row pattern of each sample (N,)."""
-    columns: NDArray[np.intp]
+    columns: Index
     """Positions in x of the model's z, by row pattern (patterns, nz)."""
     constants: Array
     """c by row pattern (patterns, nc)."""
@@ -47,7 +48,7 @@ class Block:
     noise: Array
     """Standard deviation of each residual at the nominal, (N, m): method of errors in variables."""
 
-    def rows(self, index: NDArray[np.intp] | slice) -> Array:
+    def rows(self, index: Index | slice) -> Array:
         """d of some samples (rows, nd): mm, rad; a million rows are never copied at once."""
         return np.column_stack([self.samples.joints[index], *(column[index] for column in self.row_columns)])
 
@@ -60,8 +61,19 @@ class Block:
         outputs: list[Array] = getattr(self.model.batch, name)(x[self.columns[0]], self.constants[0], data)
         return outputs
 
+    def slopes(
+        self, what: Literal["tip", "flange"], x: Array, joints: Array, by: Index | None = None, *, usual: bool = True
+    ) -> tuple[Array, Array]:
+        """Points (N, 3; mm) of the arm as `posture` has them, their derivative (3 N, s) by x or some (s,) of it."""
+        points, slopes = self.posture(f"{what}_jacobian", x, joints, usual=usual)
+        by = np.arange(x.size) if by is None else by
+        _, inside, seen = np.intersect1d(by, self.columns[0], return_indices=True)
+        jacobian = np.zeros((3 * len(joints), by.size))
+        jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
+        return points, jacobian
+
     @property
-    def by_pattern(self) -> list[NDArray[np.intp]]:
+    def by_pattern(self) -> list[Index]:
         """The samples that have each pattern, in order."""
         return rows_by_code(self.pattern, len(self.slots))
 

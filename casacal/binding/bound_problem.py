@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casacal.array_types import Index
 from casacal.binding.blocks import make_block
 from casacal.binding.evaluated_rows import EvaluatedRows
 from casacal.binding.kernel_rows import KernelRows
@@ -19,18 +19,16 @@ from casacal.binding.slots import Slot, make_slots, nominals
 from casacal.binding.symbolic import SymbolicProblem
 from casacal.discrepancy.effect import Survey
 from casacal.problem.problem import Problem
-from casacal.samples.measurements import Measurements, Places, sets_of
+from casacal.samples.measurements import Measurements, sets_of
 from casacal.samples.samples import Samples
 from casacal.threads import thread_count
-from casacal.values import FrozenMapping, alike, read_only, short
-
-NO_FACTORS: Mapping[str, float] = FrozenMapping({})
+from casacal.values import EMPTY, FrozenMapping, alike, read_only, short
 
 
 def bind(
     problem: Problem, *samples: Samples | Measurements, backend: str | None = None, threads: int | None = None
 ) -> BoundProblem:
-    """Bind a problem to its samples, one set per instrument: nominal values, unknowns and weights are settled here.
+    """Bind a problem to its samples, one set per instrument: nominals, unknowns (mm, rad), weights (rows,) are settled.
 
     Planes and frames without a nominal get one from the nominal robot (a total-least-squares plane, a rigid fit); the
     noise of each row is evaluated there and held.
@@ -41,9 +39,6 @@ def bind(
         backend: "c" or "blocks", what evaluates the rows; None takes CASACAL_BACKEND, else C where there is a compiler.
         threads: how many share thousands of rows; None takes CASACAL_THREADS, else the processors at hand. Results do
             not depend on it.
-
-    Returns:
-        What estimators see: n unknowns in mm and rad, whitened residuals (rows,).
 
     Raises ProblemError when the number of sample sets is wrong or a label has too few rows for its own unknowns.
 
@@ -61,7 +56,7 @@ class BoundProblem(EvaluatedRows):
         samples: Sequence[Samples],
         backend: str | None = None,
         threads: int | None = None,
-        scale: Mapping[str, float] = NO_FACTORS,
+        scale: Mapping[str, float] = EMPTY,
         surveys: Sequence[Survey | None] = (),
         stated: KernelRows | None = None,
     ) -> None:
@@ -109,7 +104,7 @@ class BoundProblem(EvaluatedRows):
         """Bind the same unknowns, with the same nominal values, to other rows; raises ProblemError for a new label."""
         return self._like(self.slots, sets_of(samples), self.scale)
 
-    def take(self, rows: Sequence[int] | Places) -> BoundProblem:
+    def take(self, rows: Sequence[int] | Index) -> BoundProblem:
         """The same unknowns on some of the samples, by their numbers."""
         return self.on(*self.measured.take(rows).sets)
 
@@ -128,7 +123,7 @@ class BoundProblem(EvaluatedRows):
         slots = [slot.sized(times.get(slot.beside, 1.0)) for slot in self.slots]
         return self._like(slots, self.samples, self.scale if noise is None else noise)
 
-    def with_noise(self, scale: Mapping[str, float] = NO_FACTORS) -> BoundProblem:
+    def with_noise(self, scale: Mapping[str, float] = EMPTY) -> BoundProblem:
         """The same rows, their stated noise times a factor for each face, or each of several instruments.
 
         "" stands for those that are not named; without any, it is the noise as stated.
@@ -139,7 +134,7 @@ class BoundProblem(EvaluatedRows):
         stated = self._stated if list(map(id, samples)) == list(map(id, self.samples)) else None
         return BoundProblem(self.problem, slots, samples, self._asked, self._threads, scale, self.surveys, stated)
 
-    def first_part(self) -> tuple[BoundProblem, NDArray[np.intp]] | None:
+    def first_part(self) -> tuple[BoundProblem, Index] | None:
         """The geometry alone, where there are effects beside it."""
         geometry = np.flatnonzero([not key for key in self.beside])
         return (self.under(self.problem.without_effects), geometry) if geometry.size < self.unknowns else None

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.all_rows import AllRows
 from casacal.binding.blocks import Block
 from casacal.binding.kernel_rows import FEW, KernelRows
@@ -183,9 +182,7 @@ class EvaluatedRows(AllRows, LeastSquares):
         return block, *divmod(k - int(self.starts[i]), block.noise.shape[1])
 
 
-def _of_group(
-    groups: Groups, columns: NDArray[np.intp], mine: NDArray[np.intp], numbers: NDArray[np.intp], slopes: Array
-) -> GroupRows:
+def _of_group(groups: Groups, columns: Index, mine: Index, numbers: Index, slopes: Array) -> GroupRows:
     """Rows with slopes (m, z) by some unknowns (z,), of which those at `mine` are one group's own."""
     kind, group, position = groups.place
     theirs = np.setdiff1d(np.arange(columns.size), mine)
@@ -197,7 +194,7 @@ def _of_group(
     return GroupRows(numbers, members, groups.shared, own, shared)
 
 
-def _groups(columns: Sequence[NDArray[np.intp]], slots: Sequence[Slot]) -> Groups | None:
+def _groups(columns: Sequence[Index], slots: Sequence[Slot]) -> Groups | None:
     """Unknowns of one label alone, by the label column that has most of them; None where all are few.
 
     Those of effects beside the geometry do not count: they are left out where the geometry alone has many.

@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.blocks import Block
 from casacal.kernels.rows import Piece
 from casacal.least_squares.losses import Loss
@@ -81,7 +80,7 @@ class KernelRows:
         return tuple(found)
 
     @property
-    def places(self) -> NDArray[np.intp]:
+    def places(self) -> Index:
         """Piece, lane in it and component of each row (rows, 3)."""
         found = np.empty((int(self._starts[-1]), 3), dtype=np.intp)
         for k, piece in enumerate(self.pieces):
@@ -154,7 +153,7 @@ class KernelRows:
                 yield piece, cost, s
 
 
-def _parts(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _parts(rows: Index) -> list[Index]:
     """Rows in pieces: one of few, else as many as threads may want, none too large to be packed at once."""
     if len(rows) < FEW:
         return [rows] if len(rows) else []

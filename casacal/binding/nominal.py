@@ -13,12 +13,10 @@ from casacal.instruments import Sight
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.values import FrozenMapping
+from casacal.values import EMPTY
 
 Proposed = Mapping[str, Array]
 """Nominal values that rows have proposed, by the instrument's own key."""
-
-NOTHING: Proposed = FrozenMapping({})
 
 
 def proposed_by(problem: Problem, i: int, named: Mapping[str, Array]) -> Proposed:
@@ -27,7 +25,7 @@ def proposed_by(problem: Problem, i: int, named: Mapping[str, Array]) -> Propose
 
 
 def row_columns(
-    problem: Problem, i: int, samples: Samples, survey: Survey | None, proposed: Proposed = NOTHING
+    problem: Problem, i: int, samples: Samples, survey: Survey | None, proposed: Proposed = EMPTY
 ) -> dict[str, Array]:
     """Columns that were read, those known from labels, and those that effects ask for, each (N,)."""
     columns, effects = _instrument_columns(problem, i, samples), problem.models[i].effects
@@ -60,15 +58,15 @@ def surveys_of(problem: Problem, samples: Sequence[Samples], named: Mapping[str,
 
 def nominal_sight(problem: Problem, i: int, samples: Samples) -> Sight:
     """What the nominal robot says about all rows of instrument `i`; raises ProblemError when a tip is not finite."""
-    poses = stacked_poses(problem.models[i].columns.pose(*_nominal_inputs(problem, i, samples)))
+    model, inputs = problem.models[i], _nominal_inputs(problem, i, samples)
+    poses = stacked_poses(model.columns.pose(*inputs))
     if problem.effects and np.isnan(poses).any():  # effects that ask for a tip which rows have yet to propose
         return nominal_sight(problem.without_effects, i, samples)
-    model = problem.models[i]
-    plungers = None if model.plunger is None else model.columns.plunger(*_nominal_inputs(problem, i, samples))
+    plungers = None if model.plunger is None else model.columns.plunger(*inputs)
     return Sight(poses, nominal_tips(problem, i, samples), _instrument_columns(problem, i, samples), plungers)
 
 
-def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed = NOTHING) -> Array:
+def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed = EMPTY) -> Array:
     """Tips (N, 3; mm) of all rows of instrument `i` at the nominal; raises ProblemError when one is not finite.
 
     Where the tip needs what rows have yet to propose, as the body of a tracked pose, the flange's origins stand for it.
@@ -86,7 +84,7 @@ def nominal_tips(problem: Problem, i: int, samples: Samples, proposed: Proposed 
 
 
 def _nominal_inputs(
-    problem: Problem, i: int, samples: Samples, proposed: Proposed = NOTHING
+    problem: Problem, i: int, samples: Samples, proposed: Proposed = EMPTY
 ) -> tuple[Array, Array, Array]:
     """(z, c, d) of the nominal robot for all rows."""
     model = problem.models[i]

@@ -10,9 +10,8 @@ from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
 from casacal.kernels.batch import Buffered
@@ -21,7 +20,7 @@ from casacal.kernels.rows import Lanes
 from casacal.least_squares.losses import Loss
 from casacal.unknowns import Parameter, Unknown
 
-Places: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp]]
+Places: TypeAlias = tuple[Index, Index]
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class RawBlock:
 
     kernel: CurvatureKernel
     """Cost, gradient and Hessian of the rows' raw residual."""
-    columns: NDArray[np.intp]
+    columns: Index
     """Positions of the kernel's v in the whole raw vector."""
     constants: Array
     """What else the rows share (nc,)."""

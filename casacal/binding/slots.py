@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.nominal import nominal_sight
 from casacal.discrepancy.effect import Site
 from casacal.errors import ProblemError, came
@@ -22,9 +21,7 @@ from casacal.values import Value, read_only
 from casacal.wording import counted
 
 
-def instances(
-    instrument: Instrument, key: str, unknown: Unknown, samples: Samples
-) -> list[tuple[str | None, NDArray[np.intp]]]:
+def instances(instrument: Instrument, key: str, unknown: Unknown, samples: Samples) -> list[tuple[str | None, Index]]:
     """Labels of an unknown's instances (None when there is one for all), with the rows of each."""
     if unknown.per is None:
         return [(None, np.arange(len(samples)))]

@@ -22,9 +22,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
 from casacal.errors import ProblemError
@@ -45,11 +44,11 @@ class RowKind:
     """Whose rows they are, from 0."""
     unknowns: tuple[str, ...]
     """Names of what they see, in the order of the problem's symbols: "alpha", ..., "plane.floor"."""
-    columns: NDArray[np.intp]
+    columns: Index
     """Where z stands in x (nz,)."""
     constants: Array
     """c (nc,)."""
-    samples: NDArray[np.intp]
+    samples: Index
     """Which samples of the instrument they are (N,)."""
     first: int
     """Where the residuals of the instrument begin among all."""
@@ -59,7 +58,7 @@ class RowKind:
     """Standard deviation w of each residual (N, m)."""
 
     @property
-    def residuals(self) -> NDArray[np.intp]:
+    def residuals(self) -> Index:
         """Where their residuals stand among all (N * m,)."""
         m = self.model.components
         return (self.first + self.samples[:, None] * m + np.arange(m)).ravel()

@@ -24,7 +24,7 @@ from casacal.uncertainty.identifiability import Identifiability, NullDirection, 
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
-from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
@@ -87,7 +87,7 @@ class Calibration(Fitted):
         NaN now where the estimate is not the minimum, and where the tool stands elsewhere than the problem says: what
         the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
         """
-        before, now = flange_accuracy(self.motion.arm, self.motion.x, self.motion.off)
+        before, now = expected_accuracy(self.motion.arm, self.motion.x, self.motion.off, flange=True)
         return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
 
     @cached_property

@@ -1,28 +1,22 @@
-"""What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines."""
+"""What an arm and a cell do beside their geometry: small effects of a size to expect, each in a few symbolic lines.
 
-from casacal.discrepancy.arm import GravitySag, ThermalGrowth
-from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
-from casacal.discrepancy.effect import Effect, weighted
-from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
-from casacal.discrepancy.kit import kit, rich_kit
-from casacal.discrepancy.smooth import Drift, FaceForm, JointField
+Each says its `size`, and by `doubt` the times by which that may well be more (see `effect.Effect`).
+"""
+
+from casacal.discrepancy.arm import GravitySag as GravitySag
+from casacal.discrepancy.arm import ThermalGrowth as ThermalGrowth
+from casacal.discrepancy.compliance import LinkSag as LinkSag
+from casacal.discrepancy.compliance import TorqueCompliance as TorqueCompliance
+from casacal.discrepancy.effect import Effect as Effect
+from casacal.discrepancy.effect import weighted as weighted
+from casacal.discrepancy.gears import Backlash as Backlash
+from casacal.discrepancy.gears import GearRipple as GearRipple
+from casacal.discrepancy.gears import TransmissionError as TransmissionError
+from casacal.discrepancy.kit import kit as kit
+from casacal.discrepancy.kit import rich_kit as rich_kit
+from casacal.discrepancy.smooth import Drift as Drift
+from casacal.discrepancy.smooth import FaceForm as FaceForm
+from casacal.discrepancy.smooth import JointField as JointField
 
 # names of earlier versions
 GearWaves, GravityGive, LinkGive, MeasuredGive = TransmissionError, GravitySag, LinkSag, TorqueCompliance
-
-__all__ = [
-    "Backlash",
-    "Drift",
-    "Effect",
-    "FaceForm",
-    "GearRipple",
-    "GravitySag",
-    "JointField",
-    "LinkSag",
-    "ThermalGrowth",
-    "TorqueCompliance",
-    "TransmissionError",
-    "kit",
-    "rich_kit",
-    "weighted",
-]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -12,7 +12,6 @@ import numpy as np
 from casacal.discrepancy.effect import Here, Site, weighted
 from casacal.discrepancy.further import LOAD, MASS, Loaded
 from casacal.discrepancy.smooth import OverTime
-from casacal.errors import ProblemError
 from casacal.kinematics import Expression, Product, position
 from casacal.robots.joint_space import random_joints
 from casacal.unknowns import Parameter
@@ -26,7 +25,6 @@ class GravitySag(Loaded):
 
     Args:
         size: by how much the flange sags where all give alike, mm, RMS over the joints' ranges.
-        doubt: times by which that may well be more, see `Effect.doubt`.
         down: direction of gravity in the base frame.
         payload: column of the samples that says what hangs at the tip in each row, kg, such as "payload_kg": each joint
             then gives to it as well, in proportion. `predict` and `compensate` correct the sag where their file has
@@ -34,19 +32,7 @@ class GravitySag(Loaded):
 
     """
 
-    size: float = 0.15
-    doubt: float = 2.5
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
-
-    moves = True
-    elastic = True
-    unit = "mm"
-    key = "give"
     words = "gravity sag"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "down", direction(self.down))
 
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """What all turning joints give to a weight at flange and tip, then each beside it, rad per metre of lever.
@@ -83,15 +69,6 @@ class GravitySag(Loaded):
         return float(np.sqrt(((along**2).sum(axis=1) ** 2).mean()) / 1000)
 
 
-def direction(down: Sequence[float]) -> tuple[float, float, float]:
-    """A direction of gravity as a unit vector; raises ProblemError for what is none."""
-    given = np.asarray(down)
-    if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
-        raise ProblemError(f"Gravity points along {down!r}", "Give three numbers, such as down=(0, 0, -1)")
-    x, y, z = (float(value) for value in given / np.linalg.norm(given))
-    return x, y, z
-
-
 APART = 0.5  # by how much of what all give one joint gives more or less than the others
 
 LEAST_SAG = 1.0
@@ -107,7 +84,6 @@ class ThermalGrowth(OverTime):
     Args:
         size: of the growth from the first row to the last, parts of one; steel and aluminium grow by 1.2e-5 and
             2.4e-5 for each kelvin.
-        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 

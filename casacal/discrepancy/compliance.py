@@ -10,11 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.array_types import Array
-from casacal.array_types import Rows as Chosen
-from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
-from casacal.discrepancy.effect import Effect, Here, Site, weighted
-from casacal.discrepancy.further import LOAD, MASS, Loaded, check_columns_of, read_columns_of
+from casacal.array_types import Array, Rows
+from casacal.discrepancy.arm import LEAST_SAG, POSTURES
+from casacal.discrepancy.effect import Here, Site, weighted
+from casacal.discrepancy.further import DOWN, LOAD, MASS, ByColumns, Loaded, check_columns_of, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -26,7 +25,7 @@ from casacal.values import is_real
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueCompliance(Effect):
+class TorqueCompliance(ByColumns):
     """Every joint stands off by its own give times the torque that stands in a column of the samples.
 
     `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
@@ -35,7 +34,6 @@ class TorqueCompliance(Effect):
     Args:
         columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
         size: of a joint's give, rad/Nm (mm/N of a sliding one).
-        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -49,9 +47,6 @@ class TorqueCompliance(Effect):
     key = "yield"
     words = "joint compliance under measured torque"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns_of", tuple(self.columns_of))
-
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """The give of each joint, rad/Nm."""
         check_columns_of(self.columns_of, len(site.robot.axes), "torques")
@@ -61,11 +56,6 @@ class TorqueCompliance(Effect):
         """The torque about each joint."""
         del site
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The columns of torques."""
-        return self.columns_of
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """As the rows say; raises ProblemError where they do not."""
@@ -94,7 +84,6 @@ class LinkSag(Loaded):
 
     Args:
         size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
-        doubt: times by which that may well be more, see `Effect.doubt`.
         down: direction of gravity in the base frame.
         masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
         payload: column of the samples that says what hangs at the flange in each row, kg, beside these masses, such as
@@ -104,21 +93,13 @@ class LinkSag(Loaded):
 
     """
 
-    size: float = 0.15
-    doubt: float = 2.5
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
     masses: tuple[float, ...] = ()
     centres: Triples = ()
 
-    moves = True
-    elastic = True
-    unit = "mm"
-    key = "give"
     words = "gravity sag of the links"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "down", direction(self.down))
         masses: tuple[Any, ...] = tuple(self.masses) if np.iterable(self.masses) else (self.masses,)
         rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
         wrong = [mass for mass in masses if not (is_real(mass) and 0 <= mass <= HEAVIEST)]
@@ -142,7 +123,7 @@ class LinkSag(Loaded):
         tip: str | None = None,
         size: float = 0.15,
         doubt: float = 2.5,
-        down: tuple[float, float, float] = (0.0, 0.0, -1.0),
+        down: tuple[float, float, float] = DOWN,
         payload: float | str = 0.0,
     ) -> LinkSag:
         """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.
@@ -200,7 +181,7 @@ class LinkSag(Loaded):
         links, count = self._links(site), len(site.robot.axes)
         return links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(np.array(self.down))
 
-    def _pull(self, site: Site) -> tuple[Chosen, float]:
+    def _pull(self, site: Site) -> tuple[Rows, float]:
         """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
         count = len(site.robot.axes)
         q = ca.SX.sym("q", count)
@@ -210,5 +191,5 @@ class LinkSag(Loaded):
         about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
         about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T
         found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
-        feels: Chosen = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
+        feels: Rows = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
         return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))

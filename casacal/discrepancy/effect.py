@@ -22,14 +22,13 @@ from casacal.user_code import Portable
 from casacal.values import FrozenMapping
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FaceFrame:
-    """Where a face lies, as its touches say: centre (3, mm), two directions in it, half widths (mm)."""
+    """Where a face lies, as its touches say: centre (3, mm), two directions in it (2, 3), half widths (2, mm)."""
 
-    centre: tuple[float, ...]
-    along: tuple[float, ...]
-    across: tuple[float, ...]
-    half: tuple[float, float]
+    centre: Array
+    axes: Array
+    half: Array
 
     @staticmethod
     def of(tips: Array) -> FaceFrame:
@@ -38,14 +37,11 @@ class FaceFrame:
         places = (tips - plane.centre) @ plane.across.T
         low, high = places.min(axis=0), places.max(axis=0)
         centre = plane.centre + (low + high) / 2 @ plane.across
-        half = np.maximum((high - low) / 2, 1.0)
-        along, across = (tuple(axis.tolist()) for axis in plane.across)
-        return FaceFrame(tuple(centre.tolist()), along, across, (float(half[0]), float(half[1])))
+        return FaceFrame(centre, plane.across, np.maximum((high - low) / 2, 1.0))
 
     def places(self, tips: Array) -> Array:
         """Where tips (N, 3; mm) lie on it (N, 2), -1 to 1 from edge to edge."""
-        axes = np.column_stack([self.along, self.across]) / np.array(self.half)
-        return np.asarray((tips - np.array(self.centre)) @ axes)
+        return np.asarray((tips - self.centre) @ (np.column_stack([*self.axes]) / self.half))
 
 
 @dataclass(frozen=True)

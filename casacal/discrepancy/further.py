@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,21 +15,36 @@ from casacal.samples.samples import Samples
 
 NOT_KEPT = "Add it to the file; of frames, arrays and large files no further columns are kept"
 
-
+DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
 LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
 MASS = "payload"  # column of a row model
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded(Effect):
-    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row."""
+    """An effect of weights, to which a payload adds; a column of the samples may say it, kg per row.
+
+    size: by how much the flange sags, mm. down: direction of gravity in the base frame.
+    """
 
     payload: str = ""
+    size: float = 0.15
+    doubt: float = 2.5
+    down: tuple[float, float, float] = DOWN
+
+    moves = True
+    elastic = True
+    unit = "mm"
+    key = "give"
 
     def __post_init__(self) -> None:
         if not isinstance(self.payload, str):
             fix = "Name the column that holds it, such as 'payload_kg'"
             raise ProblemError(f"Got {self.payload!r} as the payload", fix)
+        given = np.asarray(self.down)
+        if given.shape != (3,) or given.dtype.kind not in "if" or not 0 < np.linalg.norm(given) < np.inf:
+            raise ProblemError(f"Gravity points along {self.down!r}", "Give three numbers, such as down=(0, 0, -1)")
+        object.__setattr__(self, "down", tuple((given / np.linalg.norm(given)).tolist()))
 
     @property
     def further(self) -> tuple[str, ...]:
@@ -50,6 +66,20 @@ class Loaded(Effect):
             line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
             raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
         return {MASS: kilograms}
+
+
+class ByColumns(Effect, ABC):
+    """An effect of which a column of the samples for each joint says something."""
+
+    columns_of: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """These columns."""
+        return self.columns_of
 
 
 def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:

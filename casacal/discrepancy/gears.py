@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -10,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
-from casacal.discrepancy.further import read_columns_of
+from casacal.discrepancy.further import ByColumns, read_columns_of
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
@@ -33,7 +33,6 @@ class TransmissionError(Effect):
     Args:
         order: waves per turn of the joint; a gear's own where its ratio is given.
         size: of sine and cosine, rad.
-        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -61,15 +60,16 @@ class TransmissionError(Effect):
 
     def joints(self, here: Here) -> Expression:
         """u_c cos(k q) + u_s sin(k q)."""
-        u, found = getattr(here.p, self.key), []
-        turning = iter(range(u.numel() // 2))
-        for j, turns in enumerate(here.robot.revolute):
-            if not turns:
-                found.append(0)
-                continue
-            k = 2 * next(turning)
-            found.append(u[k] * ca.cos(self.order * here.q[j]) + u[k + 1] * ca.sin(self.order * here.q[j]))
-        return ca.vertcat(*found)
+        turning = np.flatnonzero(here.robot.revolute).tolist()
+        return _waves(here, getattr(here.p, self.key), [(j, self.order) for j in turning])
+
+
+def _waves(here: Here, u: Expression, waves: Sequence[tuple[int, float]]) -> Expression:
+    """Cosine and sine of so many waves per turn of some joints, all joints (n,)."""
+    off = [ca.SX(0)] * len(here.robot.axes)
+    for k, (j, order) in enumerate(waves):
+        off[j] += u[2 * k] * ca.cos(order * here.q[j]) + u[2 * k + 1] * ca.sin(order * here.q[j])
+    return ca.vertcat(*off)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,6 @@ class GearRipple(Effect):
 
     Args:
         size: of sine and cosine, rad at the joint.
-        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -98,11 +97,8 @@ class GearRipple(Effect):
 
     def joints(self, here: Here) -> Expression:
         """u_c cos(k r q) + u_s sin(k r q), r the ratio, k one and two."""
-        u, off = getattr(here.p, self.key), [ca.SX(0)] * len(here.robot.axes)
         waves = [(j, order * here.robot.axes[j].gear_ratio) for j in _geared(here.robot) for order in (1, 2)]
-        for k, (j, turns) in enumerate(waves):
-            off[j] += u[2 * k] * ca.cos(turns * here.q[j]) + u[2 * k + 1] * ca.sin(turns * here.q[j])
-        return ca.vertcat(*off)
+        return _waves(here, getattr(here.p, self.key), waves)
 
 
 def _geared(robot: Robot) -> list[int]:
@@ -111,7 +107,7 @@ def _geared(robot: Robot) -> list[int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(Effect):
+class Backlash(ByColumns):
     """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
 
     Nobody knows how the joints came to the first row, so that each stands there where it likes within its play. Who
@@ -119,7 +115,6 @@ class Backlash(Effect):
 
     Args:
         size: of half the play, rad.
-        doubt: times by which that may well be more, see `Effect.doubt`.
         columns_of: the column of the samples that says how each joint came, 1 where it grew, -1 where it fell, 0 where
             that is not known; one for each joint. None takes the row before for where it came from.
 
@@ -133,9 +128,6 @@ class Backlash(Effect):
     key = "play"
     words = "backlash"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns_of", tuple(self.columns_of))
-
     def unknowns(self, site: Site) -> Mapping[str, Parameter]:
         """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
         return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
@@ -147,11 +139,6 @@ class Backlash(Effect):
     def away(self, site: Site) -> Mapping[str, float]:
         """Either way: what the tip may stand off is the same for both; never the first row."""
         return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """The columns of ways of approach, if there are such."""
-        return self.columns_of
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """As the rows say; raises ProblemError where they do not."""

@@ -52,7 +52,6 @@ class FaceForm(Effect):
 
     Args:
         size: standard deviation of the height, mm.
-        doubt: times by which that may well be more, see `Effect.doubt`.
         reach: distance, in half widths of a face, over which heights are alike.
 
     """
@@ -110,7 +109,6 @@ class Drift(OverTime):
 
     Args:
         size: of the way from the first row to the last, mm.
-        doubt: times by which that may well be more, see `Effect.doubt`.
 
     """
 
@@ -147,7 +145,6 @@ class JointField(Effect):
 
     Args:
         size: standard deviation, mm.
-        doubt: times by which that may well be more, see `Effect.doubt`.
         reach: radians over which errors are alike; of a sliding joint, a quarter of its travel counts as one.
         rank: how many rows stand for all.
 

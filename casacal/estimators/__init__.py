@@ -1,27 +1,18 @@
-"""Estimators: plain functions of a `LeastSquares`, each returning a `Result`; one algorithm a file where it is long."""
+"""Estimators: plain functions of a `LeastSquares`; one algorithm a file where it is long.
 
-from casacal.estimators.controls import null_step, plane_only
-from casacal.estimators.ekf import ekf
-from casacal.estimators.ipopt import ipopt, nlpsol
-from casacal.estimators.lm import lm
-from casacal.estimators.nominal import nominal
-from casacal.estimators.population import annealing, evolution, swarm
-from casacal.estimators.scipy_least_squares import scipy_least_squares
-from casacal.estimators.sckf import sckf
-from casacal.estimators.sckf_lm import sckf_lm
+Each returns a `Result`: x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
+"""
 
-__all__ = [
-    "annealing",
-    "ekf",
-    "evolution",
-    "ipopt",
-    "lm",
-    "nlpsol",
-    "nominal",
-    "null_step",
-    "plane_only",
-    "scipy_least_squares",
-    "sckf",
-    "sckf_lm",
-    "swarm",
-]
+from casacal.estimators.controls import null_step as null_step
+from casacal.estimators.controls import plane_only as plane_only
+from casacal.estimators.ekf import ekf as ekf
+from casacal.estimators.ipopt import ipopt as ipopt
+from casacal.estimators.ipopt import nlpsol as nlpsol
+from casacal.estimators.lm import lm as lm
+from casacal.estimators.nominal import nominal as nominal
+from casacal.estimators.population import annealing as annealing
+from casacal.estimators.population import evolution as evolution
+from casacal.estimators.population import swarm as swarm
+from casacal.estimators.scipy_least_squares import scipy_least_squares as scipy_least_squares
+from casacal.estimators.sckf import sckf as sckf
+from casacal.estimators.sckf_lm import sckf_lm as sckf_lm

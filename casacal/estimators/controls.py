@@ -41,13 +41,9 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
     it does to the tip is what a plane residual cannot show.
 
     Args:
-        problem: what to minimise.
         seed: of the step.
         size: standard deviation of the step along each such direction, in prior standard deviations (flat: start_std),
             before any halving.
-
-    Returns:
-        What `lm` found, with x (n,) after the step, deviations from nominal in the units of `problem.units`.
 
     """
     if not problem.unknowns:

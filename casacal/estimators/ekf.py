@@ -46,9 +46,7 @@ def ekf(problem: LeastSquares, *, progress: Callable[[int, float], None] | None 
         problem: its rows are measurements of zero with unit noise, in whitened units.
         progress: called with (rows done, size of the innovation) now and then.
 
-    Returns:
-        The mean after the last row as x (n,), deviations from nominal in the units of `problem.units`, its covariance
-        (n, n), and the trace: means `x` (rows + 1, n), innovations and their standard deviations (rows,).
+    Returns the mean after the last row; the trace holds means `x` (rows + 1, n), innovations and their stds (rows,).
 
     """
     if not problem.unknowns:

@@ -37,9 +37,6 @@ def ipopt(
         loss: what replaces r^2 / 2 in f, such as `huber()`; the Hessian is then Gauss-Newton's.
         verbose: let IPOPT print.
 
-    Returns:
-        The minimum in local coordinates: x (n,), deviations from nominal in the units of `problem.units`.
-
     Raises ProblemError when the problem has no symbolic form.
 
     """
@@ -62,9 +59,6 @@ def nlpsol(
         solver: name of the plug-in.
         options: of CasADi's nlpsol for it; by default silent, and for known plug-ins strict.
         loss: as for `ipopt`.
-
-    Returns:
-        The minimum, as `ipopt` gives it.
 
     Raises ProblemError when the problem has no symbolic form, UnknownNameError when there is no such plug-in, and
     CasacalError when it takes no such program.
@@ -134,7 +128,9 @@ def check_solver(name: str) -> None:
         raise UnknownNameError("nlpsol plug-in", name, sorted(each for each in known if ca.has_nlpsol(each)))
 
 
-def _program(graph: RawForm, objective: Objective, *, exact: bool) -> tuple[dict[str, Any], dict[str, Any], list[Call]]:
+def _program(
+    graph: RawForm, objective: Objective, *, exact: bool
+) -> tuple[dict[str, Any], dict[str, Any], list[_Call]]:
     """The nonlinear program in scaled raw coordinates, options, and what must outlive the solver.
 
     exact: IPOPT takes the functions of gradient and Hessian as options; others derive them from the objective's.
@@ -149,9 +145,9 @@ def _program(graph: RawForm, objective: Objective, *, exact: bool) -> tuple[dict
     x = ca.MX.sym("x", n)
     options: dict[str, Any] = {"print_time": False}
     if exact:
-        value = Call("value", [point], [one], lambda y: [objective(y)[0]])
-        slope = Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
-        curvature = Call("curvature", [point, nothing, one, dual], [_pattern(objective)], hessian)
+        value = _Call("value", [point], [one], lambda y: [objective(y)[0]])
+        slope = _Call("slope", [point, nothing], [one, point], lambda y, _: list(objective(y)[:2]))
+        curvature = _Call("curvature", [point, nothing, one, dual], [_pattern(objective)], hessian)
         options |= {
             "no_nlp_grad": True,  # it would differentiate the objective once more, for sensitivities that nobody asks
             "grad_f": _named(slope, ["x", "p"], ["f", "grad_f_x"]),
@@ -163,11 +159,11 @@ def _program(graph: RawForm, objective: Objective, *, exact: bool) -> tuple[dict
         rows, columns = (np.array(index) for index in whole.get_triplet())
         places = np.array(upper.get_nz((np.minimum(rows, columns) + n * np.maximum(rows, columns)).tolist()), dtype=int)
         empty = ca.Sparsity(n, 1)
-        curvature = Call(
+        curvature = _Call(
             "curvature", [point, one, row], [whole, empty], lambda y, *_: [objective(y)[2][places], np.zeros(0)]
         )
-        slope = Call("slope", [point, one], [row], lambda y, _: [objective(y)[1]], curvature)
-        value = Call("value", [point], [one], lambda y: [objective(y)[0]], slope)
+        slope = _Call("slope", [point, one], [row], lambda y, _: [objective(y)[1]], curvature)
+        value = _Call("value", [point], [one], lambda y: [objective(y)[0]], slope)
     program = {"x": x, "f": value(x), "g": graph.constraints(objective.start + objective.scales * x)}
     return program, options, [value, slope, curvature]
 
@@ -179,14 +175,14 @@ def _pattern(objective: Objective) -> ca.Sparsity:
     return ca.Sparsity(n, n, starts.tolist(), objective.rows.tolist())
 
 
-def _named(call: Call, inputs: list[str], outputs: list[str]) -> ca.Function:
+def _named(call: _Call, inputs: list[str], outputs: list[str]) -> ca.Function:
     """The function with the names by which CasADi's solvers know arguments and results."""
     arguments = [ca.MX.sym(name, call.sparsity_in(i)) for i, name in enumerate(inputs)]
     return ca.Function(f"nlp_{call.name()}", arguments, call.call(arguments), inputs, outputs)
 
 
-class Call(ca.Callback):
-    """A Python function of flat arrays that CasADi can call."""
+class _Call(ca.Callback):
+    """A Python function of flat arrays that CasADi can call; its methods are those that CasADi asks for."""
 
     def __init__(
         self,
@@ -194,34 +190,28 @@ class Call(ca.Callback):
         inputs: list[ca.Sparsity],
         outputs: list[ca.Sparsity],
         function: Callable[..., list[Any]],
-        derivative: Call | None = None,
+        derivative: _Call | None = None,
     ) -> None:
         super().__init__()
         self._inputs, self._outputs, self._function, self._derivative = inputs, outputs, function, derivative
         self.construct(name, {})
 
     def get_n_in(self) -> int:
-        """Number of arguments; CasADi asks for this and the following."""
         return len(self._inputs)
 
     def get_n_out(self) -> int:
-        """Number of results."""
         return len(self._outputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Shape of an argument."""
         return self._inputs[i]
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """Shape of a result."""
         return self._outputs[i]
 
     def has_jacobian(self) -> bool:
-        """Whether its derivative is known."""
         return self._derivative is not None
 
     def get_jacobian(self, name: str, inames: Sequence[str], onames: Sequence[str], opts: Any) -> ca.Function:
-        """The derivative, of the arguments and then the results."""
         del name, inames, onames, opts
         assert self._derivative is not None
         return self._derivative

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 
@@ -16,7 +15,7 @@ from casacal.least_squares.objective import LeastSquares
 class RawRows(Protocol):
     """Rows that see the same raw coordinates."""
 
-    columns: NDArray[np.intp]
+    columns: Index
     """Which of v they see (z,)."""
 
     def __call__(self, v: Array, loss: Loss | None = None) -> tuple[float, Array, Array]:
@@ -35,11 +34,11 @@ class RawForm(Protocol):
     """v -> x, the local coordinates of the other estimators."""
     prior: Callable[..., Any]
     """(v, information, x0) -> cost of the prior, gradient, entries of the Hessian's upper triangle."""
-    prior_places: tuple[NDArray[np.intp], NDArray[np.intp]]
+    prior_places: tuple[Index, Index]
     """Rows and columns of those entries."""
     bend: Callable[..., Any]
     """(v, multipliers) -> entries of the Hessian of the constraints times their multipliers, upper triangle."""
-    bend_places: tuple[NDArray[np.intp], NDArray[np.intp]]
+    bend_places: tuple[Index, Index]
     """Rows and columns of those entries."""
 
 

@@ -93,7 +93,6 @@ def annealing(
     """Search the box x0 +- width * start_std by generalised simulated annealing, one candidate after another.
 
     Args:
-        problem: what to minimise.
         seed: of all random numbers.
         budget: rows of residuals to evaluate at most.
         width: half width of the box, standard deviations.
@@ -102,10 +101,8 @@ def annealing(
         loss: what replaces r^2 / 2 in f, such as `huber()`.
         progress: called with (candidates, best cost) at each new best.
 
-    Returns:
-        The best candidate as x (n,), deviations from nominal in the units of `problem.units`; the covariance (n, n) is
-        from the curvature there. The status is `BUDGET` where all went well: such a method gives no sign that it has
-        arrived at the minimum.
+    Returns the best candidate, with the covariance from the curvature there. The status is `BUDGET` where all went
+    well: such a method gives no sign that it has arrived at the minimum.
 
     """
     if not problem.unknowns:

@@ -14,13 +14,7 @@ TOLERANCE = 1e-14
 def scipy_least_squares(problem: LeastSquares, *, max_evaluations: int = 200) -> Result:
     """Minimise f by `scipy.optimize.least_squares` (trust region, exact Jacobian), the prior as further residuals.
 
-    Args:
-        problem: what to minimise.
-        max_evaluations: of all residuals.
-
-    Returns:
-        x (n,), deviations from nominal in the units of `problem.units`, with its covariance (n, n).
-
+    `max_evaluations` are of all residuals.
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "trf")

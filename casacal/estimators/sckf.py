@@ -15,7 +15,7 @@ from casacal.array_types import Array
 from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.arrow import check_size
 from casacal.least_squares.linalg import downdated, tria
-from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.objective import FilterPass, LeastSquares
 from casacal.least_squares.result import Result, Status
 from casacal.values import Value
 
@@ -77,33 +77,19 @@ def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float
     return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
 
 
-@dataclass(frozen=True)
-class Taken:
-    """Some rows taken in: the belief after them, where they end, and what each did.
-
-    stop: the row after the last. means: (rows, n), in units of `start_std` about x0. innovations, stds: (rows,).
-    """
-
-    stop: int
-    belief: Belief
-    means: Array
-    innovations: Array
-    stds: Array
-
-
 def begun(problem: LeastSquares) -> Belief:
     """The belief before any row, in units of `start_std` about x0."""
     return Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
 
 
-def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> Taken:
+def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> FilterPass:
     """Take in the next rows from `first` on: as many as kernels do at once, or one.
 
     belief: in units of `start_std` about x0. process_root: by how much unknowns drift before each row, or None.
     """
     fused = problem.filter_pass(first, belief.mean, belief.root) if process_root is None else None
     if fused is not None and fused.stop > first:
-        return Taken(fused.stop, Belief(fused.mean, fused.root), fused.means, fused.innovations, fused.stds)
+        return fused
     update = cubature_update(
         predict(belief, process_root),
         lambda states: problem.row(first, problem.x0 + problem.start_std * states),
@@ -111,7 +97,7 @@ def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Arr
         1.0,
     )
     told = np.array([update.innovation]), np.array([update.innovation_std])
-    return Taken(first + 1, update.belief, update.belief.mean[None], *told)
+    return FilterPass(first + 1, update.belief.mean, update.belief.root, update.belief.mean[None], *told)
 
 
 def sckf(
@@ -129,9 +115,7 @@ def sckf(
         process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
         progress: called with (rows done, norm of the innovation) now and then.
 
-    Returns:
-        The mean after the last row as x (n,), deviations from nominal in the units of `problem.units`, its covariance
-        (n, n), and the trace: means `x` (rows + 1, n), innovations and their standard deviations (rows,).
+    Returns the mean after the last row; the trace holds means `x` (rows + 1, n), innovations and their stds (rows,).
 
     """
     if not problem.unknowns:
@@ -144,7 +128,7 @@ def sckf(
     k = 0
     while k < problem.rows:
         taken = take_in(problem, belief, k, process)
-        belief, k = taken.belief, taken.stop
+        belief, k = Belief(taken.mean, taken.root), taken.stop
         done = (problem.x0 + scale * taken.means, taken.innovations, taken.stds)
         for kept, some in zip(trace, done, strict=True):
             kept.append(some)

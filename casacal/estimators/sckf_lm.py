@@ -38,7 +38,9 @@ def sckf_lm(
     filtered, path = _filtered(problem, progress)
     start = path[-1] if filtered.converged else None
     tried = [lm(problem, start=start, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress)]
-    if start is not None and _doubtful(tried[0]):
+    # at the true minimum 2 f is a chi-square with a degree for each row; above it a lower one may stand elsewhere
+    likely = problem.rows + UNUSUAL * math.sqrt(2 * problem.rows)
+    if start is not None and (not tried[0].converged or 2 * tried[0].cost > likely):
         tried.append(lm(problem, max_steps=max_steps, tolerance=tolerance, loss=loss, progress=progress))
     refined = min(tried, key=lambda found: (not found.converged, found.cost))
     return replace(
@@ -61,9 +63,3 @@ def _filtered(problem: LeastSquares, progress: Callable[[int, float], None] | No
     path = np.tile(problem.x0, (len(found.trace["x"]), 1))
     path[:, places] = found.trace["x"]
     return found, path
-
-
-def _doubtful(found: Result) -> bool:
-    """Whether a lower minimum may stand elsewhere: at the true one 2 f is a chi-square with a degree for each row."""
-    rows = found.problem.rows
-    return not found.converged or 2 * found.cost > rows + UNUSUAL * math.sqrt(2 * rows)

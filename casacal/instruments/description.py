@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
 from casacal.unknowns import Plane
 from casacal.unknowns.fits import fitted_plane
@@ -79,7 +78,7 @@ class Sight:
         normal = self.touched_normal(heights == values[np.argmax(counts)])
         return Plane.encode(normal, (self.tips - heights[:, None] * normal).mean(axis=0))
 
-    def touched_normal(self, rows: NDArray[np.bool_]) -> Array:
+    def touched_normal(self, rows: Rows) -> Array:
         """Total-least-squares normal (3,) of the tips of some rows, against the mean plunger where there is one."""
         plane = fitted_plane(self.tips[rows])
         if not plane.flat:

@@ -232,10 +232,5 @@ class DialOnPlane(Instrument):
         return p.plane.distance(self.tip(pose, p, row)) - height - known + self.shifted(p.plane.normal, pose, p)
 
     def propose(self, key: str, sight: Sight) -> Array:
-        """Total-least-squares plane through the nominal tips, its normal towards the tool.
-
-        Raises ProblemError when the tips lie on a line, so that no plane is seen.
-        """
-        if key != "plane":
-            return super().propose(key, sight)
-        return sight.touched_plane()
+        """The plane that was touched, as `Sight.touched_plane` has it."""
+        return sight.touched_plane() if key == "plane" else super().propose(key, sight)

@@ -28,15 +28,12 @@ class Instrument(Portable, ABC):
 
     @abstractmethod
     def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
-        """Signed, smooth residual: a scalar or a column of scalars.
+        """Signed, smooth residual: a scalar or a column (m, 1), in the unit of its noise.
 
         Args:
             pose: 4x4 flange pose, mm.
             p: values of the robot's parameters and of this instrument's unknowns, by name.
             row: values of `columns`, by name.
-
-        Returns:
-            A scalar or a column (m, 1) of scalars, in the unit of its noise: mm for the instruments that are built in.
 
         """
 

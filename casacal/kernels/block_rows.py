@@ -54,7 +54,7 @@ class BlockKernels(Kernels):
 
     def residual(self, p: Array, lanes: Lanes) -> Array:
         """Plain residuals (m, n)."""
-        function, o = self._function("residual", lanes), self._prepared("residual", p)
+        function, o = self._kept("residual", lanes.d.shape[2]), self._prepared("residual", p)
         e = np.empty((len(lanes.d), self.components, lanes.d.shape[2]))
         for d, out in zip(lanes.d, e, strict=True):
             function((o, d), (out,))
@@ -62,7 +62,7 @@ class BlockKernels(Kernels):
 
     def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
         """Plain residuals (m, n) and slopes (m, z, n)."""
-        function, blocks, width = self._function("slopes", lanes), len(lanes.d), lanes.d.shape[2]
+        function, blocks, width = self._kept("slopes", lanes.d.shape[2]), len(lanes.d), lanes.d.shape[2]
         m, z = self.components, self.unknowns
         some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
         evaluate = function.bound((self._prepared("slopes", p), lanes.d[0]), tuple(some))
@@ -74,7 +74,7 @@ class BlockKernels(Kernels):
 
     def costs(self, states: Array, lanes: Lanes) -> Array:
         """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
-        function, out, cost = self._function("cost", lanes), np.empty(1), np.zeros(len(states))
+        function, out, cost = self._kept("cost", lanes.d.shape[2]), np.empty(1), np.zeros(len(states))
         states = np.ascontiguousarray(states)
         for k, p in enumerate(states):
             o = self._prepared("residual", p)
@@ -85,7 +85,7 @@ class BlockKernels(Kernels):
 
     def normal(self, p: Array, lanes: Lanes) -> Array:
         """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
-        function, o = self._function("normal", lanes), self._prepared("slopes", p)
+        function, o = self._kept("normal", lanes.d.shape[2]), self._prepared("slopes", p)
         out, s = np.empty((2, self.unknowns + 1, self.unknowns + 1))
         s[...] = 0.0
         for d, w in zip(lanes.d, lanes.w, strict=True):
@@ -100,9 +100,6 @@ class BlockKernels(Kernels):
         if o.size:
             self._kept(f"prepared {name}", 0)((p,), (o,))
         return o
-
-    def _function(self, name: str, lanes: Lanes) -> Buffered:
-        return self._kept(name, lanes.d.shape[2])
 
     def _kept(self, name: str, width: int) -> Buffered:
         if (name, width) not in self._functions:  # threads that come at once may build it twice, alike

@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.kernels.c_source import kernel_source, rows_of_normal
 from casacal.kernels.libraries import load_library
 from casacal.kernels.program import Program
@@ -131,7 +130,7 @@ class PackedPieces:
         return _Piece(*entries, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
 
     def extended_pass(
-        self, place: NDArray[np.intp], x0: Array, scale: Array, mean: Array, covariance: Array
+        self, place: Index, x0: Array, scale: Array, mean: Array, covariance: Array
     ) -> tuple[Array, Array, Array]:
         """Let the extended filter take in all rows, changing mean (n,) and covariance (n, n) of (x - x0) / scale.
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.kernels.program import Program, evaluate
 
 
@@ -77,9 +76,9 @@ class Piece:
 
     kernels: Kernels
     lanes: Lanes
-    numbers: NDArray[np.intp]
+    numbers: Index
     """Where their residuals stand among all (n, m)."""
-    columns: NDArray[np.intp]
+    columns: Index
     """Where z stands in x."""
     constants: Array
     """What follows z in p."""

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import ProblemError
 from casacal.least_squares.linalg import LEAST_PIVOT, damped_solution
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +48,7 @@ class Groups:
         return Groups(shared[shared >= 0], tuple(np.array(each) for _, each in sorted(kept.items())))
 
 
-def grouped(columns: Sequence[Index], own: NDArray[np.bool_]) -> Groups:
+def grouped(columns: Sequence[Index], own: Rows) -> Groups:
     """Groups of the unknowns marked as own (n,): those that some rows see together, by kind of row, are of one group.
 
     All else is shared.

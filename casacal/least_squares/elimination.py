@@ -10,9 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.linalg import revealed_solution
 
@@ -23,9 +22,9 @@ TOGETHER = 4096  # rows stacked before a triangle takes their place
 class GroupRows:
     """Rows (m,) of one group: its own unknowns (k,), the shared ones (s,), and columns (m, k), (m, s) of both."""
 
-    rows: NDArray[np.intp]
-    members: NDArray[np.intp]
-    among: NDArray[np.intp]
+    rows: Index
+    members: Index
+    among: Index
     own: Array
     shared: Array
 
@@ -33,7 +32,7 @@ class GroupRows:
         """The same by unknowns in other units (n,)."""
         return replace(self, own=self.own * scale[self.members], shared=self.shared * scale[self.among])
 
-    def renumbered(self, new: NDArray[np.intp]) -> GroupRows:
+    def renumbered(self, new: Index) -> GroupRows:
         """The same in other unknowns, those at -1 left out (n,)."""
         own, shared = new[self.members] >= 0, new[self.among] >= 0
         left = self.own[:, own], self.shared[:, shared]
@@ -44,9 +43,8 @@ class GroupRows:
         if not information.any():
             return self
         own = np.vstack([self.own, np.diag(np.sqrt(information))])
-        return replace(
-            self, own=own, shared=np.vstack([self.shared, np.zeros((len(own) - len(self.own), self.among.size))])
-        )
+        nothing = np.zeros((len(own) - len(self.own), self.among.size))
+        return replace(self, own=own, shared=np.vstack([self.shared, nothing]))
 
 
 @dataclass(frozen=True, eq=False)

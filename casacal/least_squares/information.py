@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.least_squares.arrow import Arrow, Index
+from casacal.array_types import Array, Index, Rows
+from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.linalg import damped_solution, information_of, unit_scale
 
 Information: TypeAlias = Array | Arrow
@@ -79,7 +78,7 @@ def posterior_spread(information: Arrow, prior_std: Array) -> tuple[Array, Array
     return covariance, variances
 
 
-def _taken_out(information: Arrow, prior_std: Array) -> tuple[Array, NDArray[np.bool_], int, Array]:
+def _taken_out(information: Arrow, prior_std: Array) -> tuple[Array, Rows, int, Array]:
     """Covariance (s, s) of the shared unknowns, which (n,) nothing holds, the rank, and variances (n,) of all."""
     groups, whole = information.groups, information.plus(information_of(prior_std))
     whole = whole.scaled(scale := unit_scale(whole.diagonal()))
@@ -105,12 +104,12 @@ def _taken_out(information: Arrow, prior_std: Array) -> tuple[Array, NDArray[np.
     return shared[:, None] * covariance * shared, unheld, rank + seen, variances * scale**2
 
 
-def _lost(null: Array) -> NDArray[np.bool_]:
+def _lost(null: Array) -> Rows:
     """Which unknowns (..., n) take part in orthonormal null vectors (..., n, a)."""
     return np.asarray((null**2).sum(axis=-1) > UNSEEN)
 
 
-def _pseudo_inverse(matrices: Array) -> tuple[Array, NDArray[np.bool_], int]:
+def _pseudo_inverse(matrices: Array) -> tuple[Array, Rows, int]:
     """Inverses (b, k, k) of matrices with a unit diagonal or less, what rounding hides (b, k), and their ranks' sum."""
     values, vectors = np.linalg.eigh(matrices)
     held = values > ROUNDING * matrices.shape[1]

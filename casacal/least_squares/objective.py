@@ -18,9 +18,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import GroupRows, revealed_step
 from casacal.least_squares.information import Information, damped_by, with_diagonal
@@ -52,9 +51,9 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class FilterPass:
-    """What a fused filter did: rows first ... stop - 1, the belief after them, and its trace.
+    """What a cubature filter did with rows up to `stop`: the belief after them, and its trace, one entry a row.
 
-    mean: (n,); root: (n, n), lower triangular. means: (rows done, n); innovations, stds: (rows done,).
+    mean: (n,); root: (n, n), lower triangular; means: (rows done, n), all in units of `start_std` about x0.
     """
 
     stop: int
@@ -92,7 +91,7 @@ class LeastSquares(ABC):
     x0: Array
     prior_std: Array
     start_std: Array
-    datum: NDArray[np.bool_]
+    datum: Rows
     """Unknowns that only say where the touched or watching thing stands (n,); the control M0 fits these alone."""
     graph: Any = None
     symbolic: Any = None
@@ -118,7 +117,7 @@ class LeastSquares(ABC):
     def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
         """Whitened residual k and its gradient (n,) at x (n,)."""
 
-    def first_part(self) -> tuple[LeastSquares, NDArray[np.intp]] | None:
+    def first_part(self) -> tuple[LeastSquares, Index] | None:
         """The same rows in the unknowns that matter most, and where these stand; None where that is all of them.
 
         A filter that is to give a start, no more, need not follow the others.

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.least_squares.elimination import GroupRows
 from casacal.least_squares.information import among
 from casacal.least_squares.losses import Loss
@@ -17,7 +16,7 @@ from casacal.least_squares.objective import LeastSquares, Normal
 class Restricted(LeastSquares):
     """A problem in some of its unknowns, the others held at a given x."""
 
-    def __init__(self, whole: LeastSquares, free: NDArray[np.bool_], held_at: Array) -> None:
+    def __init__(self, whole: LeastSquares, free: Rows, held_at: Array) -> None:
         self.whole, self.free, self.held_at = whole, np.flatnonzero(free), held_at.copy()
         self.names = tuple(whole.names[j] for j in self.free)
         self.units = tuple(whole.units[j] for j in self.free)

@@ -43,11 +43,6 @@ class Status(Enum):
     FAR = "One pass over the rows ended far from the minimum for the accuracy that it claims. Use lm or sckf-lm."
     SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
 
-    @property
-    def ok(self) -> bool:
-        """Whether the estimator did all it promises."""
-        return self not in FAILED
-
 
 FAILED = (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.WORSE, Status.FAR, Status.SOLVER)
 
@@ -119,7 +114,7 @@ class Result(Value):
     @property
     def converged(self) -> bool:
         """Whether the estimator did all it promises."""
-        return self.status.ok
+        return self.status not in FAILED
 
     @property
     def success(self) -> bool:

@@ -134,7 +134,7 @@ def _filtered(bound: BoundProblem) -> tuple[Belief, float]:
     belief, k, told = begun(bound), 0, list[tuple[Array, Array]]()
     while k < bound.rows:
         taken = take_in(bound, belief, k)
-        belief, k = taken.belief, taken.stop
+        belief, k = Belief(taken.mean, taken.root), taken.stop
         told.append((taken.innovations, taken.stds))
     innovations, stds = (np.concatenate(each) for each in zip(*told, strict=True))
     unlikely = (innovations / stds) ** 2 / 2 + np.log(stds * bound.block.noise.ravel())

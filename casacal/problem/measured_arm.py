@@ -15,7 +15,7 @@ from casacal.instruments import Instrument, Words
 from casacal.instruments.instrument import check_declaration
 from casacal.robots.robot import Robot
 from casacal.unknowns import Unknown
-from casacal.values import FrozenMapping, Value, is_real
+from casacal.values import EMPTY, FrozenMapping, Value, is_real
 
 
 def _check_parts(robot: Any, instruments: Sequence[Any], effects: Sequence[Any]) -> None:
@@ -90,9 +90,6 @@ def _shared_by(shared: Any, instruments: Mapping[str, Instrument]) -> Shared:
     return FrozenMapping(found)
 
 
-NOTHING: Shared = FrozenMapping({})
-
-
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class MeasuredArm(Value):
     """A robot and what measures it; instruments and their unknowns have names."""
@@ -111,7 +108,7 @@ class MeasuredArm(Value):
         robot: Robot,
         *instruments: Instrument | Mapping[str, Instrument],
         effects: Sequence[Effect] = (),
-        shared: Mapping[str, Sequence[str]] = NOTHING,
+        shared: Mapping[str, Sequence[str]] = EMPTY,
     ) -> None:
         """Put a problem together.
 

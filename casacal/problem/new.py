@@ -14,12 +14,12 @@ from typing import Any
 from casacal.errors import CasacalError, ProblemError
 from casacal.files import writable
 from casacal.problem.problem_file import load_problem
-from casacal.problem.problem_text import Given, angles, conventions, imported, lengths, listed, quoted, tuple_of, word
+from casacal.problem.problem_text import Given, angles, conventions, imported, listed, quoted, tuple_of, word
 from casacal.robots.dh_table import DHTable
 from casacal.robots.files.dh_fields import degrees, plain
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.urdf_chain import UrdfChain
-from casacal.values import FrozenMapping
+from casacal.values import EMPTY
 
 README = """# {name}
 
@@ -108,7 +108,7 @@ def dh_problem_text(table: DHTable, source: str, given: Given) -> str:
     names = ["Joint", "Problem", "Robot", "deg", *given.names]
     arguments = [quoted(table.name)]
     for key, values in (("alpha", table.alpha), ("a", table.a), ("d", table.d), ("theta", table.theta)):
-        arguments.append(f"{key}=" + (angles(values) if key in ("alpha", "theta") else lengths(values)))
+        arguments.append(f"{key}=" + (angles(values) if key in ("alpha", "theta") else tuple_of(map(plain, values))))
     if turning:
         arguments.append('joints=[Joint("revolute", *deg(*limits)) for limits in LIMITS]')
     else:
@@ -151,7 +151,7 @@ def urdf_problem_text(arm: UrdfChain, base: str, tip: str, given: Given) -> str:
 
 
 def _written(
-    name: str, out: str | Path, told: Mapping[str, Any], problem: str, files: Mapping[str, bytes] = FrozenMapping({})
+    name: str, out: str | Path, told: Mapping[str, Any], problem: str, files: Mapping[str, bytes] = EMPTY
 ) -> Path:
     """Write a folder beside its place, see that it loads, and only then put it there."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):

@@ -99,7 +99,7 @@ class Problem(MeasuredArm):
         key: str = KEY,
         absurd: bool = False,
     ) -> Samples:
-        """Read a samples file of one instrument; raises SamplesError, also for absurd values unless `absurd` is set.
+        """Read a samples file of one instrument: rows in rad and mm, validated.
 
         Args:
             path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
@@ -108,8 +108,7 @@ class Problem(MeasuredArm):
             key: column of both that says which reading belongs to which pose.
             absurd: whether values pass that no robot has.
 
-        Returns:
-            The rows, validated: joint values (N, n) in rad and mm, columns (N,) in mm or rad, labels.
+        Raises SamplesError.
 
         """
         layout = self.layout(instrument)

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from casacal.errors import CasacalError, ProblemError, came, said
 from casacal.problem.cell import Cell
@@ -91,7 +90,12 @@ def load_problem(path: str | Path) -> ProblemFile:
             "Give a folder with a problem.py, or such a file; casacal new makes one from a URDF or a DH table",
         )
     source = SourceFile.read(file)
-    values = _execute(file)
+    try:
+        values = vars(run_file(file))
+    except (Exception, SystemExit) as error:  # a user's file may raise anything
+        if isinstance(error, CasacalError):
+            raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
+        raise ProblemError(f"{line_of(file, error)}: {said(error)}", "Mend the problem file") from error
     problem, cell = values.get("problem"), values.get("cell")
     if not isinstance(problem, Problem):
         what = "" if problem is None else f" as a Problem, but {came(problem)}"
@@ -109,13 +113,3 @@ def _files_of(problem: Problem, beside: Iterable[str]) -> tuple[SourceFile, ...]
     read = getattr(problem.robot.arm, "path", "")
     paths = dict.fromkeys(path for path in (*beside, read) if path.endswith(".py") or path == read)
     return tuple(SourceFile.read(path) for path in paths if path and Path(path).is_file())
-
-
-def _execute(file: Path) -> dict[str, Any]:
-    """What the file defines; raises ProblemError that names the line where it fails."""
-    try:
-        return vars(run_file(file))
-    except (Exception, SystemExit) as error:  # a user's file may raise anything
-        if isinstance(error, CasacalError):
-            raise ProblemError(f"{line_of(file, error)}: {error.what}", error.fix) from error
-        raise ProblemError(f"{line_of(file, error)}: {said(error)}", "Mend the problem file") from error

@@ -74,10 +74,11 @@ class Given:
     def text(self) -> str:
         """The end of problem.py: tool, dial, problem."""
         todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
+        travel = 10.0 if self.travel is None else self.travel
         return DIAL.format(
             tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
             sign="+1" if self.sign == 1 else "-1",
-            travel=_ends(10.0 if self.travel is None else self.travel),
+            travel=f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel),
             todo=todo,
             problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
         )
@@ -92,11 +93,6 @@ class Given:
             "accuracy": "the maker's accuracy: errors of 0.7 mm and 1 mrad are assumed for every parameter",
         }
         return [words for name, words in assumed.items() if getattr(self, name) is None]
-
-
-def _ends(travel: Travel) -> str:
-    """A dial's travel as Python reads it."""
-    return f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel)
 
 
 WIDTH = 120  # longest line of a problem file
@@ -121,11 +117,6 @@ def angles(values: Sequence[float]) -> str:
     if len(values) == 1:
         return f"(deg({degrees(values[0])}),)"
     return listed("deg(", [degrees(value) for value in values], ")", 4, taken=8)
-
-
-def lengths(values: Sequence[float]) -> str:
-    """Lengths as a tuple."""
-    return tuple_of(plain(value) for value in values)
 
 
 def tuple_of(items: Iterable[str], indent: int = 4) -> str:

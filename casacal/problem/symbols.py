@@ -89,7 +89,28 @@ class Symbols(Trace):
         `prefix` begins the names of the functions; by default the robot's name. Raises ProblemError where it is no C
         name.
         """
-        return _c_text(self, prefix)
+        prefix = re.sub(r"\W+", "_", self.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
+        if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
+            raise ProblemError(
+                f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
+            )
+        generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
+        for part in _parts(self):
+            made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
+            raw = f"{prefix}_{part.name}_raw"
+            function = row_function(raw, [*part.inputs.values()], [*made.values()])
+            generator.add(function)
+            given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in part.inputs.items()]
+            given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
+            signature = f"void {prefix}_{part.name}({', '.join(given)})"
+            wrappers += (
+                f"\n{signature} {{\n"
+                f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
+                f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
+                f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
+            )
+            told += f" * {signature};\n *     {part.words}\n"
+        return _head(self, told) + str(generator.dump()) + wrappers
 
     def __eq__(self, other: object) -> bool:
         """Whether both are about the same arm and instrument, to the last operation of the residual."""
@@ -137,32 +158,6 @@ class _Part(NamedTuple):
     inputs: dict[str, ca.SX]
     outputs: dict[str, ca.SX]
     words: str
-
-
-def _c_text(traced: Trace, prefix: str | None) -> str:
-    """Self-contained C99 of the functions of one row, the parameters' values or deviations among their inputs."""
-    prefix = re.sub(r"\W+", "_", traced.robot.name, flags=re.ASCII).strip("_").lower() if prefix is None else prefix
-    if not re.fullmatch(r"[A-Za-z]([A-Za-z0-9]|_(?!_))*", prefix):
-        raise ProblemError(
-            f"'{prefix}' cannot begin the name of a C function", "Give a prefix of letters, digits and single _"
-        )
-    generator, wrappers, told = ca.CodeGenerator(f"{prefix}_code", {"with_header": False}), "", ""
-    for part in _parts(traced):
-        made = {name: ca.densify(ca.vec(matrix)) for name, matrix in part.outputs.items()}
-        raw = f"{prefix}_{part.name}_raw"
-        function = row_function(raw, [*part.inputs.values()], [*made.values()])
-        generator.add(function)
-        given = [f"const double {key}[{max(symbol.numel(), 1)}]" for key, symbol in part.inputs.items()]
-        given += [f"double {key}[{matrix.numel()}]" for key, matrix in made.items()]
-        signature = f"void {prefix}_{part.name}({', '.join(given)})"
-        wrappers += (
-            f"\n{signature} {{\n"
-            f"  const double* arg[{max(function.sz_arg(), 1)}] = {{{', '.join(part.inputs)}}};\n"
-            f"  double* res[{max(function.sz_res(), 1)}] = {{{', '.join(part.outputs)}}};\n"
-            f"  {raw}(arg, res, 0, 0, 0);\n}}\n"
-        )
-        told += f" * {signature};\n *     {part.words}\n"
-    return _head(traced, told) + str(generator.dump()) + wrappers
 
 
 def _parts(traced: Trace) -> list[_Part]:

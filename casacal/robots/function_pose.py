@@ -44,10 +44,7 @@ class FromFunction:
             length: unit of every length that goes in or comes out.
             parameters: a `Parameter` for these numbers, in their order; those in "mm" are converted.
             joints: as for `Robot`; default all revolute.
-            angle_std: of `zero` where the function takes no parameters, rad; default 1e-3.
-
-        Returns:
-            The robot with these parameters or, without any, `zero`: offsets of the joints that turn.
+            angle_std: of `zero`, the offsets of turning joints, where it takes no parameters, rad; default 1e-3.
 
         Raises ProblemError for other shapes, and for a function that is no graph of elementary operations.
 
@@ -65,12 +62,6 @@ def _count(function: Any) -> int:
     if first >= function.n_in() or 1 not in function.size_in(first) or not function.numel_in(first):
         raise ProblemError(f"{_said(function)} takes no joint values", "Let its first input be q, a column")
     return int(function.numel_in(first))
-
-
-def _offsets(joints: Sequence[Joint], std: float | None) -> dict[str, Unknown]:
-    """The zero offsets (rad) of the joints that turn: what is unknown of a function that has no parameters."""
-    turning = tuple(str(i) for i, joint in enumerate(joints, 1) if joint.turns)
-    return {"zero": Parameter((0.0,) * len(turning), unit="rad", prior_std=std, labels=turning)} if turning else {}
 
 
 def _traced(
@@ -93,9 +84,12 @@ def _traced(
     if given != sum(sizes):
         what = f"{_said(function)} takes {sum(sizes)} numbers besides q, and the parameters are {given}"
         raise ProblemError(what, "Give one for each, in the order of its inputs")
-    unknowns = known or _offsets(joints, std)
     turns = np.array([joint.turns for joint in joints])
     scale, turning = ca.DM(np.where(turns, 1.0, per_mm)), np.flatnonzero(turns).tolist()
+    unknowns: dict[str, Unknown] = {**known}
+    if not known and turning:
+        labels = tuple(str(j + 1) for j in turning)
+        unknowns["zero"] = Parameter((0.0,) * len(turning), unit="rad", prior_std=std, labels=labels)
 
     def pose(p: Any, q: Expression) -> Expression:
         numbers = [getattr(p, key) * (per_mm if each.unit == "mm" else 1.0) for key, each in known.items()]
@@ -133,7 +127,12 @@ def _pose(function: ca.Function, found: Sequence[Expression], per_mm: float) -> 
     shapes = [tuple(each.shape) for each in found]
     if shapes in ([(4, 4)], [(3, 4)]):
         if shapes == [(4, 4)]:
-            _check_last_row(function, ca.SX(found[0])[3, :3])
+            row = ca.SX(found[0])[3, :3]  # where it does not begin with 0, 0, 0, it is a column, of a transposed pose
+            symbols = ca.symvar(row)
+            (value,) = ca.Function("row", symbols, [row]).call([ca.DM(0.1)] * len(symbols))
+            if np.abs(np.array(value)).max() > NEARLY:
+                what = f"{_said(function)} gives a matrix whose last row is not 0, 0, 0, 1"
+                raise ProblemError(what, "Let it give the pose of the flange in the base frame, not a transposed one")
         turn, place = found[0][:3, :3], found[0][:3, 3]
     elif shapes in ([(3, 1), (3, 3)], [(1, 3), (3, 3)], [(3, 3), (3, 1)], [(3, 3), (1, 3)]):
         turn, place = sorted(found, key=lambda each: -int(each.numel()))
@@ -141,15 +140,6 @@ def _pose(function: ca.Function, found: Sequence[Expression], per_mm: float) -> 
         gives = " and ".join(f"{rows}x{columns}" for rows, columns in shapes) or "nothing"
         raise ProblemError(f"{_said(function)} gives {gives}", f"Let it give the flange's pose: {WANTED}")
     return ca.densify(rigid(turn, ca.vec(place) / per_mm))
-
-
-def _check_last_row(function: ca.Function, row: ca.SX) -> None:
-    """Raise ProblemError where the last row of a pose does not begin with 0, 0, 0, as that of a transposed one."""
-    symbols = ca.symvar(row)
-    (value,) = ca.Function("row", symbols, [row]).call([ca.DM(0.1)] * len(symbols))
-    if np.abs(np.array(value)).max() > NEARLY:
-        what = f"{_said(function)} gives a matrix whose last row is not 0, 0, 0, 1"
-        raise ProblemError(what, "Let it give the pose of the flange in the base frame, not a transposed one")
 
 
 def _check_rigid(function: ca.Function, traced: TracedPose, count: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import casadi as ca
@@ -66,14 +66,6 @@ def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
             raise ProblemError(f"joints is '{joints}'", "Use R for revolute and P for prismatic, such as 'RRPR'")
         return tuple(Joint() if letter == "R" else Joint("prismatic", -1000.0, 1000.0) for letter in joints)
     return tuple(joints)
-
-
-def geared(joints: Sequence[Joint], ratios: Sequence[float]) -> tuple[Joint, ...]:
-    """The same joints with known gear ratios, zero where one is not; raises ProblemError."""
-    if len(ratios) != len(joints):
-        fix = "Give one for each joint, 0 where it is not known"
-        raise ProblemError(f"Got {len(ratios)} gear ratios for {len(joints)} joints", fix)
-    return tuple(replace(joint, gear_ratio=ratio) for joint, ratio in zip(joints, ratios, strict=True))
 
 
 @dataclass(frozen=True)

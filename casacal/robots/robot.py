@@ -16,7 +16,7 @@ from casacal.kinematics import Expression
 from casacal.robots.dh_table import DHTable, Stds
 from casacal.robots.files.dh_file import read_dh_file
 from casacal.robots.function_pose import FromFunction
-from casacal.robots.joints import Conventions, Joint, geared, joints_of
+from casacal.robots.joints import Conventions, Joint, joints_of
 from casacal.robots.traced_pose import Screws, TracedPose, travels, triples
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.unknowns import Unknown
@@ -68,8 +68,7 @@ class Robot(Value, FromFunction):
     @cached_property
     def revolute(self) -> Rows:
         """Which joints turn (n,); the others slide."""
-        turns: Rows = read_only(np.array([joint.turns for joint in self.axes], dtype=bool))
-        return turns
+        return np.asarray(read_only(np.array([joint.turns for joint in self.axes], dtype=bool)))
 
     @cached_property
     def limits(self) -> tuple[Array, Array]:
@@ -84,7 +83,11 @@ class Robot(Value, FromFunction):
 
     def with_gear_ratios(self, *ratios: float) -> Robot:
         """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""
-        return replace(self, joints=geared(self.axes, ratios))
+        if len(ratios) != len(self.axes):
+            fix = "Give one for each joint, 0 where it is not known"
+            raise ProblemError(f"Got {len(ratios)} gear ratios for {len(self.axes)} joints", fix)
+        geared = (replace(joint, gear_ratio=ratio) for joint, ratio in zip(self.axes, ratios, strict=True))
+        return replace(self, joints=tuple(geared))
 
     def in_other_convention(self) -> Robot | None:
         """The arm that its DH table makes in the other convention; None where it has no table."""
@@ -131,7 +134,6 @@ class Robot(Value, FromFunction):
         """Robot from a Denavit-Hartenberg table; row i is joint i, all 4 n entries are parameters.
 
         Args:
-            name: what the report calls it.
             alpha, theta: twists and zero offsets (n,), rad.
             a, d: lengths and offsets (n,), mm.
             length_std: prior standard deviation of a and d, one or one per row, mm; default 0.7
@@ -145,20 +147,16 @@ class Robot(Value, FromFunction):
             beta: nominal turn of each of them, rad; default zero.
             conventions: then `pose` takes the controller's joint values, and limits are the controller's too.
 
-        Returns:
-            The robot, with parameters `alpha`, `a`, `d` and `theta` (n,) each, and `beta` where rows are parallel.
-
         Raises ProblemError when the columns differ in length, or a row is not parallel that is named so.
 
         """
-        count = len(alpha)
         table = DHTable(
             name=name,
             alpha=tuple(alpha),
             a=tuple(a),
             d=tuple(d),
             theta=tuple(theta),
-            joints=joints_of(count if joints is None else joints),
+            joints=joints_of(len(alpha) if joints is None else joints),
             convention=convention,
             parallel=tuple(parallel),
             beta=tuple(beta),
@@ -203,9 +201,6 @@ class Robot(Value, FromFunction):
             angle_std: of rx, ry, rz, rad; default 1e-3.
             conventions: what the controller's joint values mean, where they are not the URDF's.
 
-        Returns:
-            The robot, with parameters `x`, `y`, `z` (mm) and `rx`, `ry`, `rz` (rad), one number per moving joint each.
-
         Raises ProblemError that names the joint or link, and what to do.
 
         """
@@ -227,7 +222,6 @@ class Robot(Value, FromFunction):
         """Robot from the axes of its joints at q = 0: a product of exponentials (Lynch & Park, eq (4.14)).
 
         Args:
-            name: what the report calls it.
             axes: direction (n, 3) of each joint in the base frame.
             points: a point (n, 3) on each axis, mm; a sliding joint's plays no part.
             home: flange pose (4x4, mm).
@@ -236,9 +230,7 @@ class Robot(Value, FromFunction):
             joints: as for `Robot`; default all revolute.
             conventions: what the controller's joint values mean, where they are not the screws'.
 
-        Returns:
-            The robot, with unknowns `axis1`, ... (two tilts each), `point1`, ... (3, mm), `zero` (one per turning
-            joint) and `home`.
+        Unknowns are `axis1`, ... (two tilts each), `point1`, ... (3, mm), `zero` (one per turning joint) and `home`.
 
         Raises ProblemError when the columns differ in length or an axis has no direction.
 

@@ -19,7 +19,7 @@ from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Direction, Frame, Parameter, Unknown
 from casacal.unknowns.fits import packed_symbols
 from casacal.unknowns.unknown import PRIOR_STD
-from casacal.values import FrozenMapping
+from casacal.values import FrozenMapping, Value
 
 Triple = tuple[float, float, float]
 
@@ -94,7 +94,7 @@ def triples(rows: Sequence[Sequence[float]]) -> tuple[Triple, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class TracedPose:
+class TracedPose(Value):
     """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
 
     Two are equal when their graphs are, instruction by instruction.
@@ -143,13 +143,6 @@ class TracedPose:
 
     def __hash__(self) -> int:
         return hash(self.text)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"unknowns": self.unknowns, "graph": self.graph}
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        for name, item in state.items():
-            object.__setattr__(self, name, item)
 
 
 def travels(function: Callable[..., Any]) -> bool:

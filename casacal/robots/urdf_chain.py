@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression, chain, rigid, rotate, rotate_x, rotate_y, rotate_z, slide
-from casacal.robots.files.urdf import Triple, UrdfFile, UrdfJoint, check_joint
+from casacal.robots.files.urdf import UrdfFile, UrdfJoint, check_joint
 from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.joints import Conventions, Joint
 from casacal.unknowns import Parameter, Unknown
@@ -118,7 +119,7 @@ def origin_matrix(joint: UrdfJoint) -> Array:
     return placed(joint.xyz, joint.rpy)
 
 
-def placed(xyz: Triple, rpy: Triple) -> Array:
+def placed(xyz: Sequence[float], rpy: Sequence[float]) -> Array:
     """Pose (4x4, mm) of what a URDF places at xyz (m), turned by roll, pitch and yaw (rad) about fixed axes."""
     roll, pitch, yaw = rpy
     matrix = np.array(chain(rotate_z(yaw), rotate_y(pitch), rotate_x(roll)), dtype=np.float64)

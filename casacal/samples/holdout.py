@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Index, Rows
 from casacal.errors import CasacalError, UnknownNameError, came
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
@@ -15,10 +14,10 @@ from casacal.tables.columns import Labels, combinations
 
 WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
 
-Rows = NDArray[np.intp]
 
-
-def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None) -> tuple[Rows, Rows]:
+def split(
+    samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None
+) -> tuple[Index, Index]:
     """Rows to fit and rows held out: a given part of them, drawn at random.
 
     Args:
@@ -34,12 +33,11 @@ def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: s
     """
     if not isinstance(seed, (int, np.integer)) or seed < 0:
         raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
+    part = "Give a fraction from 0 to below 1, such as 0.3"
     if not isinstance(holdout, (int, float)):
-        raise CasacalError(
-            f"Got {came(holdout)} as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
-        )
+        raise CasacalError(f"Got {came(holdout)} as the held-out part", part)
     if not 0 <= holdout < 1:
-        raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
+        raise CasacalError(f"The held-out part is {holdout:g}", part)
     if not isinstance(by, str):
         raise CasacalError(f"Got {came(by)} as what is held out together", f"Give {', '.join(WAYS)} or a column")
     rng = np.random.default_rng(seed)
@@ -52,7 +50,7 @@ def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: s
 
 def split_each(
     measured: Measurements, holdout: float, seed: int, by: str, faces: Sequence[str | None]
-) -> tuple[Rows, Rows]:
+) -> tuple[Index, Index]:
     """The same of several instruments, each by itself; one whose samples have no such column is fitted whole."""
     parts, refused = [], list[CasacalError]()
     for some, face in zip(measured.sets, faces, strict=True):
@@ -70,7 +68,7 @@ def split_each(
     return fitted, held
 
 
-def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> NDArray[np.bool_]:
+def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> Rows:
     """The given part of each label's rows (N,): at random, or those nearest to one of them, itself among them."""
     distinct, codes = combinations(list(samples.labels.values()), len(samples))
     mask = np.zeros(len(samples), dtype=bool)
@@ -78,19 +76,16 @@ def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *
         rows = np.flatnonzero(codes == k)
         order = rng.permutation(rows)
         if near:
-            order = rows[np.argsort(_distances(samples.joints[rows], samples.joints[order[0]]), kind="stable")]
+            joints = samples.joints[rows]
+            spread = joints.std(axis=0)  # each joint in units of its own
+            away = (joints - samples.joints[order[0]]) / np.where(spread > 0, spread, 1.0)
+            order = rows[np.argsort((away**2).sum(axis=1), kind="stable")]
         chosen = order[: round(holdout * len(rows))]
         if len(chosen) == len(rows):
             shown = " ".join(labels) or "all rows"
             raise CasacalError(f"Holding out {holdout:g} leaves no row of '{shown}' to fit", "Hold fewer rows out")
         mask[chosen] = True
     return mask
-
-
-def _distances(joints: Array, middle: Array) -> Array:
-    """How far postures (k, n) are from one (n,), each joint in units of its own spread."""
-    spread = joints.std(axis=0)
-    return np.asarray((((joints - middle) / np.where(spread > 0, spread, 1.0)) ** 2).sum(axis=1))
 
 
 def _groups(samples: Samples, by: str, face: str | None) -> Labels:
@@ -105,7 +100,7 @@ def _groups(samples: Samples, by: str, face: str | None) -> Labels:
     raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
 
 
-def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> NDArray[np.bool_]:
+def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> Rows:
     """All rows (N,) of about the given part of the groups, at least of one; none where nothing is to be held out."""
     if not holdout:
         return np.zeros(len(samples), dtype=bool)

@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import NamedTuple
 
 import numpy as np
 
@@ -100,23 +99,15 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
     return found
 
 
-class Quantities(NamedTuple):
-    """What a layout asks of columns, all read-only: joint values (N, n), the instrument's columns and labels by name.
+def read_quantities(
+    table: Columns, layout: Layout, *, absurd: bool
+) -> tuple[Array, dict[str, Array], dict[str, Labels], dict[str, tuple[str, ...]]]:
+    """What a layout asks of columns, read-only, in mm and rad: joint values (N, n), the instrument's columns, labels.
 
-    further: columns that were not asked for, as text, where the rows were read as text.
-    """
-
-    joints: Array
-    columns: dict[str, Array]
-    labels: dict[str, Labels]
-    further: dict[str, tuple[str, ...]]
-
-
-def read_quantities(table: Columns, layout: Layout, *, absurd: bool = False) -> Quantities:
-    """The quantities in mm and rad, and labels; one for all rows, called as its column, where they have none.
-
-    absurd: whether values pass that no robot has, for those who look for their cause. Raises SamplesError where a
-    column is missing, without unit, given twice or refused, or holds what it may not.
+    There is one label for all rows, called as its column, where they have none. Last come columns that were not
+    asked for, as text, where the rows were read as text. absurd: whether values pass that no robot has, for those
+    who look for their cause. Raises SamplesError where a column is missing, without unit, given twice or refused,
+    or holds what it may not.
     """
     found = match_columns(table, layout)
 
@@ -141,7 +132,7 @@ def read_quantities(table: Columns, layout: Layout, *, absurd: bool = False) -> 
     columns = {name: fill(name, np.empty(count)) for name in layout.columns}
     labels = {name: _labels(table, name) for name in layout.labels}
     used = {column for column, _ in found.values()} | set(layout.labels)
-    return Quantities(joints, columns, labels, {k: text for k, text in table.texts().items() if k not in used})
+    return joints, columns, labels, {k: text for k, text in table.texts().items() if k not in used}
 
 
 def _labels(table: Columns, name: str) -> Labels:

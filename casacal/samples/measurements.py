@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.values import Value
-
-Places = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +46,7 @@ class Measurements(Value):
         return self if len(self.sets) > 1 else self.sets[0]
 
     @cached_property
-    def starts(self) -> Places:
+    def starts(self) -> Index:
         """Number of the first row of each instrument, and of all rows (instruments + 1,)."""
         return np.cumsum([0, *map(len, self.sets)])
 
@@ -64,7 +61,7 @@ class Measurements(Value):
         return self.sets[0].lines if len(self.sets) == 1 else tuple(line for some in self.sets for line in some.lines)
 
     @property
-    def instruments(self) -> Places:
+    def instruments(self) -> Index:
         """Which instrument each row is of (N,)."""
         return np.repeat(np.arange(len(self.sets)), [len(some) for some in self.sets])
 
@@ -87,12 +84,12 @@ class Measurements(Value):
         i = int(np.searchsorted(self.starts, row, side="right")) - 1
         return f"{self.names[i]} {self.sets[i].lines[row - int(self.starts[i])]}"
 
-    def take(self, rows: Sequence[int] | Places) -> Measurements:
+    def take(self, rows: Sequence[int] | Index) -> Measurements:
         """Some rows, those of each instrument in the order in which they are named."""
         apart = self.apart(np.asarray(rows, dtype=np.intp))
         return Measurements(self.names, tuple(map(Samples.take, self.sets, apart)))
 
-    def apart(self, rows: Places) -> list[Places]:
+    def apart(self, rows: Index) -> list[Index]:
         """Rows of each instrument, numbered within it."""
         which = np.searchsorted(self.starts, rows, side="right") - 1
         return [rows[which == k] - first for k, first in enumerate(self.starts[:-1])]
@@ -107,10 +104,6 @@ class Measurements(Value):
             have = column is not None and column in some.labels
             parts.append(Labels([f"{name} {label}" if have else name for label in own.names], own.codes))
         return Labels.joined(parts)
-
-    def by_instrument(self) -> Labels:
-        """The name (N,) of the instrument that each row is of."""
-        return Labels(self.names, self.instruments)
 
     def map(self, change: Callable[[Samples], Samples]) -> Measurements:
         """The samples of each instrument changed alike."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.instruments.description import Dimension
 from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
@@ -26,8 +26,8 @@ MIX = np.int64(0x2545F4914F6CDD1D)  # an odd number of 64 bits whose products lo
 class Repeats:
     """Which rows repeat one another: the group of each row (N,), and the rows of each group (G,)."""
 
-    codes: NDArray[np.intp]
-    sizes: NDArray[np.intp]
+    codes: Index
+    sizes: Index
 
     @property
     def any(self) -> bool:
@@ -55,7 +55,7 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
     return Repeats(np.concatenate(codes), np.concatenate(sizes))
 
 
-def copies_of(samples: Samples) -> NDArray[np.bool_]:
+def copies_of(samples: Samples) -> Rows:
     """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
@@ -122,14 +122,17 @@ def is_listing(listed: Mapping[str, Any]) -> bool:
     return all(WHOLE.fullmatch(word) for line in values for word in line.split())
 
 
-def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[NDArray[np.bool_], float]:
+def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> tuple[Rows, float]:
     """Which rows (N,) are listed ones, and what part of all N are fitted ones: larger where not all were listed.
 
     Rows of an instrument with other columns are never those that were fitted.
     """
     nobody = np.zeros(len(samples), dtype=bool)
     known = np.array([line.split() for line in listed["values"]], dtype=np.float64)
-    near = _near(layout)
+    near = np.full(len(layout.joints), float(NEAR_READING))  # without readings, joints are
+    if layout.columns:
+        joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
+        near = np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)
     if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
         return nobody, 0.0
     # one unit of these is as near as two rows may be; half a step more is rounding
@@ -139,7 +142,7 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
     return same, float(same.mean()) * listed["rows"] / len(known)
 
 
-def copies(samples: Samples) -> NDArray[np.bool_]:
+def copies(samples: Samples) -> Rows:
     """Which rows (N,) say once more, to the last digit of joints and readings, what an earlier one says.
 
     Rows that were pasted are copies; touches that were made again may agree by chance where a dial is coarse, and then
@@ -149,22 +152,12 @@ def copies(samples: Samples) -> NDArray[np.bool_]:
     joints = np.unique(samples.joints, axis=0, return_inverse=True)[1].ravel()
     values = np.column_stack([joints, *samples.columns.values()])
     _, codes, sizes = np.unique(values, axis=0, return_inverse=True, return_counts=True)
-    codes = codes.ravel()
-    before = _earlier(codes)
+    codes, before = codes.ravel(), np.empty(len(samples), dtype=np.intp)  # how many earlier rows are the same
+    before[np.argsort(codes, kind="stable")] = np.arange(len(codes)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     if len(sizes) > joints.max(initial=-1) + 1:  # some posture has two readings
         times = int(np.gcd.reduce(sizes))
         return before >= (sizes // times)[codes]
     return before > 0
-
-
-def _earlier(codes: NDArray[np.intp]) -> NDArray[np.intp]:
-    """How many earlier rows (N,) have the same code."""
-    order = np.argsort(codes, kind="stable")
-    ordered = codes[order]
-    starts = np.searchsorted(ordered, ordered, side="left")
-    earlier = np.empty(len(codes), dtype=np.intp)
-    earlier[order] = np.arange(len(codes)) - starts
-    return earlier
 
 
 def _on_grid(samples: Samples, layout: Layout) -> Array:
@@ -174,11 +167,3 @@ def _on_grid(samples: Samples, layout: Layout) -> Array:
     kinds = [*layout.joints, *(layout.columns[name] for name in names)]
     whole = np.column_stack([np.round(value / GRID[kind]) for value, kind in zip(values, kinds, strict=True)])
     return np.asarray(np.clip(whole, -LARGEST, LARGEST))
-
-
-def _near(layout: Layout) -> Array:
-    """Steps (n + c,) within which two rows are one; where the instrument reads nothing, joints are its reading."""
-    if not layout.columns:
-        return np.full(len(layout.joints), float(NEAR_READING))
-    joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
-    return np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)

@@ -8,18 +8,15 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.errors import SamplesError
 from casacal.samples.layout import Layout, numeric_columns, read_quantities
 from casacal.tables.arrays import columns_of_arrays, digest_of
-from casacal.tables.columns import Columns, Labels
+from casacal.tables.columns import MANY_ROWS, Columns, Labels
 from casacal.tables.read import columns_of_frame, read_columns
 from casacal.tables.text import Table
-from casacal.values import FrozenMapping, Value, short
-
-MANY = 100_000  # rows from which lines are numbers in an array rather than Python objects
+from casacal.values import FrozenMapping, Value, read_only, short
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +37,9 @@ class Samples(Value):
     sha256: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", _frozen(self.joints))
+        object.__setattr__(self, "joints", read_only(self.joints))
         columns, labels = self.columns.items(), self.labels.items()
-        object.__setattr__(self, "columns", FrozenMapping({name: _frozen(values) for name, values in columns}))
+        object.__setattr__(self, "columns", FrozenMapping({name: read_only(values) for name, values in columns}))
         object.__setattr__(self, "labels", FrozenMapping({name: Labels.of(values) for name, values in labels}))
         object.__setattr__(self, "extra", FrozenMapping(self.extra))
 
@@ -60,7 +57,7 @@ class Samples(Value):
         beside = f", {short(read)}" if read else ""
         return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
 
-    def take(self, rows: Sequence[int] | NDArray[np.intp]) -> Samples:
+    def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""
         index = np.asarray(rows, dtype=np.intp)
         return Samples(
@@ -143,20 +140,12 @@ class Samples(Value):
         return Samples(joints, own, labels, columns.lines, further, columns.file, columns.sha256)
 
 
-def _lines(lines: Sequence[int], index: NDArray[np.intp]) -> Sequence[int]:
+def _lines(lines: Sequence[int], index: Index) -> Sequence[int]:
     """Lines of some rows: a tuple of few, an array of many."""
-    if len(index) < MANY:
+    if len(index) < MANY_ROWS:
         return tuple(int(lines[k]) for k in index.tolist())
     known = np.arange(lines.start, lines.stop, lines.step) if isinstance(lines, range) else np.asarray(lines)
     return cast(Sequence[int], known[index])
-
-
-def _frozen(values: Array) -> Array:
-    """The values as a read-only array of its own; one that is read-only already is kept."""
-    if values.flags.writeable:
-        values = np.array(values, order="C")
-        values.setflags(write=False)
-    return values
 
 
 def joined(first: Samples, second: Samples) -> Samples:

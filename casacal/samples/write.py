@@ -13,12 +13,11 @@ import numpy as np
 from casacal.files import write_text
 from casacal.samples.layout import Layout
 from casacal.samples.samples import Samples
-from casacal.values import FrozenMapping
+from casacal.values import EMPTY, FrozenMapping
 
 WRITTEN = FrozenMapping({"angle": ("_deg", 180 / math.pi, 7), "length": ("_mm", 1.0, 4), "number": ("", 1.0, 9)})
 """How a quantity is written: the end of its column's name, the factor from rad or mm, and decimals."""
 JOINT_DECIMALS = 7
-NOTHING: Mapping[str, Sequence[str]] = FrozenMapping({})
 
 
 def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: Sequence[str]) -> None:
@@ -34,8 +33,8 @@ def samples_text(
     samples: Samples,
     comments: Sequence[str],
     *,
-    before: Mapping[str, Sequence[str]] = NOTHING,
-    after: Mapping[str, Sequence[str]] = NOTHING,
+    before: Mapping[str, Sequence[str]] = EMPTY,
+    after: Mapping[str, Sequence[str]] = EMPTY,
     joint_decimals: int = JOINT_DECIMALS,
     least_decimals: int = 0,
     prefix: str = "",

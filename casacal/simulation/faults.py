@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.errors import SimulationError
 from casacal.problem.cell import Cell
 from casacal.robots.robot import Robot
@@ -117,7 +116,7 @@ def last_moves(joints: Array) -> Array:
 
 def ways(
     joints: Array,
-    turn: NDArray[np.intp],
+    turn: Index,
     repeats: int,
     approach: Literal["same", "alternating", "random"],
     rng: np.random.Generator,

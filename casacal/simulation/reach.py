@@ -9,9 +9,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import SimulationError
 from casacal.instruments import Instrument
 from casacal.instruments.description import Probe
@@ -126,7 +125,7 @@ class Touch:
             readings = readings - ((normals * here).sum(axis=1) - heights) / rise
         return readings
 
-    def within_limits(self, joints: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def within_limits(self, joints: Array) -> tuple[Array, Rows]:
         """Joint values with whole turns taken out, and which rows are inside all limits."""
         lower, upper = self.robot.limits
         middle = (lower + upper) / 2

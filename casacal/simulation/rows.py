@@ -18,7 +18,7 @@ from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
 from casacal.simulation.touches import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, Truth, check_asked, own_noise, plane_coordinates, row_labels
+from casacal.simulation.true_arm import Draw, check_asked, own_noise, plane_coordinates, row_labels
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 
@@ -42,6 +42,10 @@ class Bench:
     """Columns known from labels by row (N, k)."""
     faces: tuple[Face, ...]
     """The face of each row (N,); none where nothing flat is touched."""
+    local: Mapping[str, Array]
+    """True local coordinates by name, about where simulation puts the nominal."""
+    frames: Mapping[str, Array]
+    """Transforms (4, 4; mm) by name of the frames that rows propose, which stand elsewhere for whoever fits."""
 
     @property
     def read(self) -> int:
@@ -66,15 +70,15 @@ class Bench:
         return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
-def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Truth, ArmErrors]:
-    """Samples of an instrument that is shown no faces, all that is unknown of them, and the arm's errors.
+def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Bench, ArmErrors]:
+    """Samples of an instrument that is shown no faces, the true arm before it, and the arm's errors.
 
     Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
     check_asked(problem, cell)
     truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
     labels = row_labels(problem, cell, samples)
-    bench, truth = _bench(problem, cell, labels, truth_rng, samples, draw)
+    bench = _bench(problem, cell, labels, truth_rng, samples, draw)
     instrument, robot = problem.instrument, problem.robot
     gross = noise_rng.random(samples) < cell.outliers
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
@@ -89,30 +93,7 @@ def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw)
     for name, dimension in instrument.columns.items():
         shown = read[name] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), truth, arm
-
-
-def _true(
-    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, draw: Draw
-) -> tuple[Truth, dict[str, Array]]:
-    """Local coordinates of all that is unknown, and the nominals that they are about, by name."""
-    instrument, reached = problem.instrument, random_tips(problem)
-    local: dict[str, Array] = {}
-    nominals: dict[str, Array] = {}
-    frames: dict[str, Array] = {}
-    for key, unknown in problem.model.unknowns.items():
-        seen = [None] if unknown.per is None else labels[unknown.per].names
-        named = {_named(instrument, key, label): label or key for label in seen}
-        for k, (name, label) in enumerate(named.items()):
-            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
-            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            local[name] = np.asarray(draw.known.get(name, drawn))
-            if isinstance(unknown, Frame) and unknown.nominal is None:
-                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
-            if isinstance(cell, Cell) and _is_flat(unknown):
-                local[name] = plane_coordinates(unknown, nominals[name], *place)
-    return Truth(local, frames), nominals
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), bench, arm
 
 
 def _named(instrument: Instrument, key: str, label: str | None) -> str:
@@ -127,15 +108,26 @@ def _bench(
     rng: np.random.Generator,
     samples: int,
     draw: Draw,
-) -> tuple[Bench, Truth]:
+) -> Bench:
     """The true arm before its true instrument, and all that is unknown of them."""
-    model, instrument, robot = problem.model, problem.instrument, problem.robot
-    truth, nominals = _true(problem, cell, labels, rng, draw)
-    z, c = [], []
+    model, instrument, robot, reached = problem.model, problem.instrument, problem.robot, random_tips(problem)
+    local, nominals, frames = dict[str, Array](), dict[str, Array](), dict[str, Array]()
+    z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
     for key, unknown in model.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
+        seen = [None] if unknown.per is None else labels[unknown.per].names
+        named = {_named(instrument, key, label): label or key for label in seen}
+        for k, (name, label) in enumerate(named.items()):
+            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
+            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            local[name] = np.asarray(draw.known.get(name, drawn))
+            if isinstance(unknown, Frame) and unknown.nominal is None:
+                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
+            if isinstance(cell, Cell) and _is_flat(unknown):
+                local[name] = plane_coordinates(unknown, nominals[name], *place)
         names = [_named(instrument, key, label) for label in of_rows]
-        z.append(np.array([truth.local[name] for name in names]).reshape(samples, -1))
+        z.append(np.array([local[name] for name in names]).reshape(samples, -1))
         if key in model.constants:
             c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
     known = []
@@ -149,11 +141,13 @@ def _bench(
     return Bench(
         problem,
         evaluate,
-        np.hstack(z) if z else np.zeros((samples, 0)),
-        np.hstack(c) if c else np.zeros((samples, 0)),
+        np.hstack(z),
+        np.hstack(c),
         np.array(known, dtype=np.float64).T.reshape(samples, -1),
         _faces(problem, cell, labels, samples),
-    ), truth
+        local,
+        frames,
+    )
 
 
 def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
@@ -227,9 +221,8 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array,
             break
         eased = slopes * ease
         gram = eased @ eased.transpose(0, 2, 1)
-        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * np.eye(gram.shape[1]) + 1e-300 * np.eye(
-            gram.shape[1]
-        )
+        eye = np.eye(gram.shape[1])
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * eye + 1e-300 * eye
         step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
         largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
         free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe
 from casacal.instruments.instrument import Instrument
@@ -25,11 +24,11 @@ from casacal.tables.columns import Labels
 class Plan:
     """Which face and which place each row touches, and when; rows (N,), places (P,)."""
 
-    which: NDArray[np.intp]
-    place: NDArray[np.intp]
-    first: NDArray[np.intp]
+    which: Index
+    place: Index
+    first: Index
     """The row that touches a place first."""
-    turn: NDArray[np.intp]
+    turn: Index
     """The how manieth touch of its face a row is."""
     when: Array
 
@@ -42,7 +41,7 @@ class Plan:
         return Plan(place % faces, place, rows[::repeats], turn, rows / max(samples - 1, 1))
 
     @property
-    def again(self) -> NDArray[np.bool_]:
+    def again(self) -> Rows:
         """Rows (N,) that touch a place once more."""
         return np.asarray(np.diff(self.place, prepend=-1) == 0)
 

@@ -83,7 +83,7 @@ class Simulation(Value):
         return self.parts[self.problem.number(instrument)] if self.parts else self
 
     def true_tips(self, joints: Array, *, readings: Array | None = None, when: Array | float = 0.5) -> Array:
-        """Where the tip truly stands when the controller says `joints`: what an ideal tracker would see.
+        """Where the tip truly stands (N, 3; mm, base frame) at `joints` of the controller: what an ideal tracker sees.
 
         Gear waves, sag and growth move it beside the geometry. What differs from time to time at the same posture
         (repeatability, backlash, rounded encoders) is taken at its mean, zero. Of several instruments it is the tip of
@@ -93,9 +93,6 @@ class Simulation(Value):
             joints: as the controller says (N, n; rad, mm).
             readings: how far the plunger truly stands (N,; mm); zero by default.
             when: place in the session (N,) or for all, 0 at its first row and 1 at its last; by default half-way.
-
-        Returns:
-            Tips (N, 3; mm) in the base frame.
 
         Raises SimulationError for joints of another shape, and for readings where no plunger shows any.
 
@@ -126,8 +123,8 @@ def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw
     instrument = problem.instrument
     if instrument.probe is None:
         cell = Disturbances() if cell is None else cell
-        rows, truth, arm = fitting_rows(problem, cell, samples, draw)
-        true, frames = FrozenMapping(truth.local), FrozenMapping(truth.frames)
+        rows, bench, arm = fitting_rows(problem, cell, samples, draw)
+        true, frames = FrozenMapping(bench.local), FrozenMapping(bench.frames)
         return Simulation(problem, Measurements.of(rows), true, cell, draw.seed, arm, frames=frames)
     cell = default_cell(problem) if cell is None else cell
     if not isinstance(cell, Cell):
@@ -196,10 +193,6 @@ def simulate(
         samples: rows, shared evenly between the faces, or between the labels; of several instruments each has so
             many, or as many as stand by its name.
         seed: of every random number drawn here.
-
-    Returns:
-        The samples (rows in mm and rad), and the truth behind them: `truth(bound)` is the true x (n,) of a bound
-        problem.
 
     Raises SimulationError when it cannot be measured as asked.
 

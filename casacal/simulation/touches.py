@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
 from casacal.instruments.description import Probe, readings_within
 from casacal.kinematics import stacked_poses
@@ -34,7 +33,7 @@ def find_touches(
     touch: Touch,
     probe: Probe,
     cell: Cell,
-    which: NDArray[np.intp],
+    which: Index,
     lift: Array,
     rng: np.random.Generator,
     form_rng: np.random.Generator,
@@ -65,15 +64,15 @@ def try_touches(
     touch: Touch,
     probe: Probe,
     cell: Cell,
-    which: NDArray[np.intp],
+    which: Index,
     lift: Array,
     form_seeds: list[int | None],
     rng: np.random.Generator,
-    waiting: NDArray[np.intp] | None = None,
+    waiting: Index | None = None,
     growth: Array | None = None,
     *,
     starts: int = STARTS,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+) -> tuple[Array, Array, Rows]:
     """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
 
     What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
@@ -157,7 +156,9 @@ def default_cell(problem: Problem) -> Cell:
     for cells, enough in kinds:
         best, share = None, 0.0
         for cell in cells:
-            reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
+            which, count = np.arange(30) % len(cell.faces), len(cell.faces)
+            *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * count, np.random.default_rng(1))
+            reached = float(min(good[which == i].mean() for i in range(count)))
             if reached > share:
                 best, share = cell, reached
         if best is not None and share >= enough:
@@ -227,10 +228,3 @@ def _facets_at(centre: Array, plunger: Array, size: float) -> Cell:
         normal, place = math.cos(SLOPE) * towards + math.sin(SLOPE) * aside, centre + 0.75 * size * aside
         faces.append(Face(label, (place[0], place[1], place[2]), (normal[0], normal[1], normal[2]), (size, size)))
     return Cell(faces=tuple(faces), tilt=SLOPE + math.radians(1.0))
-
-
-def _share_reached(touch: Touch, probe: Probe, cell: Cell, rng: np.random.Generator) -> float:
-    which = np.arange(30) % len(cell.faces)
-    *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
-    shares = [good[which == i].mean() for i in range(len(cell.faces))]
-    return float(min(shares))

@@ -92,17 +92,6 @@ class Draw:
         return {key: np.asarray(self.known.get(key, values)) for key, values in drawn.items()}
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What is true of all that is unknown: local coordinates by name, about where simulation puts the nominal.
-
-    frames: transforms (4, 4; mm) by name of those frames that rows propose, which stand elsewhere for whoever fits.
-    """
-
-    local: Mapping[str, Array]
-    frames: Mapping[str, Array] = field(default_factory=dict)
-
-
 def frame_coordinates(frame: Unknown, nominal: Array, matrix: Array) -> Array:
     """Local coordinates (6,) of a true transform (4, 4; mm) about a nominal frame."""
     from scipy.spatial.transform import Rotation

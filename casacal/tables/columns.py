@@ -12,9 +12,11 @@ from typing import Any, TypeAlias, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 
 Codes: TypeAlias = NDArray[np.int32]
+
+MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 
 class Labels(Sequence[str]):
@@ -57,11 +59,11 @@ class Labels(Sequence[str]):
         codes = [part.codes + first for part, first in zip(parts, before, strict=False)]
         return Labels.coded([name for part in parts for name in part.names], np.concatenate(codes))
 
-    def take(self, rows: NDArray[np.intp]) -> Labels:
+    def take(self, rows: Index) -> Labels:
         """Those of some rows."""
         return Labels(self.names, self.codes[rows])
 
-    def rows(self) -> dict[str, NDArray[np.intp]]:
+    def rows(self) -> dict[str, Index]:
         """Rows of each label, in order."""
         return dict(zip(self.names, rows_by_code(self.codes, len(self.names)), strict=True))
 
@@ -132,13 +134,13 @@ def combinations(columns: Sequence[Labels], rows: int) -> tuple[list[tuple[str, 
     return [tuple(column[int(row)] for column in columns) for row in first], codes
 
 
-def rows_by_code(codes: NDArray[Any], count: int) -> list[NDArray[np.intp]]:
+def rows_by_code(codes: NDArray[Any], count: int) -> list[Index]:
     """Rows, in order, that have each of the codes 0 ... count - 1 (N,)."""
     starts = np.cumsum(np.bincount(codes, minlength=count))[:-1]
     return np.split(np.argsort(codes, kind="stable"), starts) if count else []
 
 
-def _in_order(values: NDArray[Any]) -> tuple[NDArray[np.intp], Codes]:
+def _in_order(values: NDArray[Any]) -> tuple[Index, Codes]:
     """First rows of the different values, in order, and for each row (N,) which of them it has."""
     if values.size and values.min() >= 0 and values.max() < 4 * values.size:  # counting is sooner done than sorting
         firsts = np.full(int(values.max()) + 1, values.size, dtype=np.intp)

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.tables.columns import Columns, Labels
+from casacal.tables.columns import MANY_ROWS, Columns, Labels
 from casacal.tables.grammar import (
     body,
     check_header,
@@ -38,7 +38,6 @@ SECTION = 1 << 22
 """Bytes that are read at once, more or less: enough to be worth a call of pandas, which takes as long as 300 KB."""
 HEAD = 1 << 16  # bytes in which the header of a large file is looked for, at least
 MOST_THREADS = 4  # one thread puts together what they have read, and has no time for more
-MANY_ROWS = 100_000  # rows from which lines are numbers in an array rather than Python objects
 
 
 def read_large(path: Path, numbers: Callable[[Sequence[str]], Sequence[str]], labels: Sequence[str]) -> Columns | None:

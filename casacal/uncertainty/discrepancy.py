@@ -14,7 +14,7 @@ from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, tim
 from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.smooth import JointField
 from casacal.estimators import lm
-from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.information import diagonal_of
 from casacal.problem.problem import Problem
 from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
 from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
@@ -46,11 +46,13 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     if not geometry.converged:
         return bound
     standard = _Linear.of(bound, problem.with_kit, geometry.x)
-    many = find_noise and not problem.effects and bound.rows > ENOUGH
-    if many and _errs_together(standard.sized(PART)):
-        found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
-        if err_as_stated(found):
-            return found
+    if find_noise and not problem.effects and bound.rows > ENOUGH:
+        part = standard.sized(PART)
+        field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.beside == JointField.key]
+        if field and float(field[0]) > float(np.median(part.noise)):  # rows err together by more than each does alone
+            found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
+            if err_as_stated(found):
+                return found
     return standard.sized(1.0 if find_noise else None)
 
 
@@ -81,7 +83,7 @@ class _Linear:
         What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
         """
         ways = self.ways if least is not None else self.ways[:1]
-        best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
+        best = max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
         faces = len(by_face(best.rows.scale))
         faces_differ = faces > 1  # some of which see more of the joints than others
         if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
@@ -133,16 +135,6 @@ class _Found:
     told: Told
 
 
-def _evidence(found: _Found) -> float:
-    return found.evidence
-
-
-def _errs_together(whole: BoundProblem) -> bool:
-    """Whether rows err together by more than each does alone."""
-    sizes = [slot.unknown.prior_stds[0] for slot in whole.slots if slot.beside == JointField.key]
-    return bool(sizes) and float(sizes[0]) > float(np.median(whole.noise))
-
-
 def times_found(whole: BoundProblem) -> dict[str, float]:
     """Times by which each effect came out larger than it was expected to be, by key."""
     problem, found = whole.problem, {}
@@ -171,8 +163,7 @@ def errors_are_shared(whole: BoundProblem) -> bool:
 def err_as_stated(whole: BoundProblem) -> bool:
     """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
     beside = np.array(whole.beside, dtype=bool)
-    normal = whole.normal(whole.x0).information
-    told = np.diagonal(normal.dense() if isinstance(normal, Arrow) else normal)
+    told = diagonal_of(whole.normal(whole.x0).information)
     noise = float(np.median(whole.noise))
     together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
     return together >= float(np.median(whole.with_noise().noise))

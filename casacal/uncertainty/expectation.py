@@ -16,6 +16,7 @@ from casacal.uncertainty.workspace import (
     WORKSPACE_POSES,
     bayesian_bound,
     classical_bound,
+    flange_jacobian,
     tip_stds,
     up_to_base,
     workspace_joints,
@@ -37,10 +38,15 @@ def planned_accuracy(bound: Seen) -> tuple[float, float]:
     return expected_accuracy(bound, bound.x0)
 
 
-def expected_accuracy(bound: Seen, x: Array, off: Array | None = None, *, usual: bool = True) -> tuple[float, float]:
-    """The same at x (n,); `off` as for `tip_stds`, `usual` as for `Block.posture`."""
+def expected_accuracy(
+    bound: Seen, x: Array, off: Array | None = None, *, usual: bool = True, flange: bool = False
+) -> tuple[float, float]:
+    """The same at x (n,), or of the flange's origin; `off` as for `tip_stds`, `usual` as for `Block.posture`."""
     joints = workspace_joints(bound.problem.robot)
-    tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints, usual=usual)
+    if flange:
+        tips, slopes = flange_jacobian(bound, x, joints)
+    else:
+        tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints, usual=usual)
     information = bound.information(x if off is None else x + off)
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
     return before, bayesian_bound(information, bound.prior_std, slopes, tips, off)

@@ -21,10 +21,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, gammaincc, ndtri
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.least_squares.linalg import inverse_triangle
 
 CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
@@ -47,7 +46,7 @@ class FreshRows:
     spread: Array
     own: Array
 
-    def take(self, rows: NDArray[np.intp]) -> FreshRows:
+    def take(self, rows: Index) -> FreshRows:
         """Some of the rows."""
         return FreshRows(self.residual[rows], self.spread[rows], self.own[rows])
 
@@ -104,7 +103,7 @@ class FreshRows:
         off = self.left - self._pulls @ (self._pulls.T @ self.left)
         return np.where(told, off / np.sqrt(np.where(told, free, 1.0)), 0.0)
 
-    def gross(self) -> NDArray[np.intp]:
+    def gross(self) -> Index:
         """Rows that the others do not expect where they are, worst first; none where more than single ones are off.
 
         One at a time, each judged by the rest; the rest's own scatter, where it is larger than expected, is the

@@ -110,7 +110,10 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
             words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
             direction = change * natural / scale
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
-    sizes, right = _seen_directions(problem, seen[rank:].T * (natural / scale)[:, None], scale)
+    beside, _ = np.linalg.qr(np.column_stack([seen[rank:].T * (natural / scale)[:, None], np.eye(problem.unknowns)]))
+    rest = beside[:, problem.unknowns - rank :]  # what the null space leaves
+    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
+    right = within @ rest.T
     weak = [
         WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
         for size, each in zip(sizes, right, strict=True)
@@ -137,14 +140,6 @@ def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str,
     rows, columns = np.nonzero(np.triu(np.abs(matrix) > CORRELATED, k=1))
     pairs = [(names[int(i)], names[int(j)], float(matrix[i, j])) for i, j in zip(rows, columns, strict=True)]
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
-
-
-def _seen_directions(problem: LeastSquares, null: Array, scale: Array) -> tuple[Array, Array]:
-    """Singular values (rank,) and vectors (rank, n; rows) of the scaled Jacobian beside a null space (n, k)."""
-    basis, _ = np.linalg.qr(np.column_stack([null, np.eye(problem.unknowns)]))
-    rest = basis[:, null.shape[1] :]
-    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
-    return sizes, within @ rest.T
 
 
 def _null_projector(problem: LeastSquares, seed: int) -> Array:

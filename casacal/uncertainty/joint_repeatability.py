@@ -86,14 +86,6 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
     return PureError(int((bound.repeats.sizes > 1).sum()), ratio, low, high, f, chance, shared)
 
 
-def condensed(result: Result, again: Repeats) -> tuple[Array, float]:
-    """Whitened residuals, one of each group of repeats, and their degrees of freedom."""
-    problem = result.problem
-    assert isinstance(problem, BoundProblem)
-    free = max(len(again.sizes) - effective_unknowns(problem, result.x), 1.0)
-    return again.condensed(problem.residual(result.x)), free
-
-
 EXPECTED = 15e-6
 """What joints of an industrial arm do not repeat, rad; 15 to 30 urad are usual, some 0.05 mm at the tip."""
 
@@ -116,21 +108,14 @@ MOST_ROWS = 4096  # rows, evenly over all, at which is looked whether more shoul
 def joints_err(bound: BoundProblem, x: Array, told: Told) -> bool:
     """Whether rows that see more of the joints may err more than others where a fit stands.
 
-    A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2.
-
-    Args:
-        bound: with effects at their sizes, x0 zero.
-        x: where the rows were linearised (n,).
-        told: what they say there.
-
+    A score test of the variance: squares of what is left, over what is expected of them, against g^2 / noise^2. bound:
+    with effects at their sizes, x0 zero. told: what its rows say at x (n,), where they were linearised.
     """
     held = posterior_covariance(told.information, bound.prior_std)
     if not np.isfinite(held).all():  # something that neither rows nor prior hold: what is left of a row is not known
         return False
     step = held @ told.toward - x
-    count = len(bound.measured)
-    few = np.unique(np.linspace(0, count - 1, min(count, MOST_ROWS)).astype(np.intp))
-    part = bound if few.size == count else bound.take(few)
+    part = bound.thinned(MOST_ROWS)
     jacobian = part.jacobian(x)
     free = 1.0 - np.einsum("ij,ij->i", jacobian @ held, jacobian)
     seen = (part.joint_noise / part.noise) ** 2

@@ -9,10 +9,9 @@ from itertools import combinations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.errors import CasacalError, ProblemError, came
 from casacal.least_squares.result import Result
@@ -69,8 +68,6 @@ ROUNDS, SETTLED = 6, 1e-3
 
 STEP = 0.05  # step of the logarithms for the curvature, from which the intervals come
 NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
-
-Indices = NDArray[np.intp]
 
 
 class Fitted(Protocol):
@@ -170,7 +167,7 @@ class _Arm:
     fit: BoundProblem
     rows: Told
     prior: Array
-    units: Mapping[str, Indices]
+    units: Mapping[str, Index]
 
     @staticmethod
     def of(fit: BoundProblem, x: Array) -> _Arm:

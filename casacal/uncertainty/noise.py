@@ -21,8 +21,8 @@ from casacal.estimators import lm
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.result import Result
 from casacal.samples.repeats import Repeats
-from casacal.uncertainty.figures import HALF_WEIGHT, leverages, noise_interval, ratio_interval
-from casacal.uncertainty.joint_repeatability import PureError, condensed, pure_error, repeats_in
+from casacal.uncertainty.figures import HALF_WEIGHT, effective_unknowns, leverages, noise_interval, ratio_interval
+from casacal.uncertainty.joint_repeatability import PureError, pure_error, repeats_in
 from casacal.values import FrozenMapping, Value
 
 SETTLED = 0.003  # relative change of the factor that ends the search
@@ -76,7 +76,8 @@ def found_noise(bound: BoundProblem, loss: Loss | None = None) -> Noise:
         shared = 0.0 if known is None else known.shared
         if abs(math.log(scale / before[0])) < SETTLED and abs(shared - before[1]) < SETTLED:
             break
-        result = lm(bound.with_noise(_scale(scale, shared)), start=result.x, loss=loss)
+        used = {OTHERS: scale, SHARED: shared} if shared else {OTHERS: scale}
+        result = lm(bound.with_noise(used), start=result.x, loss=loss)
     own = None if shared else _by_face(result, scale)
     return noise_over_stated(result if own is None else _settled_by_face(bound, result, own, loss))
 
@@ -107,18 +108,14 @@ def noise_over_stated(result: Result) -> Noise:
     return Noise(ratio, low, high, scale, None if again is None else pure_error(result, again))
 
 
-def _scale(factor: float, shared: float) -> dict[str, float]:
-    return {OTHERS: factor, SHARED: shared} if shared else {OTHERS: factor}
-
-
 def _interval(result: Result, again: Repeats | None) -> tuple[float, float, float]:
     """Found over used noise; of groups of repeats where they share what the model leaves out."""
     bound = result.problem
     assert isinstance(bound, BoundProblem)
     if again is None or not bound.scale.get(SHARED, 0.0):
         return noise_interval(result)
-    rows, free = condensed(result, again)
-    return ratio_interval(float((rows**2).sum()), free)
+    free = max(len(again.sizes) - effective_unknowns(bound, result.x), 1.0)
+    return ratio_interval(float((again.condensed(bound.residual(result.x)) ** 2).sum()), free)
 
 
 def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = None) -> dict[str, float] | None:

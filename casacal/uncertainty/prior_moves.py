@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen
 from casacal.least_squares.elimination import taken_out, triangle
@@ -29,7 +28,7 @@ class PriorMoves:
     """Chance of moves as large as these, where priors and model are right."""
 
 
-def chance_of_move(bound: Seen, x: Array, covariance: Array, own: NDArray[np.intp]) -> float:
+def chance_of_move(bound: Seen, x: Array, covariance: Array, own: Index) -> float:
     """Chance that some unknowns (k,) move as far as they did: chi-square of x'(P - C)^+ x, P their priors' covariance.
 
     What the samples do not see has not moved and does not count. One where a prior is flat.
@@ -49,13 +48,7 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
     """Moves of all unknowns with a finite prior, but for those that only say where the touched thing stands.
 
     The sum of squares is one of independent normal numbers, weighted with eigenvalues; two moments of it are matched
-    (Satterthwaite).
-
-    Args:
-        bound: the problem.
-        x: its estimate (n,).
-        covariance: of that estimate (n, n).
-
+    (Satterthwaite). covariance: (n, n), of the estimate x (n,).
     """
     own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
     std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
@@ -99,8 +92,7 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     stds = bound.start_std if flat_counts else bound.prior_std
     if bound.groups is not None:
         return _of_many_faces(bound, stds)
-    if len(bound.measured) > MOST_ROWS:
-        bound = bound.take(np.unique(np.linspace(0, len(bound.measured) - 1, MOST_ROWS).astype(int)))
+    bound = bound.thinned(MOST_ROWS)
     noise = bound.noise
     slopes = bound.jacobian(bound.x0) * noise[:, None]
     stands = bound.datum.copy()  # faces, and what else is of one label alone, such as where a dial was set to zero

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.spatial import cKDTree
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.all_rows import AllRows
 from casacal.uncertainty.quadratic_forms import chance_of_ratio
 from casacal.uncertainty.scores import Ground
@@ -66,13 +66,13 @@ class RowForm:
         return RowForm(chance_of_ratio(traces, observed / ground.square, free), variance, noise)
 
 
-def near_on_faces(tips: Array, faces: NDArray[np.integer[Any]], places: NDArray[np.intp]) -> csr_matrix:
+def near_on_faces(tips: Array, faces: NDArray[np.integer[Any]], places: Index) -> csr_matrix:
     """Which touches (N, N) are near one another on one face, but not in the same place: tips (N, 3; mm), codes (N,).
 
     A code below zero is of no face.
     """
     _, first = np.unique(places, return_index=True)
-    pairs: list[NDArray[np.intp]] = []
+    pairs: list[Index] = []
     for face in np.unique(faces[faces >= 0]):
         rows = first[faces[first] == face]
         if len(rows) < 2:
@@ -84,9 +84,7 @@ def near_on_faces(tips: Array, faces: NDArray[np.integer[Any]], places: NDArray[
     return csr_matrix(of_place @ between @ of_place.T)
 
 
-def following(
-    lines: Sequence[int], places: NDArray[np.intp], instruments: NDArray[np.intp] | None = None
-) -> csr_matrix:
+def following(lines: Sequence[int], places: Index, instruments: Index | None = None) -> csr_matrix:
     """Which touches (N, N) follow one another, by their lines (N,), but not in the same place, by codes (N,).
 
     Those of one instrument follow none of another's.
@@ -98,7 +96,7 @@ def following(
     return _pairs(pairs[apart], len(lines))
 
 
-def alike(places: NDArray[np.intp]) -> csr_matrix:
+def alike(places: Index) -> csr_matrix:
     """Which touches (N, N) are of the same place, by codes (N,), each of its own among them."""
     of_place = _membership(places)
     return csr_matrix(of_place @ of_place.T)
@@ -115,16 +113,11 @@ def whitened(form: csr_matrix, rows: AllRows) -> csr_matrix:
     return csr_matrix(scale @ total @ scale)
 
 
-def diagonal(values: Array) -> csr_matrix:
-    """Rows (N,) that err more than others, in proportion to values."""
-    return csr_matrix(diags(values))
-
-
-def _membership(places: NDArray[np.intp]) -> csr_matrix:
+def _membership(places: Index) -> csr_matrix:
     return csr_matrix((np.ones(len(places)), (np.arange(len(places)), places)))
 
 
-def _pairs(pairs: NDArray[np.intp], count: int) -> csr_matrix:
+def _pairs(pairs: Index, count: int) -> csr_matrix:
     """One (count, count) where either is paired with the other."""
     both = np.unique(np.vstack([pairs, pairs[:, ::-1]]), axis=0)
     both = both[both[:, 0] != both[:, 1]]

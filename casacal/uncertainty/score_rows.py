@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, identity
+from scipy.sparse import csr_matrix, diags, identity
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
@@ -15,7 +15,7 @@ from casacal.binding.nominal import nominal_tips
 from casacal.discrepancy import TransmissionError
 from casacal.instruments.dial_parts import dial_cycle, dial_gain
 from casacal.problem.problem import Problem
-from casacal.uncertainty.row_forms import alike, diagonal, following, near_on_faces, whitened
+from casacal.uncertainty.row_forms import alike, following, near_on_faces, whitened
 
 FLAT = 1e-3  # slope of a residual by its reading below which that reading tells nothing
 STEP = 0.5  # millimetres by which readings are shifted for their slope: a distance from a plane is linear in them
@@ -138,7 +138,7 @@ def forms_of(bound: BoundProblem, columns: Mapping[str, Columns]) -> Iterator[Fo
         yield Form(REPEATS, words, unit, None, whitened(alike(places.codes), bound))
     if WAVE in columns:
         wave = columns[WAVE]
-        moved = diagonal((bound.joint_noise / bound.noise) ** 2)
+        moved = csr_matrix(diags((bound.joint_noise / bound.noise) ** 2))
         own = math.sqrt(3 * float((wave.tip**2).sum()) / len(wave.tip)) / wave.expected
         yield Form(JOINTS, "joint repeatability", "rad", moved, moved, own)
 

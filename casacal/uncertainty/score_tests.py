@@ -101,8 +101,7 @@ class _Rows:
     def of(bound: BoundProblem, problem: Problem) -> _Rows | None:
         if bound.groups is not None or not bound.unknowns:
             return None
-        if (count := len(bound.measured)) > MOST_ROWS:
-            bound = bound.take(np.unique(np.linspace(0, count - 1, MOST_ROWS).astype(int)))
+        bound = bound.thinned(MOST_ROWS)
         result = lm(bound)
         if not result.converged or not math.isfinite(result.cost):
             return None

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators import lm
 from casacal.least_squares.result import Result
@@ -63,9 +62,7 @@ def leave_one_face_out(bound: BoundProblem, result: Result) -> tuple[LeftOut, ..
     return tuple(found)
 
 
-def _left_out(
-    others: BoundProblem, bound: BoundProblem, rows: NDArray[np.intp], result: Result, face: str
-) -> LeftOut | None:
+def _left_out(others: BoundProblem, bound: BoundProblem, rows: Index, result: Result, face: str) -> LeftOut | None:
     fit = lm(others, start=result.x, loss=result.loss)
     if not fit.converged:
         return None
@@ -94,10 +91,6 @@ MOST_PARTS = 12  # parts of a split; where labels are more, some are left out to
 HALVINGS = 2  # how often the postures are halved into regions
 GONE = 1e12  # times a prior's information by which an effect is taken away
 
-"""Rows that are looked at; more add memory, not insight."""
-
-Rows = NDArray[np.intp]
-
 
 def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, float]:
     """By how much the logarithm of the rows' likelihood is larger with each effect than without it, at its size.
@@ -118,18 +111,20 @@ def in_sample_gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[
 def gains(bound: BoundProblem, x: Array, keys: Iterable[str]) -> dict[str, dict[str, float]]:
     """By how much the logarithm of the density of unseen rows is larger with each effect, by key and by split.
 
-    Args:
-        bound, x, keys: as for `in_sample_gains`. Of very many rows some stand for all.
-
-    Returns no split where there is no face beside another, and no region that could be left out.
-
+    Arguments as for `in_sample_gains`; of very many rows some stand for all. Returns no split where there is no face
+    beside another, and no region that could be left out.
     """
     bound = bound.thinned(MOST_ROWS)
     slopes, r, prior = bound.jacobian(x), bound.residual(x), bound.prior_information
     heights = slopes @ x - r
     priors = {key: _without(bound, prior, key) for key in keys}
     found: dict[str, dict[str, float]] = {key: {} for key in priors}
-    for name, parts in _splits_of(bound).items():
+    if len(bound.samples) == 1:
+        parted = splits(bound.samples[0], bound.groups_by[0])
+    else:
+        every = bound.measured
+        parted = _splits({FACES: bound.faces, INSTRUMENTS: Labels(every.names, every.instruments)}, every.joints)
+    for name, parts in parted.items():
         rows = [bound.residuals_of(part) for part in parts]
         seen = [Told.of(slopes[part], heights[part]) for part in rows]
         whole = _densities(seen, prior)
@@ -151,20 +146,13 @@ def _densities(seen: list[Told], prior: Array) -> float:
     return total
 
 
-def _splits_of(bound: BoundProblem) -> dict[str, list[Rows]]:
-    """The splits of an only instrument's samples; of several, faces of all, the instruments themselves, and regions."""
-    if len(bound.samples) == 1:
-        return splits(bound.samples[0], bound.groups_by[0])
-    return _splits({FACES: bound.faces, INSTRUMENTS: bound.measured.by_instrument()}, bound.measured.joints)
-
-
-def splits(samples: Samples, face: str | None) -> dict[str, list[Rows]]:
+def splits(samples: Samples, face: str | None) -> dict[str, list[Index]]:
     """Rows that are left out together, by the name of the split: faces, regions, values of further columns."""
     columns = {FACES if name == face else name: labels for name, labels in samples.labels.items()}
     return _splits(columns, samples.joints)
 
 
-def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Rows]]:
+def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Index]]:
     found = {}
     for name, labels in columns.items():
         groups = np.array_split(np.arange(len(labels.names)), min(MOST_PARTS, len(labels.names)))
@@ -178,7 +166,7 @@ def _splits(columns: Mapping[str, Labels], joints: Array) -> dict[str, list[Rows
     return found
 
 
-def _halves(joints: Array, rows: Rows) -> list[Rows]:
+def _halves(joints: Array, rows: Index) -> list[Index]:
     """Rows on either side of the middle of the direction in which their postures spread most, joints all alike."""
     spread = joints.std(axis=0)
     places = joints[rows] / np.where(spread > 0, spread, 1.0)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
-from casacal.binding.bound_problem import BoundProblem
+from casacal.array_types import Array, Index
 from casacal.binding.marginal import Marginal, Seen
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.robots.joint_space import random_joints
@@ -155,34 +153,16 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
     return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind
 
 
-def flange_accuracy(bound: Seen, x: Array, off: Array | None = None) -> tuple[float, float]:
-    """Error of the flange's origin (mm RMS over the workspace) at x (n,): from priors alone, and with the rows.
-
-    Apart from where the base stands, as the tip's error of `expected_accuracy`; `off` as there.
-    """
-    joints = workspace_joints(bound.problem.robot)
-    points, slopes = _flange_jacobian(bound, x, joints)
-    information = bound.information(x if off is None else x + off)
-    before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, points)
-    return before, bayesian_bound(information, bound.prior_std, slopes, points, off)
-
-
-def tool_unknowns(bound: Seen, x: Array) -> NDArray[np.intp]:
+def tool_unknowns(bound: Seen, x: Array) -> Index:
     """Positions in x (n,) of the unknowns that move the tip and hardly, by the weight they shift, the flange."""
     joints = workspace_joints(bound.problem.robot, poses=FEW_POSES)
     tip = np.abs(bound.tip_jacobian(x, joints)).max(axis=0)
-    flange = np.abs(_flange_jacobian(bound, x, joints)[1]).max(axis=0)
+    flange = np.abs(flange_jacobian(bound, x, joints)[1]).max(axis=0)
     return np.flatnonzero((tip > BLIND_FIELD) & (flange < OF_THE_FLANGE * tip) & ~bound.datum)
 
 
-def _flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:
+def flange_jacobian(bound: Seen, x: Array, joints: Array) -> tuple[Array, Array]:
     """Flange origins (N, 3; mm) at joint values (N, n; rad, mm), and their derivative (3 N, n) by x."""
-    whole: BoundProblem = bound.whole if isinstance(bound, Marginal) else bound
-    everything = bound.expand(x) if isinstance(bound, Marginal) else x
-    places = bound.shared if isinstance(bound, Marginal) else np.arange(x.size)
-    block = whole.blocks[0]
-    points, slopes = block.posture("flange_jacobian", everything, joints)
-    _, inside, seen = np.intersect1d(places, block.columns[0], return_indices=True)
-    jacobian = np.zeros((3 * len(joints), x.size))
-    jacobian[:, inside] = slopes.reshape(len(jacobian), -1)[:, seen]
-    return np.asarray(points), jacobian
+    if isinstance(bound, Marginal):
+        return bound.blocks[0].slopes("flange", bound.expand(x), joints, bound.free)
+    return bound.blocks[0].slopes("flange", x, joints)

@@ -12,23 +12,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import (
-    Expression,
-    Unknown,
-    all_or_nothing,
-    check_stds,
-    shared_std,
-    start_stds,
-    stereographic,
-    stereographic_local,
-    tangent_basis,
-    unit_vector,
-)
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import check_stds, start_stds, tangent_basis, unit_vector
+from casacal.unknowns.whole import Whole, shared_std, tilted, tilts_of
 from casacal.values import plain
 
 
 @dataclass(frozen=True)
-class Direction(Unknown):
+class Direction(Whole):
     """A unit vector (3,) with two local coordinates, both angles in rad.
 
     Args:
@@ -49,6 +40,7 @@ class Direction(Unknown):
     held_as_proposed: bool = False
 
     nominal_size = 9
+    parts = (("tilt1", "rad"), ("tilt2", "rad"))
 
     def __post_init__(self) -> None:
         for name in ("vector", "prior_std", "start_std"):
@@ -58,16 +50,6 @@ class Direction(Unknown):
         elif not self.free and not self.held_as_proposed:
             raise ProblemError("A direction is held but has no vector", "Say where it points, or leave it free")
         check_stds(np.array([self.prior_std]), "prior_std of a direction")
-
-    @property
-    def size(self) -> int:
-        """Two tilts, or none when held."""
-        return 2 if self.free else 0
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Radians."""
-        return ("rad",) * self.size
 
     @property
     def prior_stds(self) -> Array:
@@ -91,21 +73,9 @@ class Direction(Unknown):
         unit = unit_vector(vector, "A direction")
         return np.concatenate([unit, tangent_basis(unit).T.ravel()])
 
-    @property
-    def raw_size(self) -> int:
-        """Three components, or none when held."""
-        return 3 if self.free else 0
-
-    def names(self, key: str) -> tuple[str, ...]:
-        """key.tilt1, key.tilt2."""
-        return (f"{key}.tilt1", f"{key}.tilt2")[: self.size]
-
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """Unit vector (3,) at two tilts."""
-        if not self.free:
-            return nominal[:3]
-        along, across = stereographic(local)
-        return along * nominal[:3] + across[0] * nominal[3:6] + across[1] * nominal[6:9]
+        return tilted(nominal, local) if self.free else nominal[:3]
 
     def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
         """Unit vector (3,)."""
@@ -126,18 +96,11 @@ class Direction(Unknown):
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Two tilts of a raw unit vector."""
-        if not self.free:
-            return ca.DM.zeros(0, 1)
-        across = ca.vertcat(ca.dot(nominal[3:6], raw), ca.dot(nominal[6:9], raw))
-        return stereographic_local(ca.dot(nominal[:3], raw), across)
+        return tilts_of(nominal, raw) if self.free else ca.DM.zeros(0, 1)
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1."""
         return [ca.dot(raw, raw) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Direction:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a direction"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Direction:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""

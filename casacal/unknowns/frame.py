@@ -12,23 +12,14 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.kinematics import rigid, rotation_of_quaternion
-from casacal.unknowns.unknown import (
-    Expression,
-    Unknown,
-    all_or_nothing,
-    check_stds,
-    shared_std,
-    spread,
-    start_stds,
-    stereographic,
-    stereographic_local,
-)
+from casacal.kinematics import Expression, rigid, rotation_of_quaternion
+from casacal.unknowns.unknown import check_stds, spread, start_stds
+from casacal.unknowns.whole import Whole, shared_std, stereographic, stereographic_local
 from casacal.values import plain
 
 
 @dataclass(frozen=True)
-class Frame(Unknown):
+class Frame(Whole):
     """A 4x4 rigid transform with six local coordinates: three rotations (rad), three translations (mm).
 
     The local rotation acts on the right of the nominal one, the translation is added in the outer frame.
@@ -53,6 +44,7 @@ class Frame(Unknown):
     held_as_proposed: bool = False
 
     nominal_size = 12
+    parts = (("rx", "rad"), ("ry", "rad"), ("rz", "rad"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
 
     def __post_init__(self) -> None:
         for name in ("matrix", "prior_std", "start_std"):
@@ -60,18 +52,12 @@ class Frame(Unknown):
         if self.matrix is None and not self.free and not self.held_as_proposed:
             raise ProblemError("A frame is held but has no matrix", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a frame"), "prior_std of a frame")
-        if self.matrix is not None:
-            self.encode(np.asarray(self.matrix, dtype=np.float64))
+        _ = self.nominal  # or a sentence
 
     @property
     def size(self) -> int:
         """Six, three when only it turns, or none when held."""
         return (3 if self.turns_only else 6) if self.free else 0
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """rad three times, mm three times."""
-        return ("rad", "rad", "rad", "mm", "mm", "mm")[: self.size]
 
     @property
     def prior_stds(self) -> Array:
@@ -89,11 +75,6 @@ class Frame(Unknown):
         """Rotation (9, column by column) and translation (3, mm); None when the data must propose them."""
         return None if self.matrix is None else self.encode(np.asarray(self.matrix, dtype=np.float64))
 
-    @property
-    def raw_size(self) -> int:
-        """A quaternion and a translation, where they are free."""
-        return self.size + 1 if self.free else 0
-
     @staticmethod
     def encode(matrix: Array) -> Array:
         """Numbers (12,) that fix a nominal frame.
@@ -106,10 +87,6 @@ class Frame(Unknown):
         if np.linalg.det(matrix[:3, :3]) < 0:
             raise ProblemError("A frame mirrors (its determinant is -1)", "Give a right-handed rotation matrix")
         return np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
-
-    def names(self, key: str) -> tuple[str, ...]:
-        """key.rx, key.ry, key.rz, key.x, key.y, key.z."""
-        return tuple(f"{key}.{suffix}" for suffix in ("rx", "ry", "rz", "x", "y", "z")[: self.size])
 
     def at(self, nominal: Expression, local: Expression) -> Expression:
         """4x4 transform at six local coordinates."""
@@ -151,10 +128,6 @@ class Frame(Unknown):
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """q'q - 1."""
         return [ca.dot(raw[:4], raw[:4]) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Frame:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a frame"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Frame:
         """Copy with another prior; rotations share one standard deviation, translations another."""

@@ -9,11 +9,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import PRIOR_STD, Expression, Unknown, check_stds, spread, start_stds
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import PRIOR_STD, Unknown, check_stds, spread, start_stds
 from casacal.values import plain, read_only
 
 
@@ -66,7 +66,7 @@ class Parameter(Unknown):
         return np.array(proposed if self.values is None else self.values, dtype=np.float64)
 
     @cached_property
-    def _free(self) -> NDArray[np.bool_]:
+    def _free(self) -> Rows:
         return spread(self.free, self._all.size, "free of a parameter").astype(bool)
 
     @cached_property

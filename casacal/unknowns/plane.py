@@ -12,19 +12,9 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.unknowns.unknown import (
-    Expression,
-    Unknown,
-    all_or_nothing,
-    check_stds,
-    shared_std,
-    spread,
-    start_stds,
-    stereographic,
-    stereographic_local,
-    tangent_basis,
-    unit_vector,
-)
+from casacal.kinematics import Expression
+from casacal.unknowns.unknown import check_stds, spread, start_stds, tangent_basis, unit_vector
+from casacal.unknowns.whole import Whole, shared_std, tilted, tilts_of
 from casacal.values import plain
 
 
@@ -47,7 +37,7 @@ class PlaneValue:
 
 
 @dataclass(frozen=True)
-class Plane(Unknown):
+class Plane(Whole):
     """A plane with three local coordinates: two tilts of its normal (rad) and an offset along it (mm).
 
     Three, not six: of a normal and a point only the unit normal and n . gamma can be seen (erratum E7).
@@ -71,6 +61,7 @@ class Plane(Unknown):
     held_as_proposed: bool = False
 
     nominal_size = 12
+    parts = (("tilt1", "rad"), ("tilt2", "rad"), ("offset", "mm"))
 
     def __post_init__(self) -> None:
         for name in ("normal", "point", "prior_std", "start_std"):
@@ -80,18 +71,7 @@ class Plane(Unknown):
         if self.normal is None and not self.free and not self.held_as_proposed:
             raise ProblemError("A plane is held but has no normal and no point", "Say where it is, or leave it free")
         check_stds(spread(self.prior_std, 2, "prior_std of a plane"), "prior_std of a plane")
-        if self.normal is not None and self.point is not None:
-            self.encode(self.normal, self.point)
-
-    @property
-    def size(self) -> int:
-        """Three, or none when held."""
-        return 3 if self.free else 0
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """rad, rad, mm."""
-        return ("rad", "rad", "mm")[: self.size]
+        _ = self.nominal  # or a sentence
 
     @property
     def prior_stds(self) -> Array:
@@ -108,14 +88,7 @@ class Plane(Unknown):
     @property
     def nominal(self) -> Array | None:
         """Normal (3), two vectors across it (6), base point (3, mm); None when the data must propose them."""
-        if self.normal is None or self.point is None:
-            return None
-        return self.encode(self.normal, self.point)
-
-    @property
-    def raw_size(self) -> int:
-        """A normal and an offset, or none when held."""
-        return 4 if self.free else 0
+        return None if self.normal is None or self.point is None else self.encode(self.normal, self.point)
 
     @staticmethod
     def encode(normal: Sequence[float] | Array, point: Sequence[float] | Array) -> Array:
@@ -126,17 +99,11 @@ class Plane(Unknown):
             raise ProblemError(f"The point of a plane is {point!r}", "Give three finite numbers in mm")
         return np.concatenate([unit, tangent_basis(unit).T.ravel(), base])
 
-    def names(self, key: str) -> tuple[str, ...]:
-        """key.tilt1, key.tilt2, key.offset."""
-        return (f"{key}.tilt1", f"{key}.tilt2", f"{key}.offset")[: self.size]
-
     def at(self, nominal: Expression, local: Expression) -> PlaneValue:
         """Plane at (tilt1, tilt2, offset)."""
         if not self.free:
             return PlaneValue(nominal[:3], nominal[9:12], 0.0)
-        along, across = stereographic(local[:2])
-        normal = along * nominal[:3] + across[0] * nominal[3:6] + across[1] * nominal[6:9]
-        return PlaneValue(normal, nominal[9:12], local[2])
+        return PlaneValue(tilted(nominal, local[:2]), nominal[9:12], local[2])
 
     def nominal_plane(self, nominal: Array) -> tuple[Array, Array]:
         """Its normal and base point."""
@@ -170,24 +137,15 @@ class Plane(Unknown):
 
     def raw_value(self, nominal: Expression, raw: Expression) -> PlaneValue:
         """Plane of a raw normal, unit only where the constraint holds."""
-        if not self.free:
-            return self.at(nominal, raw)
-        return PlaneValue(raw[:3], nominal[9:12], raw[3])
+        return PlaneValue(raw[:3], nominal[9:12], raw[3]) if self.free else self.at(nominal, raw)
 
     def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
         """Tilts and offset of a raw plane with unit normal."""
-        if not self.free:
-            return ca.DM.zeros(0, 1)
-        across = ca.vertcat(ca.dot(nominal[3:6], raw[:3]), ca.dot(nominal[6:9], raw[:3]))
-        return ca.vertcat(stereographic_local(ca.dot(nominal[:3], raw[:3]), across), raw[3])
+        return ca.vertcat(tilts_of(nominal, raw[:3]), raw[3]) if self.free else ca.DM.zeros(0, 1)
 
     def raw_constraints(self, raw: Expression) -> list[Expression]:
         """n'n - 1."""
         return [ca.dot(raw[:3], raw[:3]) - 1] if self.free else []
-
-    def with_free(self, free: Sequence[bool]) -> Plane:
-        """Copy, free or held as a whole."""
-        return replace(self, free=all_or_nothing(free, "a plane"), held_as_proposed=True)
 
     def with_prior(self, stds: Sequence[float]) -> Plane:
         """Copy with another prior; both tilts share one standard deviation, so changing either changes both."""

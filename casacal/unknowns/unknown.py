@@ -6,15 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-
-Expression: TypeAlias = Any
+from casacal.kinematics import Expression
 
 PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
 """Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
@@ -193,34 +191,6 @@ def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: 
     if not np.isfinite(result).all() or (result <= 0).any():
         raise ProblemError(f"start_std of {what} is {_shown(result)}", "Give positive finite numbers")
     return result
-
-
-def all_or_nothing(free: Sequence[bool], what: str) -> bool:
-    """Whether an unknown that cannot be split stays free; raises ProblemError for a part of it."""
-    if len(set(free)) > 1:
-        raise ProblemError(f"Only a part of {what} would be held", f"Hold or free {what} as a whole")
-    return bool(free) and bool(free[0])
-
-
-def shared_std(stds: Sequence[float], present: Array) -> float:
-    """One standard deviation for coordinates that share it: that of a changed one, so that naming any sets them all."""
-    changed = [float(new) for new, old in zip(stds, present, strict=True) if new != old]
-    return max(changed) if changed else float(present[0])
-
-
-def stereographic(local: Expression) -> tuple[Expression, Expression]:
-    """Point of the unit sphere at local coordinates u: (along the pole, across it).
-
-    Inverse stereographic projection, smooth without square roots: ((1 - s), u) / (1 + s) with s = |u|^2 / 4.
-    To second order |u| is the angle in rad (|u| = 2 tan(angle / 2)).
-    """
-    s = ca.dot(local, local) / 4
-    return (1 - s) / (1 + s), local / (1 + s)
-
-
-def stereographic_local(along: Expression, across: Expression) -> Expression:
-    """Local coordinates of a point of the unit sphere: 2 across / (1 + along), the inverse of `stereographic`."""
-    return 2 * across / (1 + along)
 
 
 def tangent_basis(unit: Array) -> Array:

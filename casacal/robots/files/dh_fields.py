@@ -71,7 +71,11 @@ def table_of(fields: Fields) -> DHTable:
         )
         for field in ("alpha", "a", "d", "theta")
     }
-    _check_sizes(fields.file, columns)
+    largest = max(abs(value) for key in ("a", "d") for value in columns[key])
+    if 0 < largest < 5 or largest > 20_000:  # no arm: lengths given in the wrong unit
+        unit = "m" if largest < 5 else "mm"
+        fix = f"Name a and d by their unit: a_{unit}, d_{unit}"
+        raise ProblemError(f"{fields.file}: the largest length is {largest:g} mm", fix)
     joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
     parallel, beta = _parallel(fields)
     try:
@@ -186,12 +190,3 @@ def _parallel(fields: Fields) -> tuple[tuple[int, ...], tuple[float, ...]]:
                 fix = "Name it there, if its axis is parallel to the next one"
                 raise ProblemError(f"{fields.file}, {place}: row {i} has beta but is not named in parallel", fix)
     return rows, tuple(beta.get(row, 0.0) for row in rows)
-
-
-def _check_sizes(file: str, columns: Mapping[str, tuple[float, ...]]) -> None:
-    """Refuse an arm that is no arm: lengths given in the wrong unit."""
-    largest = max(abs(value) for key in ("a", "d") for value in columns[key])
-    if 0 < largest < 5:
-        raise ProblemError(f"{file}: the largest length is {largest:g} mm", "Name a and d by their unit: a_m, d_m")
-    if largest > 20_000:
-        raise ProblemError(f"{file}: the largest length is {largest:g} mm", "Name a and d by their unit: a_mm, d_mm")

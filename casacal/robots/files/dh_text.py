@@ -20,7 +20,6 @@ from casacal.tables import grammar
 from casacal.tables.text import read_table
 
 ENTRY = re.compile(r"\s*#\s*(\w+)\s*:\s*(.*?)\s*")
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 COLUMNS = (
     "joint",
     "alpha_deg",
@@ -66,7 +65,7 @@ def decode(path: Path) -> str:
 def _block(text: str, file: str) -> dict[str, Any]:
     """Known keys of the comments; other comments stay comments, but a key that is nearly a known one is refused."""
     block: dict[str, Any] = {}
-    for number, line in enumerate(re.split(r"\r\n|\n|\r", text), 1):
+    for number, line in enumerate(grammar.LINE_END.split(text), 1):
         found = ENTRY.fullmatch(line)
         if not found:
             continue
@@ -105,7 +104,7 @@ def _numbers(text: str, where: str) -> list[float]:
 
 
 def _number(text: str, where: str) -> float:
-    value = float(text) if NUMBER.fullmatch(text) else math.nan
+    value = float(text) if grammar.NUMBER.fullmatch(text) else math.nan
     if not math.isfinite(value):
         raise ProblemError(f"{where}: '{text}' is not a number", "Write it like 12.5")
     return value

@@ -12,7 +12,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError
-from casacal.robots.files.urdf import ZERO, Triple, numbers_in
+from casacal.robots.files.urdf import Triple, numbers_in
 from casacal.robots.files.urdf_reader import read_urdf
 from casacal.robots.urdf_chain import MM, beside_base, hangs, placed
 from casacal.values import Value
@@ -125,11 +125,8 @@ def _shapes(
         return _numbers(path, f"{key} of a collision of link '{link}'", text, count, ", metres or radians")
 
     origin, geometry = collision.find("origin"), collision.find("geometry")
-    place: list[Triple] = [ZERO, ZERO]
-    for k, key in enumerate(("xyz", "rpy")):
-        if origin is not None and key in origin.attrib:
-            x, y, z = read(key, origin.attrib[key], 3)
-            place[k] = (x, y, z)
+    given = {} if origin is None else origin.attrib
+    xyz, rpy = (read(key, given.get(key, "0 0 0"), 3) for key in ("xyz", "rpy"))
     for part in [] if geometry is None else geometry:
         if part.tag not in SIZES:
             continue
@@ -138,7 +135,7 @@ def _shapes(
         if min(size) <= 0 or max(size) > LARGEST:
             what = f"{path}: the collision {part.tag} of link '{link}' measures {' '.join(f'{s:g}' for s in size)}"
             raise ProblemError(what, f"Give metres, above zero and below {LARGEST:g}")
-        yield part.tag, tuple(value * MM for value in size), placed(place[0], place[1])
+        yield part.tag, tuple(value * MM for value in size), placed(xyz, rpy)
 
 
 def _numbers(path: str | Path, what: str, text: str, count: int, units: str = "") -> list[float]:
