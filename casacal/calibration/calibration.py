@@ -12,7 +12,7 @@ from casacal.array_types import Array
 from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.calibration.hidden_tool import HiddenTool, hidden_tool
-from casacal.calibration.motion import Motion, among, doubtful, used_arm
+from casacal.calibration.motion import Motion, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
@@ -60,9 +60,7 @@ class Calibration(Fitted):
     @cached_property
     def motion(self) -> Motion:
         """All that moves the tip: geometry, and effects beside it."""
-        doubted = doubtful(self.fit, self.corrected)
-        sure = used_arm(self.fit, self.result, set(self.corrected) - doubted) if doubted else None
-        return Motion.of(self.fit, self.result, self.used_x, sure=sure)
+        return Motion.of(self.fit, self.result, self.used_x, self.corrected)
 
     @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
