@@ -11,7 +11,6 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
-from casacal.calibration.hidden_tool import HiddenTool, hidden_tool
 from casacal.calibration.motion import Motion, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.estimators import lm
@@ -20,17 +19,43 @@ from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.identifiability import Identifiability, NullDirection, WeakDirection, identifiability
+from casacal.uncertainty.identifiability import (
+    Identifiability,
+    NullDirection,
+    WeakDirection,
+    identifiability,
+    verdict,
+)
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
-from casacal.uncertainty.workspace import flange_accuracy, tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import (
+    flange_accuracy,
+    tip_rms,
+    tip_stds,
+    tool_unknowns,
+    without_rigid,
+    workspace_joints,
+)
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
+PART = 0.5  # tip error with a tool that is exactly known over that as it is, below which the tool decides most of it
 
 NOT_NEEDED = "none needed"
+
+
+@dataclass(frozen=True)
+class HiddenTool:
+    """Coordinates of the tool that the samples hardly show and that decide most of the tip error.
+
+    std_mm: of the least known. tip_mm: the tip error to expect were the tool's point exactly known.
+    """
+
+    names: tuple[str, ...]
+    std_mm: float
+    tip_mm: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +117,7 @@ class Calibration(Fitted):
     def hidden_tool(self) -> HiddenTool | None:
         """What of the tool is not known and decides most of the tip error; None where the arm itself decides it."""
         known = math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])
-        return hidden_tool(self.motion, self.workspace) if known else None
+        return _hidden_tool(self.motion, self.workspace) if known else None
 
     @cached_property
     def tip_from_minimum(self) -> float:
@@ -193,6 +218,24 @@ class Calibration(Fitted):
         far = self.result.loss is None and bool((_moves(self.plain) > FAR).any())
         low = max(self.noise.low, noise_over_stated(self.plain).low)
         return far or not self.passed or low > LACK_OF_FIT
+
+
+def _hidden_tool(motion: Motion, workspace: tuple[Array, Array, Array]) -> HiddenTool | None:
+    """What of the tool the samples hardly show; None where most of the tip error is the arm's.
+
+    Of joint values, tips and slopes over the workspace; the covariance must be finite.
+    """
+    arm, covariance, (_, tips, slopes) = motion.arm, motion.covariance, workspace
+    tool, stds = tool_unknowns(arm, motion.x), np.sqrt(np.diagonal(covariance))
+    tool = np.array([j for j in tool if arm.units[j] == "mm"], dtype=int)
+    hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
+    if not hidden:
+        return None
+    with_tool = covariance[tool]
+    known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
+    field = without_rigid(slopes, tips)
+    now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
+    return HiddenTool(tuple(arm.names[j] for j in hidden), float(stds[hidden].max()), tip) if tip < PART * now else None
 
 
 def _moves(result: Result) -> Array:

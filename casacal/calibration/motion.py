@@ -41,7 +41,7 @@ class Motion:
 
     @staticmethod
     def of(fit: BoundProblem, result: Result, used: Array, corrected: Collection[str] = ()) -> Motion:
-        """Of a fit, and of the arm as used (n,), where some effects are corrected: those in doubt are errors all the same."""
+        """Of a fit, and of the arm as used (n,); of the effects corrected in it, those in doubt count as errors too."""
         doubted = doubtful(fit, corrected) if corrected else set()
         sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)

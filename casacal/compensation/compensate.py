@@ -78,14 +78,16 @@ def compensate(
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
-    arm = _as_told(told, nominal)
+    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
+    arm = replace(nominal, local=local)
+    if used.effects:
+        arm = PosedArm.of(used, local, frame, row_constants(told.arm, used), told.columns)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
-    joints[found], elsewhere[found] = _solved(
-        arm.of_rows(found), positions[found], rotations[found], start[found], largest
-    )
+    given = positions[found], rotations[found], start[found]
+    joints[found], elsewhere[found] = _solved(arm.of_rows(found), *given, largest)
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
@@ -105,14 +107,6 @@ def compensate(
     return Compensation(
         targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected, told.missing
     )
-
-
-def _as_told(told: Told, nominal: PosedArm) -> PosedArm:
-    """The calibrated arm, with what rows tell of its effects."""
-    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
-    if not used.effects:
-        return replace(nominal, local=local)
-    return PosedArm.of(used, local, nominal.frame, row_constants(told.arm, used), told.columns)
 
 
 def _trusted(result: CalibratedArm, frame: str) -> None:

@@ -10,13 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    FRAMES,
-    CalibratedArm,
-    found_values,
-    local_coordinates,
-    row_constants,
-)
+from casacal.compensation.arm import FRAMES, CalibratedArm, found_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
 from casacal.compensation.told import NOTHING_TOLD, Told

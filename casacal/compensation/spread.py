@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    CalibratedArm,
-    all_motion,
-    covariance_of,
-    local_coordinates,
-    row_constants,
-    with_effects,
-)
+from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
 from casacal.compensation.told import NOTHING_TOLD
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
@@ -58,37 +51,31 @@ class Moved:
 
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
-    problem, found = result.source.problem, with_effects(result)
-    covariance, columns = covariance_of(result)
-    if found is None:
-        index, local = [j for _, j in columns], [n for k, u in problem.model.unknowns.items() for n in u.names(k)]
-        known, names = covariance[np.ix_(index, index)], [local[i] for i, _ in columns]
-        model, z = problem.model, local_coordinates(result, of=problem)
-        elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
-        return Moved(model, z, [i for i, _ in columns], names, known, None, elsewhere, constants)
-    model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
+    problem, effects = result.source.problem, with_effects(result)
+    problem = problem if effects is None else problem.with_kit
+    model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
-    if lost:
-        what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
-        raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
-    whole, off = found
-    places = {name: j for j, name in enumerate(off)}
+    if effects is not None:
+        lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
+        if lost:
+            what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
+            raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
+        for effect in model.effects:
+            away |= effect.away(Site(problem.robot, problem.instrument))
+        away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
+    covariance, known = all_motion(result)
+    places = {name: j for j, name in enumerate(known)}
     at = [i for i, name in enumerate(names) if name in places]
     index = [places[names[i]] for i in at]
-    away = dict.fromkeys(model.names, 0.0)
-    for effect in model.effects:
-        away |= effect.away(site)
-    away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
     return Moved(
         model,
-        local_coordinates(result, of=problem.with_kit),
+        local_coordinates(result, of=problem),
         at,
         [names[i] for i in at],
-        whole[np.ix_(index, index)],
-        np.array([off[names[i]] for i in at]),
+        covariance[np.ix_(index, index)],
+        None if effects is None else np.array([effects[1][names[i]] for i in at]),
         np.array(list(away.values())),
-        row_constants(result, problem.with_kit),
+        row_constants(result, problem),
     )
 
 

@@ -40,11 +40,14 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
         return problem.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
-        pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))
-        return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+        return _function("pose", {"q": q}, ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q)))
     inputs = inputs_of(arm, q)
-    pose = pose_at(arm, *inputs.values())
-    return ca.Function("pose", [*inputs.values()], [ca.densify(e) for e in ca.cse([pose])], [*inputs], ["pose"])
+    return _function("pose", inputs, pose_at(arm, *inputs.values()))
+
+
+def _function(name: str, inputs: dict[str, ca.SX], output: ca.SX) -> ca.Function:
+    """A function with one dense output of its own name."""
+    return ca.Function(name, [*inputs.values()], [ca.densify(each) for each in ca.cse([output])], [*inputs], [name])
 
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
@@ -58,7 +61,7 @@ def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
     return {"q": q, "told": ca.SX.sym("told", count)} if count else {"q": q}
 
 
-def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None) -> ca.SX:
+def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
     """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
     columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
     site = Site(problem.robot, problem.instrument)
@@ -94,15 +97,12 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
         return arm.source.problem.without_effects.symbols.value_functions["tip"]
     q, used = ca.SX.sym("q", len(arm.source.problem.robot.axes)), arm if nominal else where_told(arm)
     problem = arm.source.problem.without_effects if nominal else used.used
-    inputs = {"q": q} if nominal else inputs_of(arm, q)
-    d = (
-        ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
-        if nominal
-        else _row(arm, problem, q, inputs.get("told"))
-    )
+    inputs, d = {"q": q}, ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
+    if not nominal:
+        inputs = inputs_of(arm, q)
+        d = _row(arm, problem, **inputs)
     z = local_coordinates(used, nominal=nominal, of=problem)
-    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
-    return ca.Function("tip", [*inputs.values()], [ca.densify(each) for each in ca.cse([tip])], [*inputs], ["tip"])
+    return _function("tip", inputs, problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d))
 
 
 def values_of(
