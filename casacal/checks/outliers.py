@@ -127,32 +127,24 @@ def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Fi
     bound: with all rows. result: a fit that these rows hardly pull.
     """
     findings = list[Finding]()
-    for i, own in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
-        if own.size:
-            findings += _of_instrument(bound, result, found, i, own.tolist())
-    return findings
-
-
-def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int, own: list[int]) -> list[Finding]:
-    """The same of rows of instrument `i`, numbered within it."""
-    samples = bound.samples[i]
-    name = bound.problem.names[i] if len(bound.samples) > 1 else ""
-    turns = lost_turns(bound, result, own, found.scale, i)
-    findings = []
-    for (by, turned), rows in turns.items():
-        fits = "this row fits" if len(rows) == 1 else "these rows fit"
-        dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
-        fix = "Measure again, or correct the reading if the pointer was misread"
-        lines = tuple(sorted(samples.lines[k] for k in rows))
-        cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
-        findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
-    explained = {k for rows in turns.values() for k in rows}
-    lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
-    if lines:
-        off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
-        fix = "Measure them again or remove them; calibrate leaves them out where they are few"
-        cause = f"{off}; more than {found.limit:.1f} is not chance"
-        findings.append(Finding("error", "outliers", cause, fix, lines, name))
+    for i, rows_of_it in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
+        own, samples = rows_of_it.tolist(), bound.samples[i]
+        name = bound.problem.names[i] if len(bound.samples) > 1 else ""
+        turns = lost_turns(bound, result, own, found.scale, i) if own else {}
+        for (by, turned), rows in turns.items():
+            fits = "this row fits" if len(rows) == 1 else "these rows fit"
+            dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
+            fix = "Measure again, or correct the reading if the pointer was misread"
+            lines = tuple(sorted(samples.lines[k] for k in rows))
+            cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
+            findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
+        explained = {k for rows in turns.values() for k in rows}
+        lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
+        if lines:
+            off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
+            fix = "Measure them again or remove them; calibrate leaves them out where they are few"
+            cause = f"{off}; more than {found.limit:.1f} is not chance"
+            findings.append(Finding("error", "outliers", cause, fix, lines, name))
     return findings
 
 
