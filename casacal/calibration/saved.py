@@ -42,18 +42,8 @@ class AsArm(ABC):
     ) -> Prediction:
         """Where the calibrated arm is.
 
-        Args:
-            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
-            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
-            nominal: the arm as drawn in place of the calibrated one.
-            std: whether to add standard deviations, apart from the position of the base.
-
-        Returns:
-            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
-            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
-
-        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
-
+        q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples. frame,
+        nominal, std, result, errors: as for `casacal.compensation.predict.predict`.
         """
         from casacal.compensation.predict import predict
 
@@ -69,19 +59,8 @@ class AsArm(ABC):
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
-        Args:
-            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
-                `casacal compensate` reads.
-            frame: what poses are of.
-            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
-            force: take a result whose verdict is not to use it.
-
-        Returns:
-            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
-            there in mm and rad, and the standard deviation of its position, mm.
-
-        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
-
+        targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+        `casacal compensate` reads. frame, largest, force, result, errors: as for `casacal.compensate`.
         """
         return self._compensated(targets, frame, largest, force)
 

@@ -153,14 +153,6 @@ def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
     return test.shown_size, wording.mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
 
 
-def tried_words(calibration: Calibration) -> list[str]:
-    """One line for each effect that could be corrected and that the rows speak for."""
-    asked = [each for each in calibration.tried if each.unseen]
-    if not asked:
-        return ["None of them is corrected."] if calibration.tried else []
-    return [each.became for each in asked]
-
-
 def corrected_words(calibration: Calibration) -> list[str]:
     """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
     named = listed([each.words for each in calibration.tried if each.corrected])

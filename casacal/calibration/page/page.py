@@ -35,7 +35,8 @@ def report_page(
     document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
-    each, problem, data = Touches.of_each(calibration), calibration.fit.problem, document["data"]
+    each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
+    problem, data = calibration.fit.problem, document["data"]
     denied = document["verdict"]["level"] == "do not use"
     aside = left_out_rows(data)
     parameters, held = tables.parameters(calibration, denied=denied)

@@ -144,7 +144,11 @@ def face_maps(touches: Touches) -> Markup | None:
     if not touches.has_faces or touches.instrument.probe is None:
         return None
     found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
-    maps = [(label, places, _means(places)) for label, places in found if places is not None]
+    maps = [
+        (label, p, in_squares(p.uv, p.residuals, FACE_SQUARES) if len(p.uv) > MOST_POINTS else None)
+        for label, p in found
+        if p is not None
+    ]
     if not maps:
         return None
     scale = Scale.of_signs(np.concatenate([p.residuals if m is None else m.values for _, p, m in maps]))
@@ -166,15 +170,16 @@ def face_maps(touches: Touches) -> Markup | None:
     return figure(" ".join(words), *pictures, key=key)
 
 
-def _means(places: Places) -> Squares | None:
-    return in_squares(places.uv, places.residuals, FACE_SQUARES) if len(places.uv) > MOST_POINTS else None
-
-
 def _map(name: str, label: str, places: Places, means: Squares | None, scale: Scale) -> Markup:
     low, high = places.uv.min(axis=0), places.uv.max(axis=0)
     edge = 0.08 * float((high - low).max())
     panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
     size = np.abs(places.residuals)
+    if means is None:
+        drawn = _touched(panel, places, scale)
+    else:
+        colours = scale.parts(means.values)
+        drawn = [cells(panel, means.x[rows], means.y[rows], means.side, colour) for colour, rows in colours]
     return picture(
         name,
         f"Residual over face {label}",
@@ -186,7 +191,7 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
             f"{shortened(label, 28)}: v, mm" + (" (up)" if places.upright else ""),
             upright=True,
         ),
-        *(_touched(panel, places, scale) if means is None else _squares(panel, means, scale)),
+        *drawn,
     )
 
 
@@ -197,9 +202,3 @@ def _touched(panel: Panel, places: Places, scale: Scale) -> list[Markup | None]:
             here = rows[places.held[rows] == held]
             drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
     return drawn
-
-
-def _squares(panel: Panel, means: Squares, scale: Scale) -> list[Markup | None]:
-    return [
-        cells(panel, means.x[rows], means.y[rows], means.side, colour) for colour, rows in scale.parts(means.values)
-    ]
