@@ -127,11 +127,8 @@ class Prior:
     def of(fresh: Fresh, unknowns: int, covariance: Array | None = None) -> Prior:
         """Of what a calibration says of fresh rows, and of what these know alone.
 
-        Args:
-            fresh: the rows.
-            unknowns: how many there are in all; those that the rows do not have stay zero.
-            covariance: of what is known of the rows, and after it of the last unknowns; by default that of the rows.
-
+        unknowns: how many there are in all; those that the rows do not have stay zero. covariance: of what is known of
+        the rows, and after it of the last unknowns; by default that of the rows.
         """
         bound, alone = fresh.bound, np.flatnonzero(~fresh.known)
         covariance = fresh.covariance if covariance is None else covariance

@@ -100,8 +100,10 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
     turn = [(name, "") for name in QUATERNION] if set(QUATERNION) <= set(table.header) else _angles(table)
     orientations = _numbers(table, turn)
-    if len(turn) == 4:
-        _check_quaternions(table, orientations)
+    lengths = np.linalg.norm(orientations, axis=1)
+    for i in np.flatnonzero((len(turn) == 4) & (np.abs(lengths - 1) > 1e-2))[:1]:
+        what = f"the quaternion has the length {lengths[i]:.4g}"
+        raise SamplesError(table.file, what, "Give a unit quaternion qw,qx,qy,qz", line=table.lines[i])
     return PendantRows(
         _numbers(table, joints),
         _numbers(table, place),
@@ -151,17 +153,6 @@ def _one_unit(table: Table, columns: Sequence[tuple[str, str]]) -> str:
             table.file, f"the columns {shown} state different units", "Use one unit for all", line=table.header_line
         )
     return units[0] if units else ""
-
-
-def _check_quaternions(table: Table, quaternions: Array) -> None:
-    lengths = np.linalg.norm(quaternions, axis=1)
-    for i in np.flatnonzero(np.abs(lengths - 1) > 1e-2)[:1]:
-        raise SamplesError(
-            table.file,
-            f"the quaternion has the length {lengths[i]:.4g}",
-            "Give a unit quaternion qw,qx,qy,qz",
-            line=table.lines[i],
-        )
 
 
 SEQUENCES = {"fixed-xyz": "xyz", "zyx": "ZYX", "zyz": "ZYZ", "xyz": "XYZ"}

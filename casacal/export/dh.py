@@ -146,14 +146,11 @@ SAME = {"alpha": 1e-8, "a": 1e-6, "d": 1e-6, "theta": 1e-8}
 def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bool = False) -> str:
     """The calibrated DH table in its own convention, with the controller's joint signs, offsets and coupling.
 
-    Args:
-        result: of a robot built by `Robot.from_dh` or `from_dh_file`.
-        source: the DH file the table came from, to be written back with nothing but its numbers changed; where axes
-            are parallel, Hayati's `beta` is added if the file has none. None writes a file afresh.
-        toml: without a source, TOML in place of CSV.
+    result: of a robot built by `Robot.from_dh` or `from_dh_file`. source: the DH file the table came from, to be
+    written back with nothing but its numbers changed; where axes are parallel, Hayati's `beta` is added if the file has
+    none. None writes a file afresh. toml: without a source, TOML in place of CSV.
 
     Raises CasacalError for other robots, and for a source that is not the table the calibration began with.
-
     """
     result = arm_from(result)
     arm = result.source.problem.robot.arm

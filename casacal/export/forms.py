@@ -33,16 +33,11 @@ def export(
 ) -> str:
     """A calibrated arm in a form that others read, as text.
 
-    Args:
-        arm: what is exported.
-        form: one of `FORMS`.
-        path: file to write it to; None writes nothing.
-        source: for "dh" and "urdf", the file written back with only its numbers changed.
-        prefix: for "c", what the functions' names begin with; by default the problem's name.
-        force: write a result whose verdict is not to use it, with that verdict as a comment.
+    form: one of `FORMS`. path: file to write it to; None writes nothing. source: for "dh" and "urdf", the file written
+    back with only its numbers changed. prefix: for "c", what the functions' names begin with; by default the problem's
+    name. force: write a result whose verdict is not to use it, with that verdict as a comment.
 
     Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
-
     """
     arm = arm_from(arm)
     if not isinstance(form, str) or form not in FORMS:

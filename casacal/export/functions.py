@@ -22,16 +22,10 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
 
     Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
-    (k), in the order of `told_names`.
-
-    Args:
-        arm: what was calibrated.
-        nominal: as drawn in place of as calibrated.
-        free: the robot's parameters are inputs too, by name and before q; `values_of` gives what they are. Effects
-            beside the geometry are then no part of it.
+    (k), in the order of `told_names`. nominal: as drawn in place of as calibrated. free: the robot's parameters are
+    inputs too, by name and before q; `values_of` gives what they are. Effects beside the geometry are then no part.
 
     Raises CasacalError when both nominal and free are asked for.
-
     """
     _check(nominal, free)
     arm = arm_from(arm)

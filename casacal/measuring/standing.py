@@ -76,7 +76,7 @@ class Standing(Value):
             return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return self._pool.best(known, self.field)
+        return Touch.of(self._pool.samples, self._pool.most_telling(known.covariance, self.field))
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""

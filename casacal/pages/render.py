@@ -50,13 +50,7 @@ def shortened(words: str, longest: int) -> str:
 
 
 def rendered(template: str, context: Mapping[str, object]) -> str:
-    """A page, or a part of one, that needs no other file, no network and no script.
-
-    Args:
-        template: a file of casacal/pages/templates.
-        context: what the template names.
-
-    """
+    """A page from templates/, or a part of one, that needs no other file, no network and no script."""
     return _templates().get_template(template).render(context)
 
 

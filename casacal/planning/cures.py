@@ -115,12 +115,7 @@ def _measured_tool(arm: Seen, x: Array, told: Array) -> Iterator[Outcome]:
 def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
     """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
 
-    Args:
-        bound: the problem whose direction it is.
-        now: covariance of its unknowns (s, s).
-        found: from `cures`, best first.
-        direction: in units of `prior_scale`.
-
+    bound: the problem whose direction it is. now: covariance of its unknowns (s, s). found: from `cures`, best first.
     """
     along = np.where(bound.datum, 0.0, direction.direction) / np.linalg.norm(direction.direction)
     if not along.any():

@@ -139,17 +139,8 @@ def set_ups(
     """Compare ways to set the cell up by the tip error to expect from as many touches, the best first.
 
     As it is; one plate; it at two heights; three faces at right angles; a gauge block; other tilts. What this arm
-    cannot touch is last, with an infinite error.
-
-    Args:
-        problem: a robot with one instrument that touches faces.
-        cell: as for `plan`.
-        touches: how many are fitted in each.
-        box, targets: where the tip is wanted, as for `plan`.
-        seed: of everything that is drawn.
-
-    Raises CasacalError for an instrument that touches no faces.
-
+    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets, seed: as for
+    `plan`. Raises CasacalError for an instrument that touches no faces.
     """
     still = cell_of(problem, cell)
     if not isinstance(still, Cell):

@@ -113,15 +113,9 @@ def fresh_rows(
 ) -> Fresh:
     """Bind fresh rows to a result.
 
-    Args:
-        result: the arm as calibrated.
-        problem: that arm, and the instrument of the rows.
-        samples: the rows.
-        other: whether it is another instrument than that of the calibration.
-        standing: labels of faces, or keys of unknowns, that stand where the calibration found them.
-
-    Raises CasacalError for what cannot be standing, SamplesError for too few rows or too many.
-
+    problem: its arm, and the instrument of the rows. other: whether that is another one than that of the calibration.
+    standing: labels of faces, or keys of unknowns, that stand where the calibration found them. Raises CasacalError for
+    what cannot be standing, SamplesError for too few rows or too many.
     """
     kept = _kept(result, problem, samples, standing)
     bound = _bound(result, problem, samples, kept, other=other)

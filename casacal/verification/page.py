@@ -33,13 +33,8 @@ def verification_page(found: Figures) -> str:
 def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str:
     """The text of a calibration's report with the section of a verification.
 
-    Args:
-        path: the report, as `casacal calibrate` wrote it.
-        document: the result.json that the report is of.
-        found: the verification.
-
-    Raises CasacalError where there is no such report, or it is of another calibration.
-
+    document: the result.json that the report is of. Raises CasacalError where there is no such report, or it is of
+    another calibration.
     """
     try:
         text = path.read_text(encoding="utf-8")
