@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates, row_constants
+from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates, row_constants
 from casacal.compensation.inverse_kinematics import PosedArm, postures
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
@@ -116,7 +116,10 @@ def _trusted(result: CalibratedArm, frame: str) -> None:
     keys = list(result.source.problem.robot.parameters)
     if frame == "tip":
         keys += list(result.source.problem.instrument.unknowns)
-    lost = infinite_variances(result, keys)
+    covariance, columns = covariance_of(result)
+    unknowns = result.source.problem.model.unknowns
+    named = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
+    lost = [named[i][1] for i, j in columns if named[i][0] in keys and not math.isfinite(covariance[j, j])]
     if lost:
         raise CasacalError(
             f"{result.file}: neither samples nor prior hold {', '.join(lost[:6])}{', ...' if len(lost) > 6 else ''}, "

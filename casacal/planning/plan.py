@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -101,8 +102,8 @@ def plan(
     wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
-    joints = wanted_joints(bound, box, targets)
-    choice = Choice.of(bound, joints, count=pool, loose=loose)
+    choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
+    choice = choice_at()
     checks, repeats = round(check * touches), round(again * touches)
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
@@ -112,16 +113,20 @@ def plan(
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
     purposes = [FIT] * len(best) + [CHECK] * checks
     draws = [choice.error(rng.choice(pool, len(best), replace=False)) for _ in range(DRAWS)]
+    fitted = np.concatenate([best, twice])
+    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    arms = bound.x0 + std * np.random.default_rng([seed, 2]).normal(size=(ARMS, std.size))
+    over_arms = [choice_at(at=arm).error(fitted) for arm in arms]
     return Plan(
         replace(reachable.take(order), lines=tuple(range(1, len(order) + 1))),
         (*(purposes[k] for k in way), *[AGAIN] * repeats),
-        choice.error(np.concatenate([best, twice])),
+        choice.error(fitted),
         choice.error(best[:0]),
         float(np.median(draws)),
         choice.error(np.arange(pool)),
         choice.curve(best, rng, wanted),
         choice.lost(best, LOST, DRAWS, rng),
-        _over_arms(bound, joints, pool, loose, np.concatenate([best, twice]), np.random.default_rng([seed, 2])),
+        float(np.sqrt(np.mean(np.square(over_arms)))),
     )
 
 
@@ -145,21 +150,6 @@ def _enough_of_each(
         if not least.any() or (~barred).sum() < 2 * count:
             return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
         best = choice.best_of(count, starts, rng, criterion, barred)
-
-
-def _over_arms(
-    bound: BoundProblem,
-    joints: Array,
-    pool: int,
-    loose: Mapping[str, float] | None,
-    chosen: Chosen,
-    rng: np.random.Generator,
-) -> float:
-    """Error, RMS over arms drawn from the prior: what a plan made by the drawing does on arms that are not as drawn."""
-    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
-    arms = (bound.x0 + std * rng.normal(size=std.size) for _ in range(ARMS))
-    errors = [Choice.of(bound, joints, count=pool, loose=loose, at=arm).error(chosen) for arm in arms]
-    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def bound_pool(

@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, corrected_values, known_motion, sizes_of
+from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance, sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
@@ -119,7 +119,8 @@ def fresh_rows(
     """
     kept = _kept(result, problem, samples, standing)
     bound = _bound(result, problem, samples, kept, other=other)
-    rows, (covariance, names) = result.document["parameters"], known_motion(result)
+    covariance, names = all_motion(result) if result.corrected else named_covariance(result)
+    rows = result.document["parameters"]
     values = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
     values |= {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
     places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
