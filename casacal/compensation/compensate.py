@@ -21,7 +21,7 @@ from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
 from casacal.compensation.told import Told
-from casacal.compensation.turns import lengths, turning
+from casacal.compensation.turns import turning
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.joint_space import joint_units
 
@@ -103,7 +103,7 @@ def compensate(
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
     outcomes = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
-    before, moved = lengths(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
+    before, moved = np.linalg.norm(arm.miss(start, positions, rotations)[0], axis=1), np.where(jumps, 0.0, moved)
     return Compensation(
         targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected, told.missing
     )
@@ -177,8 +177,8 @@ def _proof(
         known = result.denial is None  # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=known)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
-        place[sound] = lengths(prediction.positions - positions[sound])
-        turn[sound] = lengths(turning(turns @ rotations[sound].transpose(0, 2, 1)))
+        place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
+        turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)
         spread[sound] = prediction.std if known else np.nan
     return place, turn, spread
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.told import NOTHING_TOLD
-from casacal.compensation.turns import inverse_left_jacobian, lengths, turning
+from casacal.compensation.turns import inverse_left_jacobian, turning
 from casacal.kernels.batch import BLOCK, Batch
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import AXIS_WEIGHT, joint_units, random_joints
@@ -97,7 +97,7 @@ class PosedArm:
     def takes(self, joints: Array, positions: Array, rotations: Array) -> Rows:
         """Rows (N,) in which joint values bring it to a pose."""
         place, turn, _ = self.miss(joints, positions, rotations)
-        return self.within(lengths(place), lengths(turn))
+        return self.within(np.linalg.norm(place, axis=1), np.linalg.norm(turn, axis=1))
 
     def reach(self, positions: Array, rotations: Array, start: Array, *, steps: int = 60) -> Array:
         """Joint values (N, n), inside the limits, that bring each row as near to its pose as damped steps lead.

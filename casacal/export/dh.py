@@ -178,15 +178,15 @@ def _remarked(text: str, lines: list[str]) -> str:
 
 def _check_source(source: str | Path, arm: DHTable) -> None:
     """Refuse a file that is not the table the calibration began with."""
-    began = read_dh_file(source)
-    wrong = ""
+    began, wrong = read_dh_file(source), ""
+    mine, theirs = (table.conventions or Conventions.plain(len(table.joints)) for table in (began, arm))
     if len(began.joints) != len(arm.joints):
         wrong = f"it has {len(began.joints)} joints, the calibrated arm {len(arm.joints)}"
     elif began.convention != arm.convention:
         wrong = f"its convention is {began.convention}, the calibrated arm's {arm.convention}"
     elif began.parallel not in ((), arm.parallel):
         wrong = f"its parallel rows are {list(began.parallel)}, the calibrated arm's {list(arm.parallel)}"
-    elif not _same_conventions(began, arm):
+    elif not all(np.allclose(getattr(mine, k), getattr(theirs, k), atol=1e-8) for k in ("matrix", "offsets")):
         wrong = "its joint signs, offsets or coupling are not those of the calibrated arm"
     for key, tolerance in SAME.items():
         if wrong:
@@ -198,13 +198,6 @@ def _check_source(source: str | Path, arm: DHTable) -> None:
     if wrong:
         fix = "Give the file that the problem was made from, or leave out the source"
         raise CasacalError(f"{source}: {wrong}", fix)
-
-
-def _same_conventions(one: DHTable, two: DHTable) -> bool:
-    """Whether two tables mean the same by a controller's joint values."""
-    mine, theirs = (table.conventions or Conventions.plain(len(table.joints)) for table in (one, two))
-    same = np.allclose(mine.matrix, theirs.matrix, atol=1e-8)
-    return bool(same and np.allclose(mine.offsets, theirs.offsets, atol=1e-8))
 
 
 def _check_written(text: str, source: str | Path, table: DHTable) -> None:

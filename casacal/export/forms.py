@@ -51,7 +51,11 @@ def export(
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
     arm.check_usable(force=force)
     if form == "dh":
-        text = _dh(arm, path, source)
+        toml = is_toml(path) if path is not None else source is not None and is_toml(source)
+        if source is not None and is_toml(source) != toml:
+            fix = "Let both names end in .csv, or both in .toml"
+            raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
+        text = dh_text(arm, source, toml=toml)
     elif form == "urdf":
         text = _remarked(urdf_text(arm, source), arm)
     elif form == "c":
@@ -77,11 +81,3 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None
     return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
-
-
-def _dh(arm: CalibratedArm, path: str | Path | None, source: str | Path | None) -> str:
-    toml = is_toml(path) if path is not None else source is not None and is_toml(source)
-    if source is not None and is_toml(source) != toml:
-        fix = "Let both names end in .csv, or both in .toml"
-        raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
-    return dh_text(arm, source, toml=toml)

@@ -84,8 +84,7 @@ class Panel:
 
 def number(value: float) -> str:
     """Length in picture units with at most one decimal."""
-    shown = f"{float(value):.1f}".removesuffix(".0")
-    return "0" if shown == "-0" else shown
+    return f"{float(value):z.1f}".removesuffix(".0")
 
 
 def nice_step(span: float, most: int) -> float:

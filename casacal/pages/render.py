@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -35,13 +34,6 @@ def shown_unit(unit: str) -> tuple[str, float]:
 def count(number: int, word: str) -> str:
     """Number with its noun: 1 row, 2 rows, 1,000 rows."""
     return f"{number:,} {word}{'' if number == 1 else 's'}"
-
-
-def left_out_rows(data: Mapping[str, Any]) -> list[str]:
-    """Rows that were neither fitted nor held out, of the `data` of a result.json."""
-    copies = data["copies"]
-    found = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
-    return found + ([f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else [])
 
 
 def shortened(words: str, longest: int) -> str:

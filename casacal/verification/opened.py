@@ -11,14 +11,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.calibration.given import samples_of
+from casacal.calibration.given import problem_from, samples_of
 from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 from casacal.samples.repeats import copies, fitted_among
@@ -133,12 +133,7 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
 
 def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
     """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
-    if isinstance(given, (str, Path)):
-        given = load_problem(given)
-    other = given.problem if isinstance(given, ProblemFile) else given
-    if not isinstance(other, Problem):
-        raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
-    robot = arm.source.problem.robot
+    other, robot = problem_from(given).problem, arm.source.problem.robot
     if not _same_arm(robot, other.robot):
         raise CasacalError(
             f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",

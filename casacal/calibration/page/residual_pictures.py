@@ -175,11 +175,14 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
     edge = 0.08 * float((high - low).max())
     panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
     size = np.abs(places.residuals)
-    if means is None:
-        drawn = _touched(panel, places, scale)
-    else:
-        colours = scale.parts(means.values)
-        drawn = [cells(panel, means.x[rows], means.y[rows], means.side, colour) for colour, rows in colours]
+    drawn: list[Markup | None] = []
+    for colour, rows in scale.parts(places.residuals if means is None else means.values):
+        if means is not None:
+            drawn.append(cells(panel, means.x[rows], means.y[rows], means.side, colour))
+            continue
+        for held, look in ((False, "spot"), (True, "spot square")):
+            here = rows[places.held[rows] == held]
+            drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
     return picture(
         name,
         f"Residual over face {label}",
@@ -193,12 +196,3 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
         ),
         *drawn,
     )
-
-
-def _touched(panel: Panel, places: Places, scale: Scale) -> list[Markup | None]:
-    drawn = []
-    for colour, rows in scale.parts(places.residuals):
-        for held, look in ((False, "spot"), (True, "spot square")):
-            here = rows[places.held[rows] == held]
-            drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
-    return drawn
