@@ -116,8 +116,21 @@ class Calibration(Fitted):
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:
         """What of the tool is not known and decides most of the tip error; None where the arm itself decides it."""
-        known = math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])
-        return _hidden_tool(self.motion, self.workspace) if known else None
+        if not (math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])):
+            return None
+        motion, (_, tips, slopes) = self.motion, self.workspace
+        arm, covariance = motion.arm, motion.covariance
+        stds = np.sqrt(np.diagonal(covariance))
+        tool = np.array([j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm"], dtype=int)
+        hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
+        if not hidden:
+            return None
+        with_tool = covariance[tool]
+        known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
+        field = without_rigid(slopes, tips)
+        now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
+        names, std = tuple(arm.names[j] for j in hidden), float(stds[hidden].max())
+        return HiddenTool(names, std, tip) if tip < PART * now else None
 
     @cached_property
     def tip_from_minimum(self) -> float:
@@ -218,24 +231,6 @@ class Calibration(Fitted):
         far = self.result.loss is None and bool((_moves(self.plain) > FAR).any())
         low = max(self.noise.low, noise_over_stated(self.plain).low)
         return far or not self.passed or low > LACK_OF_FIT
-
-
-def _hidden_tool(motion: Motion, workspace: tuple[Array, Array, Array]) -> HiddenTool | None:
-    """What of the tool the samples hardly show; None where most of the tip error is the arm's.
-
-    Of joint values, tips and slopes over the workspace; the covariance must be finite.
-    """
-    arm, covariance, (_, tips, slopes) = motion.arm, motion.covariance, workspace
-    tool, stds = tool_unknowns(arm, motion.x), np.sqrt(np.diagonal(covariance))
-    tool = np.array([j for j in tool if arm.units[j] == "mm"], dtype=int)
-    hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
-    if not hidden:
-        return None
-    with_tool = covariance[tool]
-    known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
-    field = without_rigid(slopes, tips)
-    now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
-    return HiddenTool(tuple(arm.names[j] for j in hidden), float(stds[hidden].max()), tip) if tip < PART * now else None
 
 
 def _moves(result: Result) -> Array:

@@ -61,7 +61,9 @@ def _document(document: Mapping[str, Any], name: str, first: str, of_others: Cal
     if isinstance(found.get("proposed"), Mapping):
         found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
     if isinstance(noise := found.get("noise"), Mapping):
-        found["noise"] = {**noise, "by_face": _faces(noise.get("by_face") or {}, name)}
+        by_face, before = noise.get("by_face") or {}, f"{name} "
+        faces = {face.removeprefix(before): value for face, value in by_face.items() if face.startswith(before)}
+        found["noise"] = {**noise, "by_face": faces | ({ALL_ROWS: by_face[name]} if name in by_face else {})}
     data = found.get("data")
     if isinstance(data, Mapping) and name in (data.get("instruments") or {}):
         found["data"] = {**data, **data["instruments"][name]}
@@ -73,10 +75,3 @@ def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, An
     rows = {key: [{**row, "name": own(row["name"])} for row in part[key]] for key in NAMED if key in part}
     names = part.get("covariance_of")
     return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}
-
-
-def _faces(by_face: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Noise by the faces of one instrument."""
-    before = f"{name} "
-    found = {face.removeprefix(before): value for face, value in by_face.items() if face.startswith(before)}
-    return {**found, ALL_ROWS: by_face[name]} if name in by_face else found

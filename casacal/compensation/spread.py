@@ -129,8 +129,11 @@ def position_stds(
         return _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
     names, found = np.array(zeros.names), np.zeros(len(data))
     off = None if arm.off is None else np.append(arm.off, 0.0)
-    for name in dict.fromkeys(zeros.names):
-        covariance = _with_zero(result, [*arm.names, name], zeros.prior_std)
+    whole, known = all_motion(result)
+    for name in dict.fromkeys(zeros.names):  # the zero as well as the result knows it, or else as its prior does
+        at = [known.index(each) for each in (*arm.names, name) if each in known]
+        covariance = np.diag([*np.zeros(len(arm.names)), zeros.prior_std**2])
+        covariance[: len(at), : len(at)] = whole[np.ix_(at, at)]
         rows = names == name
         there, workspace = (_field(arm, each, frame, zeros.sign) for each in (data[rows], joints))
         found[rows] = _stds(covariance, there, workspace, off)
@@ -149,14 +152,3 @@ def _field(arm: Moved, given: Array, frame: str, sign: int = 0) -> tuple[Array, 
     if sign:
         field = np.column_stack([field, sign * batch.plunger(arm.z, arm.constants, rows)[0].ravel()])
     return field, points
-
-
-def _with_zero(result: CalibratedArm, names: Sequence[str], prior_std: float) -> Array:
-    """Covariance of some unknowns (k, k), the last a zero of the dial: by its prior where the result knows none."""
-    whole, known = all_motion(result)
-    at = [known.index(name) for name in names if name in known]
-    found = np.zeros((len(names), len(names)))
-    found[: len(at), : len(at)] = whole[np.ix_(at, at)]
-    if len(at) < len(names):
-        found[-1, -1] = prior_std**2
-    return found

@@ -136,7 +136,13 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
-    told, touches = arm.information(at), _touches(bound, x)
+    told = arm.information(at)
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        touches = None
+    if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
+        touches = None
     yield from _measured_tool(arm, at, told)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
@@ -186,15 +192,6 @@ def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcom
         words = f"{EXTRA_TOUCHES} more samples of the {name}"
         information = told + more * (told - arm.information(at))
         yield Outcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
-
-
-def _touches(bound: BoundProblem, x: Array) -> Touches | None:
-    """The arm before its faces; None where no such thing can be said."""
-    try:
-        touches = Touches.of(bound, x)
-    except CasacalError:
-        return None
-    return touches if touches is not None and touches.tilt < MOST_TILT else None
 
 
 def _spread(covariance: Array, along: Array) -> float:

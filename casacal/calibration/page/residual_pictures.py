@@ -49,7 +49,12 @@ def _histogram(touches: Touches, when: When) -> Markup:
     count = 2 * round(min(max(len(everything) ** (1 / 3), BINS[0] / 2), BINS[1] / 2) - 0.5) + 1
     edges = np.linspace(-half, half, count + 1)
     shares = [100 * np.histogram(np.clip(values, -half, half), edges)[0] / len(values) for values in found]
-    curve = _expected(touches, edges) if when == "after" else np.zeros(0)
+    curve = np.zeros(0)
+    if when == "after":  # shares that the noise of the rows, as used, predicts, percent
+        from scipy.stats import norm
+
+        stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
+        curve = 100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1))
     top = 1.08 * max(float(np.concatenate([*shares, curve]).max()), 1.0)
     panel = Panel((-half, half), (0.0, top))
     beyond = int((np.abs(everything) > half).sum())
@@ -64,14 +69,6 @@ def _histogram(touches: Touches, when: When) -> Markup:
         steps(panel, edges, shares[1], "outline held") if len(shares) > 1 else None,
         line(panel, (edges[:-1] + edges[1:]) / 2, curve, "expected") if len(curve) else None,
     )
-
-
-def _expected(touches: Touches, edges: Array) -> Array:
-    """Shares (bins,) that the noise of the rows, as used, predicts, percent."""
-    from scipy.stats import norm
-
-    stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
-    return np.asarray(100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1)))
 
 
 def row_plots(touches: Touches) -> Markup:
