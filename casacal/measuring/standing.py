@@ -40,13 +40,11 @@ class Standing(Value):
     skipped: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
-        refuse_several(self.problem, "A session uses one instrument", "Give")
+        refuse_several(self.problem, "A session uses one instrument", "Give", self.box, self.targets)
         if self.plan is not None and not isinstance(self.plan, Route):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
             raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
-        if self.box is not None and self.targets is not None:
-            raise CasacalError("Got a box and targets", "Give one of them")
 
     def __len__(self) -> int:
         return len(self.touches)

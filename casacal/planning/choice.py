@@ -30,13 +30,15 @@ ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
 
 
-def refuse_several(problem: Problem, what: str, fix: str) -> None:
-    """Raise CasacalError for what is no problem, or one of several instruments."""
+def refuse_several(problem: Problem, what: str, fix: str, box: Box | None, targets: object) -> None:
+    """Raise CasacalError for what is no problem, or one of several instruments, and for two places at once."""
     if not isinstance(problem, Problem):
         raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
     if len(problem.instruments) > 1:
         names = ", ".join(problem.names)
         raise CasacalError(f"{what}, but the problem has {names}", f"{fix} problem.measured_by(name)")
+    if box is not None and targets is not None:
+        raise CasacalError("Got a box and targets", "Give one of them")
 
 
 def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:

@@ -101,17 +101,6 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
-def _measured_tool(arm: Seen, x: Array, told: Array) -> Iterator[Outcome]:
-    """The tool's point measured by other means, where the samples know it less well."""
-    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
-    tool = [j for j in tool_unknowns(arm, x) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
-    if tool:
-        prior_std = arm.prior_std.copy()
-        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
-        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield Outcome("tool", words, 0, told, prior_std)
-
-
 def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
     """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
 
@@ -143,7 +132,13 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
         touches = None
     if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
         touches = None
-    yield from _measured_tool(arm, at, told)
+    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
+    tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
+    if tool:  # the samples know its point less well than other means
+        prior_std = arm.prior_std.copy()
+        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
+        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
+        yield Outcome("tool", words, 0, told, prior_std)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return

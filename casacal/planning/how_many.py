@@ -9,8 +9,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
-from casacal.planning.choice import Choice, pool_of, wanted_joints
-from casacal.planning.plan import bound_pool, refuse
+from casacal.planning.choice import Choice, pool_of, refuse_several, wanted_joints
+from casacal.planning.plan import bound_pool
 from casacal.planning.route import touches_needed
 from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
@@ -44,7 +44,7 @@ def touches_for(
 
     box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the tolerance.
     """
-    refuse(problem, 3, 3, 1, 0.0, 0.0, box, targets)
+    refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
         shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
         raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")

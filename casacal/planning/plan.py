@@ -97,7 +97,8 @@ def plan(
     Raises CasacalError for numbers that make no plan, SimulationError where faces are out of reach.
 
     """
-    refuse(problem, touches, pool, starts, again, check, box, targets)
+    refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
+    _refuse(touches, pool, starts, again, check)
     refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
     wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
@@ -166,11 +167,8 @@ def bound_pool(
     return bound
 
 
-def refuse(
-    problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
-) -> None:
+def _refuse(touches: int, pool: int, starts: int, again: float, check: float) -> None:
     """Raise CasacalError for numbers that make no plan."""
-    refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
             shown = f"{value:g}" if is_real(value) else came(value)
@@ -180,5 +178,3 @@ def refuse(
             raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")
     if touches - round(check * touches) - round(again * touches) < 3:
         raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
-    if box is not None and targets is not None:
-        raise CasacalError("Got a box and targets", "Give one of them")
