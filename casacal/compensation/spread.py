@@ -9,7 +9,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
-from casacal.compensation.told import NOTHING_TOLD
+from casacal.compensation.told import NOTHING_TOLD, whole_rows
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
@@ -34,19 +34,6 @@ class Moved:
     off: Array | None
     elsewhere: Array
     constants: Array
-
-    @property
-    def joints(self) -> int:
-        """How many joint values a row begins with."""
-        return self.model.pose.numel_in(2) - self.elsewhere.size
-
-    def rows(self, given: Array, told: Mapping[str, Array] = NOTHING_TOLD) -> Array:
-        """Whole rows (N, n + k) of given joint values and first columns, and of columns that are told, by name."""
-        rows = np.tile(np.concatenate([np.zeros(self.joints), self.elsewhere]), (len(given), 1))
-        rows[:, : given.shape[1]] = given
-        for name, values in told.items():
-            rows[:, self.joints + self.model.names.index(name)] = values
-        return rows
 
 
 def moved_arm(result: CalibratedArm) -> Moved:
@@ -124,17 +111,19 @@ def position_stds(
     effects, by name; what is not told is as large as it was in the fitted rows.
     """
     arm, joints = moved_arm(result), workspace_joints(result.source.problem.robot)
-    data = arm.rows(data, told)
+    names, n = arm.model.names, joints.shape[1]
+    data = whole_rows(data, n, names, told, arm.elsewhere)
+    joints = whole_rows(joints, n, names, NOTHING_TOLD, arm.elsewhere)
     if zeros is None:
         return _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
-    names, found = np.array(zeros.names), np.zeros(len(data))
+    found = np.zeros(len(data))
     off = None if arm.off is None else np.append(arm.off, 0.0)
     whole, known = all_motion(result)
     for name in dict.fromkeys(zeros.names):  # the zero as well as the result knows it, or else as its prior does
         at = [known.index(each) for each in (*arm.names, name) if each in known]
         covariance = np.diag([*np.zeros(len(arm.names)), zeros.prior_std**2])
         covariance[: len(at), : len(at)] = whole[np.ix_(at, at)]
-        rows = names == name
+        rows = np.array(zeros.names) == name
         there, workspace = (_field(arm, each, frame, zeros.sign) for each in (data[rows], joints))
         found[rows] = _stds(covariance, there, workspace, off)
     return found
@@ -144,9 +133,9 @@ def _stds(covariance: Array, there: tuple[Array, Array], workspace: tuple[Array,
     return np.asarray(np.linalg.norm(tip_stds(covariance, up_to_base(*there, *workspace), off), axis=1))
 
 
-def _field(arm: Moved, given: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
+def _field(arm: Moved, rows: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
     """Moves of positions (3 N, k) by what moves the arm, with a sign also by the dial's zero, and the positions."""
-    rows, batch = arm.rows(given), arm.model.batch
+    batch = arm.model.batch
     points, slopes = (batch.tip_jacobian if frame == "tip" else batch.flange_jacobian)(arm.z, arm.constants, rows)
     field = slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns]
     if sign:

@@ -15,6 +15,7 @@ from casacal.compensation.result_file import arm_from
 from casacal.compensation.told import columns_that_tell, where_told
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
+from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
 
 
@@ -34,14 +35,9 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
         return problem.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
-        return _function("pose", {"q": q}, ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q)))
+        return row_function("pose", [q], [ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))], ["q"])
     inputs = inputs_of(arm, q)
-    return _function("pose", inputs, pose_at(arm, *inputs.values()))
-
-
-def _function(name: str, inputs: dict[str, ca.SX], output: ca.SX) -> ca.Function:
-    """A function with one dense output of its own name."""
-    return ca.Function(name, [*inputs.values()], [ca.densify(each) for each in ca.cse([output])], [*inputs], [name])
+    return row_function("pose", [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
 
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
@@ -96,7 +92,8 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
         inputs = inputs_of(arm, q)
         d = _row(arm, problem, **inputs)
     z = local_coordinates(used, nominal=nominal, of=problem)
-    return _function("tip", inputs, problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d))
+    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
+    return row_function("tip", [*inputs.values()], [tip], [*inputs])
 
 
 def values_of(
