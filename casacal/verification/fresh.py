@@ -21,7 +21,6 @@ from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
-from casacal.uncertainty.identifiability import prior_scale
 from casacal.unknowns import Unknown
 from casacal.wording import counted
 
@@ -93,11 +92,6 @@ class Fresh:
     def some(self, rows: NDArray[np.intp]) -> FreshRows:
         """The same of some residuals alone, with all priors."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
-
-    def scaled_arm(self) -> Array:
-        """Derivative of the same rows by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
-        columns, more = self.of_arm, len(self.linear.residual) - self.bound.rows
-        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((more, columns.size))])
 
 
 def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
