@@ -209,10 +209,8 @@ def updated_state(arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropp
     both[list(shared), k:] = whole[np.ix_(list(shared.values()), places)]
     both[k:, :k] = both[:k, k:].T
     if not np.isfinite(both).all():
-        raise CasacalError(
-            f"{arm.file}: it leaves directions without bound, so there is no prior to update",
-            "Calibrate again with old and new rows",
-        )
+        fix = "Calibrate again with old and new rows"
+        raise CasacalError(f"{arm.file}: it leaves directions without bound, so there is no prior to update", fix)
     prior = Prior.of(fresh, n + len(places), both)
     ways = np.zeros((n + len(places), len(free)))
     ways[:n] = np.reshape(free, (len(free), n)).T

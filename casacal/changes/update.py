@@ -75,22 +75,17 @@ def _refuse(given: Opened, found: Change) -> None:
     """Raise CasacalError for what cannot be updated."""
     document = given.arm.document
     if document.get("method") == "truth":
-        raise CasacalError(
-            f"{given.arm.file}: a true arm is not estimated, so nothing updates it", "Give a calibration"
-        )
+        fix = "Give a calibration"
+        raise CasacalError(f"{given.arm.file}: a true arm is not estimated, so nothing updates it", fix)
     if given.other or (document.get("data") or {}).get("instruments"):
-        raise CasacalError(
-            f"{given.arm.file}: a result can be updated only by rows of its own instrument",
-            "Calibrate again with all rows",
-        )
+        fix = "Calibrate again with all rows"
+        raise CasacalError(f"{given.arm.file}: a result can be updated only by rows of its own instrument", fix)
     if found.ended == ROWS or found.bad_lines:
         lines = ", ".join(map(str, found.bad_lines))
         raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
     if found.ended == UNDECIDED:
-        raise CasacalError(
-            f"{found.samples}: these rows do not show what changed, so nothing was updated",
-            "Take the touches of --touches FILE, or calibrate again",
-        )
+        fix = "Take the touches of --touches FILE, or calibrate again"
+        raise CasacalError(f"{found.samples}: these rows do not show what changed, so nothing was updated", fix)
 
 
 def _still(look: Look, found: Change) -> tuple[list[str], Any]:
@@ -124,9 +119,7 @@ def _free(fresh: Fresh, look: Look, found: Change) -> list[Array]:
             slots = [slot for slot in fresh.bound.slots if slot.key == "tool" and slot.key not in keys]
             columns = [j for slot in slots if not slot.beside and not slot.datum for j in slot.columns]
             if not columns:
-                raise CasacalError(
-                    "The tool has moved, but this problem holds it",
-                    "Correct its position in the problem, or free it (--free tool), and calibrate again",
-                )
+                fix = "Correct its position in the problem, or free it (--free tool), and calibrate again"
+                raise CasacalError("The tool has moved, but this problem holds it", fix)
             return [*np.eye(fresh.bound.unknowns)[columns]]
     return []

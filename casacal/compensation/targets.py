@@ -112,9 +112,8 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     axes, probe = source.problem.layout().joints, source.problem.instrument.probe
     if probe is not None and probe.zero_label in table.header:
         what = f"targets cannot be of one {probe.zero_label}: the tip is the tool's point as the problem declares it"
-        raise SamplesError(
-            table.file, what, "Leave out this column, or give targets of the flange without it", column=probe.zero_label
-        )
+        fix = "Leave out this column, or give targets of the flange without it"
+        raise SamplesError(table.file, what, fix, column=probe.zero_label)
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
     joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None

@@ -86,10 +86,8 @@ def axes_of(robot: Robot) -> Axes:
         wanted = np.array(asked)
         if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
             return found
-    raise ProblemError(
-        f"The pose of '{robot.name}' is not one turn or slide per joint",
-        "Give the doctor a pose without gears or links",
-    )
+    fix = "Give the doctor a pose without gears or links"
+    raise ProblemError(f"The pose of '{robot.name}' is not one turn or slide per joint", fix)
 
 
 def _mixings(turns: tuple[bool, ...]) -> Iterator[Array]:

@@ -111,13 +111,11 @@ def diagnose(
 
     """
     if rows.joints.shape[1] != len(robot.axes):
-        raise CasacalError(
-            f"The rows have {rows.joints.shape[1]} joints and '{robot.name}' has {len(robot.axes)}", "Use its own rows"
-        )
+        fix = "Use its own rows"
+        raise CasacalError(f"The rows have {rows.joints.shape[1]} joints and '{robot.name}' has {len(robot.axes)}", fix)
     if len(robot.axes) > MOST_JOINTS:
-        raise CasacalError(
-            f"'{robot.name}' has {len(robot.axes)} joints", f"The doctor searches arms of up to {MOST_JOINTS}"
-        )
+        fix = f"The doctor searches arms of up to {MOST_JOINTS}"
+        raise CasacalError(f"'{robot.name}' has {len(robot.axes)} joints", fix)
     if not tolerance > 0:
         raise CasacalError(f"The tolerance is {tolerance:g} mm", "Give a positive number of mm")
     known = _known_arm(robot, base, tool)

@@ -63,9 +63,8 @@ def approaches(
     """
     probe = problem.instrument.probe
     if probe is None:
-        raise CasacalError(
-            f"{type(problem.instrument).__name__} has no plunger that could be drawn back", "Use the plan's CSV"
-        )
+        fix = "Use the plan's CSV"
+        raise CasacalError(f"{type(problem.instrument).__name__} has no plunger that could be drawn back", fix)
     still = cell_of(problem, cell)
     samples = route.samples
     arm, readings, tips, axes = drawn_touch(problem, probe, samples)

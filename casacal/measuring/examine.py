@@ -108,10 +108,8 @@ def refuse_along(known: Known, touch: Touch) -> None:
     noise = known.bound.on(rows_of([touch])).block.noise
     if (noise < ALONG * np.median(known.bound.block.noise)).any():
         where = ", ".join(touch.labels.values()) or "the face"
-        raise CasacalError(
-            f"At these joint values the plunger is parallel to '{where}' and cannot touch it",
-            "Look at the joint values and the face",
-        )
+        fix = "Look at the joint values and the face"
+        raise CasacalError(f"At these joint values the plunger is parallel to '{where}' and cannot touch it", fix)
 
 
 def _chance_alone(known: Known, touch: Touch) -> float:

@@ -112,10 +112,8 @@ class LinkShapes(Value):
         """
         arm = robot.arm
         if not isinstance(arm, UrdfChain):
-            raise ProblemError(
-                f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown",
-                "Give a link_radius",
-            )
+            fix = "Give a link_radius"
+            raise ProblemError(f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown", fix)
         shapes, unread = shapes_of(arm.path, arm.chain[0].parent, arm.chain[-1].child)
         return LinkShapes(robot, shapes, unread)
 

@@ -144,10 +144,8 @@ def set_ups(
     """
     still = cell_of(problem, cell)
     if not isinstance(still, Cell):
-        raise CasacalError(
-            f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them",
-            "Plan without comparing set-ups",
-        )
+        what = f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them"
+        raise CasacalError(what, "Plan without comparing set-ups")
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
     found = list[SetUp]()

@@ -136,11 +136,9 @@ def fresh_rows(
                 raise CasacalError(f"{result.file}: it does not say how well '{name}' is known", fix)
     own = int((~known).sum())
     if bound.rows <= own:
-        raise SamplesError(
-            samples.file,
-            f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
-            "Take more rows, or name with --standing what has not moved since the calibration",
-        )
+        what = f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know"
+        fix = "Take more rows, or name with --standing what has not moved since the calibration"
+        raise SamplesError(samples.file, what, fix)
     # geometry and corrections are known as the result says, other effects by their sizes
     found, columns = np.diag(bound.prior_std[known] ** 2), np.flatnonzero(known)
     said = np.flatnonzero([not bound.beside[j] or bound.names[j] in corrected for j in columns])
@@ -156,10 +154,8 @@ def _bound(
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
-            raise CasacalError(
-                f"'{slot.name}' was held in the calibration, and its position now is not known",
-                "Calibrate without --fix, or name it with --standing if it has not moved",
-            )
+            fix = "Calibrate without --fix, or name it with --standing if it has not moved"
+            raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
     if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
         bound = bound.under(problem.with_kit).with_sizes(times)
@@ -192,10 +188,8 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
         for name in there[word]:
             nominal = unknowns[name].nominal
             if nominal is None and len(proposed.get(name, ())) != unknowns[name].nominal_size:
-                raise CasacalError(
-                    f"{result.file}: it does not give the position of '{word}'",
-                    "Leave it out of --standing, or calibrate again",
-                )
+                fix = "Leave it out of --standing, or calibrate again"
+                raise CasacalError(f"{result.file}: it does not give the position of '{word}'", fix)
             kept[name] = np.array(proposed[name]) if nominal is None else nominal
     return kept
 

@@ -47,9 +47,8 @@ class Opened:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             fresh = fresh_rows(self.arm, self.source.problem, self.rows, other=self.other, standing=standing)
             if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
-                raise SamplesError(
-                    self.rows.file, "the residuals of some rows are not finite", "Check their values with check"
-                )
+                fix = "Check their values with check"
+                raise SamplesError(self.rows.file, "the residuals of some rows are not finite", fix)
         return fresh
 
     @property
@@ -135,10 +134,8 @@ def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Pa
     """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
     other, robot = problem_from(given).problem, arm.source.problem.robot
     if not _same_arm(robot, other.robot):
-        raise CasacalError(
-            f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",
-            "Give a problem whose robot is that of the calibration, parameter by parameter",
-        )
+        what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
+        raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
     return Problem(robot, other.instrument)
 
 
@@ -182,11 +179,8 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:
         said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
-        raise SamplesError(
-            rows.file,
-            f"{said} that the arm was calibrated from, which verifies nothing",
-            "Take fresh rows, in other postures",
-        )
+        fix = "Take fresh rows, in other postures"
+        raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which verifies nothing", fix)
     copied, fitted = (
         tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
         for some, which in ((rows, again), (once, seen))

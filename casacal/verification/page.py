@@ -39,9 +39,8 @@ def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
-        raise CasacalError(
-            f"There is no report '{path}' to write into", "Write a separate page: --report FILE"
-        ) from None
+        fix = "Write a separate page: --report FILE"
+        raise CasacalError(f"There is no report '{path}' to write into", fix) from None
     marks = [str(document.get(part, {}).get("sha256", "")) for part in ("problem", "data")]
     if "<title>Calibration of" not in text or text.count(BEFORE) != 1 or not all(mark in text for mark in marks):
         raise CasacalError(f"'{path}' is not the report of this result", "Write a separate page: --report FILE")

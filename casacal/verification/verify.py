@@ -178,11 +178,8 @@ def _decision(arm: CalibratedArm, fresh: Fresh, off: NDArray[np.intp], tolerance
         seen = seen_by_rows(arm, fresh, without)
         scatter = seen.scatter(seen.residual(fresh.x))
         if scatter is None:
-            raise SamplesError(
-                fresh.bound.block.samples.file,
-                "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested",
-                "Take more rows, or leave the tolerance out",
-            )
+            what = "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested"
+            raise SamplesError(fresh.bound.block.samples.file, what, "Take more rows, or leave the tolerance out")
         found.append(decide(scatter, seen.given_rows(), tolerance, risk))
     if found[-1].verdict == found[0].verdict:
         return found[0]
