@@ -69,7 +69,11 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     free = max(float(bound.rows - leverage.sum()), 1.0)
     alike = np.abs(r) / np.sqrt(1 - leverage)  # of the same spread, also where faces of few rows take much of it
     scale = max(1.4826 * float(np.median(alike)), 1e-12)
-    size = alike / _scale_of_rows(bound, alike, scale)
+    faces, rough = bound.faces, np.full(len(bound.faces.names), scale)
+    for k, rows_of_it in enumerate(faces.rows().values()):
+        if rows_of_it.size >= FEWEST_OF_A_FACE:  # a face may be rougher than all rows are
+            rough[k] = max(1.4826 * float(np.median(alike[bound.residuals_of(rows_of_it)])), scale)
+    size = alike / rough[faces.codes][bound.sample_of]
     limit = most_by_chance(bound.rows, free)
     bad = np.flatnonzero(size > limit)
     bad = bad[~_of_a_region(bound, np.sign(r) * size, bad)]
@@ -109,16 +113,6 @@ def most_by_chance(rows: int, free: float) -> float:
     from scipy.special import stdtrit  # Student's quantile, without the half second that importing scipy.stats takes
 
     return float(stdtrit(max(free, 1.0), 1 - CHANCE / (2 * rows)))
-
-
-def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
-    """Robust noise (rows,): that of all rows, or of the row's own face where that is rougher."""
-    faces = bound.faces
-    own = np.full(len(faces.names), scale)
-    for k, rows in enumerate(faces.rows().values()):
-        if rows.size >= FEWEST_OF_A_FACE:
-            own[k] = max(1.4826 * float(np.median(sizes[bound.residuals_of(rows)])), scale)
-    return own[faces.codes][bound.sample_of]
 
 
 def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Finding]:

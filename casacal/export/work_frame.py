@@ -77,7 +77,11 @@ def work_frame(
     slopes = _base(result, matrix[:3, 3], len(known))
     for j, name in enumerate(names):
         if name in known:
-            slopes[:, known.index(name)] += _change(build, places, matrix, j, len(names))
+            move = np.zeros(len(names))
+            move[j] = STEP
+            change = (build(places(move)) - build(places(-move))) / (2 * STEP)  # by central differences
+            spin = change[:3, :3] @ matrix[:3, :3].T
+            slopes[:, known.index(name)] += [*change[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]]
     lost = ~np.isfinite(np.diagonal(covariance)) & (np.abs(slopes) > 0).any(axis=0)
     if lost.any():
         return WorkFrame(matrix, math.inf, math.inf)
@@ -209,13 +213,3 @@ def _frame(x: Array, z: Array, origin: Array) -> Array:
     matrix = np.eye(4)
     matrix[:3] = np.column_stack([x, np.cross(z, x), z, origin])
     return matrix
-
-
-def _change(build: Callable[[Array], Array], places: Places, at: Array, j: int, count: int) -> Array:
-    """How the frame shifts (3, mm) and turns (3, rad) with unknown `j` of `count`, by central differences."""
-    move = np.zeros(count)
-    move[j] = STEP
-    ahead, behind = build(places(move)), build(places(-move))
-    change = (ahead - behind) / (2 * STEP)
-    spin = change[:3, :3] @ at[:3, :3].T
-    return np.concatenate([change[:3, 3], [spin[2, 1], spin[0, 2], spin[1, 0]]])

@@ -183,7 +183,9 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
         higher = raised(first, HIGHER, fresh("higher", cell.faces))
         words = f"one plate, '{first.label}', and it again {HIGHER:g} mm higher"
         yield words, labelled, replace(cell, faces=(first, higher))
-        if not _right_angles(cell):
+        normals = np.array([face.axes[0] for face in cell.faces])
+        square = np.abs(normals @ normals.T) < math.sin(math.radians(10))
+        if count < 3 or (square.sum(axis=1) < 2).all():  # there are not three faces at right angles already
             walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
             yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
         label = fresh("gauge block", cell.faces)
@@ -194,10 +196,3 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
     for other in TILTS:
         if abs(other - tilt) > 1:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
-
-
-def _right_angles(cell: Cell) -> bool:
-    """Whether there are three faces at right angles already."""
-    normals = np.array([face.axes[0] for face in cell.faces])
-    across = np.abs(normals @ normals.T) < math.sin(math.radians(10))
-    return len(normals) > 2 and bool((across.sum(axis=1) >= 2).any())

@@ -99,7 +99,13 @@ def opened(
     if not isinstance(result, CalibratedArm):
         raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
     arm = seen_by(result, instrument if problem is not None else measured_by(result, samples, instrument))
-    source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
+    source, robot = arm.source, arm.source.problem.robot
+    if problem is not None:  # the result's arm with another problem's instrument
+        other = problem_from(problem).problem
+        if not _same_arm(robot, other.robot):
+            what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
+            raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
+        source = ProblemFile.of(Problem(robot, other.instrument))
     return _fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
 
 
@@ -128,15 +134,6 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
         fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
         raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
     raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
-
-
-def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
-    """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
-    other, robot = problem_from(given).problem, arm.source.problem.robot
-    if not _same_arm(robot, other.robot):
-        what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
-        raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
-    return Problem(robot, other.instrument)
 
 
 def _same_arm(one: Robot, two: Robot) -> bool:

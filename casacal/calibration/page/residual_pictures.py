@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from casacal.array_types import Array
 from casacal.calibration.page.touches import TITLES, Part, Places, Touches, When, spread, thinned
-from casacal.pages.drawing import Panel, Ticks, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
+from casacal.pages.drawing import Panel, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
 from casacal.pages.maps import Scale, Squares, in_squares
 from casacal.pages.render import shortened
 
@@ -101,12 +101,15 @@ def _by_row(touches: Touches, when: When) -> Markup:
         beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
     order = "rows in file order" if touches.has_faces else "rows in file order, coordinate by coordinate"
     between = range(1, count) if count <= LINED else ()
+    longest = max(3, 48 // count)
+    named = touches.series if count <= NAMED else ()
+    names = [(k + 0.5, shortened(name, longest)) for k, name in enumerate(named)]
     return picture(
         touches.named(f"rows-{when}"),
         f"{TITLES[when]}: residual of each row",
         f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} mm.",
         panel.height,
-        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=_names(touches)),
+        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=names),
         *(line(panel, np.array([k, k], float), np.array([-top, top]), "grid") for k in between),
         line(panel, np.array([0.0, count]), np.zeros(2), "zero"),
         *drawn,
@@ -128,12 +131,6 @@ def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
             across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
             up.append(own[kept])
     return np.concatenate(across), np.concatenate(up)
-
-
-def _names(touches: Touches) -> Ticks:
-    count = len(touches.series)
-    longest = max(3, 48 // count)
-    return [(k + 0.5, shortened(name, longest)) for k, name in enumerate(touches.series)] if count <= NAMED else []
 
 
 def face_maps(touches: Touches) -> Markup | None:
