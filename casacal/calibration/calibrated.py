@@ -136,23 +136,14 @@ class Calibrated(Calibration, AsArm):
         return CalibratedArm("this calibration", self.source, jsonable(calibration_document(self)))
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
+        """Write report.html, result.json, parameters.csv, pictures and the problem into a folder; gives their paths.
 
         `casacal.load(folder)` reads it back, here or elsewhere.
-
-        Returns:
-            The paths of the files that were written.
-
         """
         return write_calibration(self, Path(folder))
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
-        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
-
-        Returns:
-            The path of the page.
-
-        """
+        """Write the report, one page of HTML, and give its path; `box` is where the arm will work, ranges in mm."""
         from casacal.calibration.page import report_page
 
         write_text(path, report_page(self.unjudged, calibration_document(self), box=box))
@@ -163,12 +154,7 @@ class Calibrated(Calibration, AsArm):
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
-        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
-
-        Returns:
-            The axes.
-
-        """
+        """Draw distances from the planes, mm, before and after; gives the axes, new ones where none were given."""
         return self._drawn(plot_residuals, ax, (10.0, 4.0))
 
     def plot_convergence(self, ax: Any = None) -> Any:

@@ -115,12 +115,9 @@ class AsArm(ABC):
     def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
 
-        Args:
-            nominal: the arm as drawn in place of the calibrated one.
-            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
-
-        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
-
+        nominal: the arm as drawn in place of the calibrated one. free: the robot's parameters are inputs too, by name:
+        `pose(**calibration.values(), q=q)["pose"]`. Derivatives are exact, as those of every `casadi.Function`. Raises
+        CasacalError for nominal and free together.
         """
         from casacal.export.functions import pose_function
 
@@ -209,16 +206,10 @@ class SavedCalibration(Value, AsArm):
 def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibration:
     """Read back what `save`, `casacal calibrate --out` or `casacal simulate` wrote.
 
-    Args:
-        path: the folder, its result.json, or a truth.json.
-        problem: what it answers; by default what the result itself holds, and no code is run. A result from before
-            results held their arm runs the problem.py that it names, where that is what it was.
-
-    Returns:
-        The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
-
-    Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
-
+    Gives the arm as it was found, which predicts, compensates and is exported; the samples are not part of it. path:
+    the folder, its result.json, or a truth.json. problem: what it answers; by default what the result itself holds, and
+    no code is run. A result from before results held their arm runs the problem.py that it names, where that is what
+    it was. Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
     """
     if not isinstance(path, (str, Path)):
         raise CasacalError(f"Got {came(path)} as the path of a result", "Give a path")

@@ -27,32 +27,13 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
             problem.number(instrument)
         return arm
     name = problem.names[0] if instrument is None else instrument
-    one = problem.measured_by(name)
-    source = replace(arm.source, problem=one)
-    return CalibratedArm(
-        arm.file, source, FrozenMapping(_document(arm.document, name, problem.names[0], _of_others(problem, name)))
-    )
+    of_others = _of_others(problem, name)
 
-
-def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
-    """Whether an unknown is one that other instruments share, and this one has by the same key for itself."""
-    theirs = [key for key, by in problem.shared.items() if name not in by]
-    unknowns = dict(zip(problem.names, problem.instruments, strict=True))
-    exact = {
-        each
-        for key in theirs
-        for unknown in [unknowns[problem.shared[key][0]].unknowns[key]]
-        for each in (key, *unknown.names(key), *unknown.component_names(key))
-    }
-    return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
-
-
-def _document(document: Mapping[str, Any], name: str, first: str, of_others: Callable[[str], bool]) -> dict[str, Any]:
     def own(each: str) -> str:
         return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
 
-    found = dict(document)
-    if first != name and found.get("tip") is not None:  # it is of the first instrument's tip
+    found = dict(arm.document)
+    if name != problem.names[0] and found.get("tip") is not None:  # it is of the first instrument's tip
         found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
     found |= _renamed(found, own)
     if isinstance(said := found.get("discrepancy"), Mapping):
@@ -67,7 +48,20 @@ def _document(document: Mapping[str, Any], name: str, first: str, of_others: Cal
     data = found.get("data")
     if isinstance(data, Mapping) and name in (data.get("instruments") or {}):
         found["data"] = {**data, **data["instruments"][name]}
-    return found
+    return CalibratedArm(arm.file, replace(arm.source, problem=problem.measured_by(name)), FrozenMapping(found))
+
+
+def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
+    """Whether an unknown is one that other instruments share, and this one has by the same key for itself."""
+    theirs = [key for key, by in problem.shared.items() if name not in by]
+    unknowns = dict(zip(problem.names, problem.instruments, strict=True))
+    exact = {
+        each
+        for key in theirs
+        for unknown in [unknowns[problem.shared[key][0]].unknowns[key]]
+        for each in (key, *unknown.names(key), *unknown.component_names(key))
+    }
+    return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
 
 
 def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, Any]:

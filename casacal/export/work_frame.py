@@ -54,15 +54,10 @@ def work_frame(
 
     Of faces: z is the normal of the first, x that of the second as far as it lies across z, the origin is where all
     three meet. Normals point to the arm's side. Of points: the first is the origin, x points to the second, and the
-    third lies in the xy plane, on the side of y. Touches with a ball give faces and points of its centre.
-
-    Args:
-        result: a calibration.
-        faces: labels of three faces.
-        points: labels of three points of `FixedPoint`.
+    third lies in the xy plane, on the side of y. Touches with a ball give faces and points of its centre. Either are
+    three labels, of faces or of points of `FixedPoint`.
 
     Raises CasacalError where these fix no frame, or not three are named; UnknownNameError for a label that is none.
-
     """
     result = arm_from(result)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
