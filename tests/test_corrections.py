@@ -158,7 +158,7 @@ def test_more_touches_of_a_corrected_arm_do_not_make_it_worse(sagging):
 
 def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatch):
     found = sagging[1]
-    monkeypatch.setattr(motion, "tip_error", lambda fit, result, keys: 0.1 + len(keys))
+    monkeypatch.setattr(motion, "tip_error", lambda fit, result, keys, usual: 0.1 + len(keys))
     told = next(each for each in motion.tried_corrections(found.fit, found.result) if each.key == "give")
     assert not told.corrected
     assert told.helps is False

@@ -110,14 +110,9 @@ def benchmark(
         for kind in (BLOCKED,) if quick else KINDS:
             count = len(folds(samples, kind, each.blocks, each.stated))
             for number in range(min(count, 1) if quick else count):
-                settings[setting_name(each.name, kind, number)] = Fold(each, str(data), kind, number, quick)
+                settings[f"{each.name} / {kind} / {number + 1}"] = Fold(each, str(data), kind, number, quick)
     methods = {name: Method(partial(estimate, way=way)) for name, way in ways.items()}
     return Study("bench", settings, methods, trials=1, details=0)
-
-
-def setting_name(name: str, kind: str, number: int) -> str:
-    """A fold's name among the settings."""
-    return f"{name} / {kind} / {number + 1}"
 
 
 def mean_squares(squares: Array, rows: Array) -> tuple[float, float, float]:

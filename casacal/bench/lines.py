@@ -85,14 +85,9 @@ def lines_of(problem: Problem, fitted: Samples, package: str) -> Lines:
     if station is None:
         raise CasacalError(f"{package} needs points that do not lie on a line", fix)
     found = Lines(axes, points, tip, station, fitted.joints, read, float(bound.block.noise[:, :3].mean()))
-    if np.abs(_carried(found) - tips).max() > SAME:
+    carried = np.tile(tip, (len(fitted.joints), 1))  # where the arm as lines carries its tip
+    for axis, point, angles in reversed(list(zip(axes, points, fitted.joints.T, strict=True))):
+        carried = point + Rotation.from_rotvec(angles[:, None] * axis).apply(carried - point)
+    if np.abs(carried - tips).max() > SAME:
         raise CasacalError(f"{package} is given arms each of whose joints turns one axis, and this one is coupled", fix)
-    return found
-
-
-def _carried(lines: Lines) -> Array:
-    """Where the arm as lines carries its tip (N, 3), mm."""
-    found = np.tile(lines.tip, (len(lines.joints), 1))
-    for axis, point, angles in reversed(list(zip(lines.axes, lines.points, lines.joints.T, strict=True))):
-        found = point + Rotation.from_rotvec(angles[:, None] * axis).apply(found - point)
     return found

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -101,13 +100,14 @@ def calibrate(
     fitted, held = split_each(single, holdout, seed, holdout_by, groups)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
         chosen_rows = single.take(fitted) if held.size else single
-        how = _Bound(source.problem, noise == "found", outliers == "set aside", loss, backend, threads)
-        bare, aside = how.geometry(chosen_rows)
-        fit = bare
+        set_aside, find_noise = outliers == "set aside" and loss is None, noise == "found"
+        bare, aside = _bound(source.problem, chosen_rows, set_aside, backend, threads)
+        fit = bare = _with_found_noise(bare, loss) if find_noise else bare
         if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
-            fit = with_effects(bare, source.problem, find_noise=how.found)
-            if how.aside and fit is not bare:
-                fit, bare, aside = how.second_look(fit, bare, aside, chosen_rows)
+            fit = with_effects(bare, source.problem, find_noise=find_noise)
+            if set_aside and fit is not bare:
+                found = fit, bare, aside, chosen_rows
+                fit, bare, aside = _second_look(source.problem, *found, find_noise, threads)
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
@@ -127,70 +127,60 @@ def _check_word(given: str, what: str, one: str, other: str) -> None:
         raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
 
 
-@dataclass(frozen=True)
-class _Bound:
-    """How rows are bound: with noise as found or as stated, without the rows that are gross or with all."""
+def _bound(
+    problem: Problem, rows: Measurements, aside: bool, backend: str | None, threads: int | None
+) -> tuple[BoundProblem, tuple[Finding, ...]]:
+    """Rows under the geometry alone, and what is wrong with those that were set aside, where that is wanted."""
+    try:
+        bare = bind(problem.without_effects, *rows.sets, backend=backend, threads=threads)
+    except CasacalError as error:
+        for slip in labels_alike(problem, rows)[:1]:
+            raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None
+        raise
+    if bare.rows < bare.unknowns:
+        least = -(-bare.unknowns * len(bare.measured) // bare.rows)
+        fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
+        raise SamplesError(bare.measured.file, f"{bare.rows} rows are fitted for {bare.unknowns} unknowns", fix)
+    bad, found = gross(bare) if aside else (np.zeros(0, dtype=bool), ())
+    if bad.any():
+        bare = bind(bare.problem, *rows.take(np.flatnonzero(~bad)).sets, backend=backend, threads=threads)
+    return bare, found
 
-    problem: Problem
-    found: bool
-    aside: bool
-    loss: Loss | None
-    backend: str | None
-    threads: int | None
 
-    def geometry(self, rows: Measurements) -> tuple[BoundProblem, tuple[Finding, ...]]:
-        """The rows under the geometry alone, and what is wrong with those that were set aside."""
-        try:
-            bare = bind(self.problem.without_effects, *rows.sets, backend=self.backend, threads=self.threads)
-        except CasacalError as error:
-            for slip in labels_alike(self.problem, rows)[:1]:
-                raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None
-            raise
-        aside: tuple[Finding, ...] = ()
-        _refuse_too_few(bare)
-        if self.aside and self.loss is None:
-            bad, aside = gross(bare)
-            if bad.any():
-                kept = rows.take(np.flatnonzero(~bad))
-                bare = bind(bare.problem, *kept.sets, backend=self.backend, threads=self.threads)
-        return self._settled(bare), aside
+def _second_look(
+    problem: Problem,
+    fit: BoundProblem,
+    bare: BoundProblem,
+    aside: tuple[Finding, ...],
+    rows: Measurements,
+    find_noise: bool,
+    threads: int | None,
+) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+    """The same with other rows set aside, where those look gross once effects and noise are known.
 
-    def second_look(
-        self, fit: BoundProblem, bare: BoundProblem, aside: tuple[Finding, ...], rows: Measurements
-    ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
-        """The same with other rows set aside, where those look gross once effects and noise are known.
+    Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
+    """
+    try:
+        whole = _same(rows, fit.measured)
+        bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
+    except ProblemError:  # a face all of whose rows were set aside
+        return fit, bare, aside
+    kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
+    if _same(kept, bare.measured):
+        return fit, bare, aside
+    bare = bind(bare.problem, *kept.sets, backend=bare.backend, threads=threads)
+    bare = _with_found_noise(bare, None) if find_noise else bare
+    return with_effects(bare, problem, find_noise=find_noise), bare, found
 
-        Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
-        """
-        try:
-            whole = _same(rows, fit.measured)
-            bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
-        except ProblemError:  # a face all of whose rows were set aside
-            return fit, bare, aside
-        kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
-        if _same(kept, bare.measured):
-            return fit, bare, aside
-        bare = self._settled(bind(bare.problem, *kept.sets, backend=bare.backend, threads=self.threads))
-        return with_effects(bare, self.problem, find_noise=self.found), bare, found
 
-    def _settled(self, bare: BoundProblem) -> BoundProblem:
-        scale = found_noise(bare, self.loss).scale if self.found else {}
-        return bare.with_noise(scale) if scale else bare
+def _with_found_noise(bare: BoundProblem, loss: Loss | None) -> BoundProblem:
+    scale = found_noise(bare, loss).scale
+    return bare.with_noise(scale) if scale else bare
 
 
 def _same(one: Measurements, two: Measurements) -> bool:
     """Whether these are the same rows."""
     return all(a.lines == b.lines for a, b in zip(one.sets, two.sets, strict=True))
-
-
-def _refuse_too_few(fit: BoundProblem) -> None:
-    """Raise SamplesError where there are fewer rows than unknowns."""
-    if fit.rows >= fit.unknowns:
-        return
-    samples = fit.measured
-    least = -(-fit.unknowns * len(samples) // fit.rows)
-    fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
-    raise SamplesError(samples.file, f"{fit.rows} rows are fitted for {fit.unknowns} unknowns", fix)
 
 
 def _reference(given: bool | str) -> str:

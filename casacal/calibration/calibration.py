@@ -11,8 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
-from casacal.calibration.hidden_tool import HiddenTool, hidden_tool
-from casacal.calibration.motion import Motion, among, doubtful, used_arm
+from casacal.calibration.motion import Motion, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
@@ -20,17 +19,42 @@ from casacal.least_squares.result import Result
 from casacal.planning.cures import Cure, cure_for, cures
 from casacal.uncertainty.discrepancy import errors_are_shared
 from casacal.uncertainty.expectation import classical_accuracy, expected_accuracy
-from casacal.uncertainty.identifiability import Identifiability, NullDirection, WeakDirection, identifiability
+from casacal.uncertainty.identifiability import (
+    Identifiability,
+    NullDirection,
+    WeakDirection,
+    identifiability,
+    verdict,
+)
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
-from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+from casacal.uncertainty.workspace import (
+    tip_rms,
+    tip_stds,
+    tool_unknowns,
+    without_rigid,
+    workspace_joints,
+)
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
 LACK_OF_FIT = 2.0  # found over stated noise beyond which something systematic is wrong, as `check` judges it
+PART = 0.5  # tip error with a tool that is exactly known over that as it is, below which the tool decides most of it
 
 NOT_NEEDED = "none needed"
+
+
+@dataclass(frozen=True)
+class HiddenTool:
+    """Coordinates of the tool that the samples hardly show and that decide most of the tip error.
+
+    std_mm: of the least known. tip_mm: the tip error to expect were the tool's point exactly known.
+    """
+
+    names: tuple[str, ...]
+    std_mm: float
+    tip_mm: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,9 +84,7 @@ class Calibration(Fitted):
     @cached_property
     def motion(self) -> Motion:
         """All that moves the tip: geometry, and effects beside it."""
-        doubted = doubtful(self.fit, self.corrected)
-        sure = used_arm(self.fit, self.result, set(self.corrected) - doubted) if doubted else None
-        return Motion.of(self.fit, self.result, self.used_x, sure=sure)
+        return Motion.of(self.fit, self.result, self.used_x, self.corrected)
 
     @cached_property
     def workspace(self) -> tuple[Array, Array, Array]:
@@ -93,8 +115,21 @@ class Calibration(Fitted):
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:
         """What of the tool is not known and decides most of the tip error; None where the arm itself decides it."""
-        known = math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])
-        return hidden_tool(self.motion, self.workspace) if known else None
+        if not (math.isfinite(self.tip_std[1]) and math.isfinite(self.flange_std[1])):
+            return None
+        motion, (_, tips, slopes) = self.motion, self.workspace
+        arm, covariance = motion.arm, motion.covariance
+        stds = np.sqrt(np.diagonal(covariance))
+        tool = np.array([j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm"], dtype=int)
+        hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
+        if not hidden:
+            return None
+        with_tool = covariance[tool]
+        known = covariance - with_tool.T @ np.linalg.solve(with_tool[:, tool], with_tool)
+        field = without_rigid(slopes, tips)
+        now, tip = (tip_rms(tip_stds(each, field, motion.off).ravel()) for each in (covariance, known))
+        names, std = tuple(arm.names[j] for j in hidden), float(stds[hidden].max())
+        return HiddenTool(names, std, tip) if tip < PART * now else None
 
     @cached_property
     def tip_from_minimum(self) -> float:

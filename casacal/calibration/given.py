@@ -71,13 +71,11 @@ def samples_from(given: Any, source: ProblemFile) -> Samples | Measurements:
         given = dict(zip(given.names, given.sets, strict=True))
     if given is None and source.samples is not None:
         given = dict.fromkeys(problem.names)
-    names, wanted = ", ".join(problem.names), f'such as {{"{problem.names[0]}": ...}}'
+    fix = f'Give those of each by name: {", ".join(problem.names)}, such as {{"{problem.names[0]}": ...}}'
     if not isinstance(given, Mapping):
-        fix = f"Give those of each by name: {names}, {wanted}"
         raise CasacalError(f"Got {came(given)} as samples of {len(problem.names)} instruments", fix)
     for name in given:
         if name not in problem.names:
-            fix = f"Give those of each by name: {names}, {wanted}"
             raise CasacalError(f"Samples came of '{name}', and no instrument is called that", fix)
     for name in problem.names:
         if name not in given:
@@ -155,13 +153,13 @@ def _judged(found: Result) -> Result:
         return replace(found, status=Status.NOT_FINITE)
     if found.cost > replace(found, x=found.problem.x0, information=None).cost * (1 + WORSE):
         return replace(found, status=Status.WORSE)
-    return replace(found, status=Status.FAR) if found.status is Status.ONE_PASS and _is_far(found) else found
-
-
-def _is_far(found: Result) -> bool:
-    """Whether the minimum beside an estimate is farther than its own spread explains, a chi-square of all unknowns."""
-    step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
-    return step is not None and step.squared_length > found.problem.unknowns
+    if (
+        found.status is Status.ONE_PASS
+    ):  # is the minimum farther than its spread explains, a chi-square of all unknowns?
+        step = found.problem.damped_step(found.x, found.problem.normal(found.x), 0.0)
+        if step is not None and step.squared_length > found.problem.unknowns:
+            return replace(found, status=Status.FAR)
+    return found
 
 
 AGREEMENT = 1e-8  # largest relative gap between the costs of two solvers that found the same minimum

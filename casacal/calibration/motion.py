@@ -40,15 +40,12 @@ class Motion:
     covariance: Array
 
     @staticmethod
-    def of(fit: BoundProblem, result: Result, used: Array, *, sure: Array | None = None) -> Motion:
-        """Of a fit, and of the arm as used (n,); `sure` is what it would be without corrections that are in doubt.
-
-        These are counted as errors by all that they do.
-        """
+    def of(fit: BoundProblem, result: Result, used: Array, corrected: Collection[str] = ()) -> Motion:
+        """Of a fit, and of the arm as used (n,); of the effects corrected in it, those in doubt count as errors too."""
+        doubted = doubtful(fit, corrected) if corrected else set()
+        sure = used_arm(fit, result, set(corrected) - doubted) if doubted else used
         arm, estimate = moving(fit, result.x)
-        x, less = (
-            each[arm.shared] if isinstance(arm, Marginal) else each for each in (used, used if sure is None else sure)
-        )
+        x, less = (each[arm.shared] if isinstance(arm, Marginal) else each for each in (used, sure))
         off = estimate - less
         return Motion(arm, x, off if off.any() else None, among(result, arm))
 
@@ -210,23 +207,18 @@ def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
     for key in sorted(known, key=lambda key: (bool(known[key].further), -told[key])):
         elsewhere = unseen.get(key, {})
         wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
-        error = whole_tip_error if known[key].further else tip_error
-        helps = error(fit, result, [*stands, key]) < error(fit, result, stands) if wins else None
+        errors = (tip_error(fit, result, keys, usual=bool(known[key].further)) for keys in ([*stands, key], stands))
+        helps = next(errors) < next(errors) if wins else None
         stands += [key] if helps else []
         found.append(Tried(key, known[key].words, told[key], elsewhere, helps, known[key].further))
     return tuple(found)
 
 
-def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str], *, usual: bool = True) -> float:
     """Tip error (mm RMS) to expect over the workspace where these effects are corrected.
 
-    Apart from what effects do of columns that rows tell, which is no matter of postures.
+    With all that effects do where columns that rows tell are as large as in the fitted rows; without `usual` apart from
+    that, which is no matter of postures.
     """
     motion = Motion.of(fit, result, used_arm(fit, result, corrected))
-    return expected_accuracy(motion.arm, motion.x, motion.off, usual=False)[1]
-
-
-def whole_tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
-    """The same with all that effects do where such columns are as large as in the fitted rows."""
-    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
-    return expected_accuracy(motion.arm, motion.x, motion.off)[1]
+    return expected_accuracy(motion.arm, motion.x, motion.off, usual=usual)[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,21 +102,15 @@ def _short(label: str) -> str:
     return (label if len(label) <= LONGEST else f"{label[: LONGEST - 1]}…").replace("$", r"\$")
 
 
-def save_plots(calibration: Calibration, folder: Path) -> list[Path]:
-    """Write residuals.png and convergence.png into a folder; returns their paths."""
-    return [
-        _save(folder / "residuals.png", plot_residuals, calibration, (10.0, 4.0)),
-        _save(folder / "convergence.png", plot_convergence, calibration, (6.0, 4.0)),
-    ]
-
-
-def _save(path: Path, draw: Any, calibration: Calibration, size: tuple[float, float]) -> Path:
+def save_plots(calibration: Calibration, folder: Path) -> None:
+    """Write residuals.png and convergence.png into a folder."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    draw(calibration, figure.subplots())
-    # no software or date in the file: the same input gives the same bytes
-    place_whole(path, lambda place: figure.savefig(place, dpi=150, metadata={"Software": None}))
-    return path
+    for name, draw, size in (("residuals", plot_residuals, (10.0, 4.0)), ("convergence", plot_convergence, (6.0, 4.0))):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(calibration, figure.subplots())
+        # no software or date in the file: the same input gives the same bytes
+        save = partial(figure.savefig, dpi=150, metadata={"Software": None})
+        place_whole(folder / f"{name}.png", save)

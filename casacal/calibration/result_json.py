@@ -16,7 +16,6 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.binding.marginal import seen
 from casacal.calibration import result_parts as parts
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.told import told_part
 from casacal.calibration.verdict import verdict_of
 from casacal.calibration.warnings import warnings
 from casacal.compensation.result_file import sealed
@@ -71,7 +70,7 @@ def calibration_document(
         "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
         "tip": None if denied else _tip(calibration),
         "noise": parts.noise_part(calibration),
-        "discrepancy": _discrepancy(calibration, denied=denied),
+        "discrepancy": parts.discrepancy_part(calibration, denied=denied),
         "identifiability": parts.what_is_seen(calibration, denied=denied),
         "cures": [] if denied else parts.cures_part(calibration),
         "score_tests": [asdict(test) | {"shown": test.shown} for test in tests],
@@ -85,12 +84,6 @@ def calibration_document(
         **parts.closing(result, calibration.seconds),
     }
     return sealed(document)
-
-
-def _discrepancy(calibration: Calibration, *, denied: bool) -> dict[str, Any] | None:
-    """What errs beside the geometry, and the arm where columns tell some of it; None where nothing was looked for."""
-    part = parts.discrepancy_part(calibration, denied=denied)
-    return None if part is None else {**part, **told_part(calibration, denied=denied)}
 
 
 def _tip(calibration: Calibration) -> dict[str, Any]:

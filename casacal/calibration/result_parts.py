@@ -21,7 +21,8 @@ from casacal.binding.slots import Slot
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.given import Reference
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.motion import besides, whole_tip_error
+from casacal.calibration.motion import besides, tip_error
+from casacal.calibration.told import told_part
 from casacal.compensation.result_file import SCHEMA
 from casacal.errors import CasacalError
 from casacal.least_squares.result import Result
@@ -144,7 +145,7 @@ def noise_part(calibration: Calibration) -> dict[str, Any]:
 
 
 def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:
-    """What arm and cell do beside their geometry: sizes, and how well all that moves the tip is known.
+    """What arm and cell do beside their geometry: sizes, how well all that moves the tip is known, what columns tell.
 
     None where geometry was taken for all there is.
     """
@@ -175,9 +176,9 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
-        error = math.nan if denied else whole_tip_error(fit, calibration.result, ())
+        error = math.nan if denied else tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
-    return {**parts, **known}
+    return {**parts, **known, **told_part(calibration, denied=denied)}
 
 
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:

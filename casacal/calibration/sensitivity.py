@@ -79,7 +79,10 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         rows = [[each.full() for each in of_row(*given, *row)] for row in zip(kind.data, kind.noise, strict=True)]
         hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
         found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
-    inverse = _inverse(hessian, fit.start_std)
+    values, vectors = np.linalg.eigh(hessian * np.outer(fit.start_std, fit.start_std))
+    held = values > len(values) * np.finfo(float).eps * values.max(initial=0.0)  # what nothing holds does not move
+    root = fit.start_std[:, None] * vectors[:, held]
+    inverse = (root / values[held]) @ root.T
     squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
     readings, by_reading = list[tuple[int | str, str]](), []
     tips = np.zeros(len(fit.measured))
@@ -99,14 +102,6 @@ def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
         tips,
         prior * np.sqrt(np.maximum(np.diagonal(squares), 0.0)),
     )
-
-
-def _inverse(hessian: Array, scale: Array) -> Array:
-    """Inverse of a Hessian; what nothing holds does not move."""
-    values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
-    held = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
-    root = scale[:, None] * vectors[:, held]
-    return np.asarray((root / values[held]) @ root.T)
 
 
 def _row_function(model: RowModel, instrument: Instrument) -> tuple[ca.Function, list[str]]:

@@ -158,7 +158,9 @@ def _beside(calibration: Calibration, denied: bool) -> str:
     lines += [replace(table, rows=shown).text()] if shown else []
     left = len(table.rows) - len(shown)
     lines.append(f"{left}{' more' if shown else ''} looked for and not found; result.json lists them all.")
-    return "\n".join([*lines, *tables.tried_words(calibration)])
+    asked = [each.became for each in calibration.tried if each.unseen]
+    none = ["None of them is corrected."] if calibration.tried else []
+    return "\n".join([*lines, *(asked or none)])
 
 
 def _reference(calibration: Calibration) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from casacal import wording
 from casacal.calibration.calibration import NOT_NEEDED, Calibration
 from casacal.calibration.metrics import parts_of
-from casacal.calibration.motion import whole_tip_error
+from casacal.calibration.motion import tip_error
 from casacal.calibration.result_parts import parameter_rows, without_predictions
 from casacal.pages.render import fixed, mm, shortened, shown_unit
 from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
@@ -153,20 +153,12 @@ def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
     return test.shown_size, wording.mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
 
 
-def tried_words(calibration: Calibration) -> list[str]:
-    """One line for each effect that could be corrected and that the rows speak for."""
-    asked = [each for each in calibration.tried if each.unseen]
-    if not asked:
-        return ["None of them is corrected."] if calibration.tried else []
-    return [each.became for each in asked]
-
-
 def corrected_words(calibration: Calibration) -> list[str]:
     """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
     named = listed([each.words for each in calibration.tried if each.corrected])
     if not named:
         return []
-    alone = whole_tip_error(calibration.fit, calibration.result, ())
+    alone = tip_error(calibration.fit, calibration.result, ())
     return [
         f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
         f"and angles cannot: with those alone expect a tip error of {wording.mm(alone)} RMS.",

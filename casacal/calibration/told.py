@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import Motion, doubtful, used_arm
+from casacal.calibration.motion import Motion, used_arm
 from casacal.uncertainty.expectation import expected_accuracy
 from casacal.uncertainty.figures import residual_figures
 from casacal.wording import listed, mm
@@ -43,32 +44,25 @@ def told_words(calibration: Calibration, *, denied: bool) -> list[str]:
     columns = listed([name for each in told for name in each.further])
     said = f"Where rows have {columns}, predict, compensate and the exports c and casadi correct "
     said += f"{listed([each.words for each in told])}"
+    fit, (used, motion) = calibration.fit, _where_told(calibration, calibration.told)
     if not denied:
-        motion = told_motion(calibration, calibration.told)
-        return [
-            f"{said}: expect a tip error of {mm(expected_accuracy(motion.arm, motion.x, motion.off)[1])} RMS there."
-        ]
-    fit, used = (
-        calibration.fit,
-        used_arm(calibration.fit, calibration.result, {*calibration.corrected, *calibration.told}),
-    )
+        error = expected_accuracy(motion.arm, motion.x, motion.off)[1]
+        return [f"{said}: expect a tip error of {mm(error)} RMS there."]
     without, left = (
         residual_figures(fit.plain_residual(x)[fit.leading])["rmse_mm"] for x in (calibration.used_x, used)
     )
     return [f"{said}: so used, the fitted rows miss by {mm(left)} RMS, else by {mm(without)}; that is no accuracy."]
 
 
-def told_motion(calibration: Calibration, keys: tuple[str, ...]) -> Motion:
-    """The tip where these effects are corrected on top of what is corrected anyway."""
+def _where_told(calibration: Calibration, keys: tuple[str, ...]) -> tuple[Array, Motion]:
+    """Unknowns (n,) and tip of the arm where these effects are corrected on top of what is corrected anyway."""
     fit, result, corrected = calibration.fit, calibration.result, {*calibration.corrected, *keys}
-    doubted = doubtful(fit, corrected)
-    sure = used_arm(fit, result, corrected - doubted) if doubted else None
-    return Motion.of(fit, result, used_arm(fit, result, corrected), sure=sure)
+    used = used_arm(fit, result, corrected)
+    return used, Motion.of(fit, result, used, corrected)
 
 
 def _arm_where(calibration: Calibration, keys: tuple[str, ...], denied: bool) -> dict[str, Any]:
-    fit, motion = calibration.fit, told_motion(calibration, keys)
-    used = used_arm(fit, calibration.result, {*calibration.corrected, *keys})
+    fit, (used, motion) = calibration.fit, _where_told(calibration, keys)
     unknowns = zip(fit.names, used, fit.beside, strict=True)
     part: dict[str, Any] = {
         "effects": list(keys),

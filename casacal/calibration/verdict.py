@@ -53,10 +53,16 @@ def verdict_of(calibration: Calibration) -> Verdict:
         said = "every unknown is held, so nothing was estimated"
         words = f"Use with care: {said}; the residuals are those of the arm as drawn."
         return Verdict("use with care", words, (sentence(said),))
-    found, expected = [*doubts(calibration), *_further_doubts(calibration)], _expected(calibration)
-    unchecked = " No second solver checked that this is the minimum."
-    if calibration.reference is not None or calibration.method not in MINIMISERS:  # or a doubt of its own says it
-        unchecked = ""
+    found, expected, unchecked = doubts(calibration), _expected(calibration), ""
+    if calibration.reference is None and calibration.method in MINIMISERS:
+        unchecked = " No second solver checked that this is the minimum."
+    elif calibration.reference is None:
+        clause = "no second solver checked that this is the minimum"
+        found.append(Doubt(clause, f"{sentence(clause)} Run it again without --no-reference."))
+    before, now = calibration.tip_std
+    if now > GAIN * before:
+        words = "Little was gained: these samples say almost nothing about the tip beyond the priors."
+        found.append(Doubt("little was gained", words))
     if found:
         words = f"Use with care: {expected} But {' and '.join(doubt.clause for doubt in found[:2])}."
         return Verdict("use with care", f"{words}{unchecked}", tuple(doubt.sentence for doubt in found))
@@ -179,15 +185,3 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
         f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
         "arm, and yet most of the tip error depends on them"
     ]
-
-
-def _further_doubts(calibration: Calibration) -> list[Doubt]:
-    before, now = calibration.tip_std
-    found = []
-    if calibration.reference is None and calibration.method not in MINIMISERS:
-        clause = "no second solver checked that this is the minimum"
-        found.append(Doubt(clause, f"{sentence(clause)} Run it again without --no-reference."))
-    if now > GAIN * before:
-        words = "Little was gained: these samples say almost nothing about the tip beyond the priors."
-        found.append(Doubt("little was gained", words))
-    return found

@@ -14,7 +14,7 @@ from casacal.uncertainty.discrepancy import at_most, errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.uncertainty.scores import CLEAR
-from casacal.wording import capital, chance, listed, lower, mm, sized, times
+from casacal.wording import capital, chance, listed, lower, mm, shortened, sized, times
 
 NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
 IMPROBABLE = 0.01  # chance below which a drawn arm that misses the planes by so little contradicts its priors
@@ -82,9 +82,8 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
     factor = f"{together.factor:.1f} times as far as their priors allow"
     said = f"Together, the parameters moved {factor}"
     if far:
-        named = ", ".join(f"{names[j]} ({moved[j]:.1f})" for j in far[:SHOWN])
-        more = f" and {len(far) - SHOWN} more" if len(far) > SHOWN else ""
-        said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}{more}. "
+        named = shortened([f"{names[j]} ({moved[j]:.1f})" for j in far], SHOWN)
+        said = f"Parameters moved by more than {FAR:g} prior standard deviations: {named}. "
         said += f"Together they moved {factor}"
     return Doubt(
         "parameters moved far beyond their priors",
@@ -211,12 +210,10 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
     lines = calibration.down_weighted
     if not lines:
         return None
-    named = ", ".join(str(line) for line in lines[: 2 * SHOWN])
-    more = f" and {len(lines) - 2 * SHOWN} more" if len(lines) > 2 * SHOWN else ""
-    rows = "1 row: line" if len(lines) == 1 else f"{len(lines)} rows: lines"
+    rows = f"{'1 row: line' if len(lines) == 1 else f'{len(lines)} rows: lines'} {shortened(lines, 2 * SHOWN)}"
     return Doubt(
         f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
-        f"The robust loss gave less than half of its weight to {rows} {named}{more}. Measure them again.",
+        f"The robust loss gave less than half of its weight to {rows}. Measure them again.",
     )
 
 

@@ -78,13 +78,8 @@ def joint_direction(shifted: BoundProblem, x: Array, column: int, arm: NDArray[n
     """Direction (n,) in the arm's unknowns that does what one unit of a joint's shift does; None where there is none.
 
     One number of the arm where one does it, as an offset of a DH table; else the least of several, in their priors.
-
-    Args:
-        shifted: rows bound with shifts.
-        x: where everything stands (n,).
-        column: the joint's shift in x.
-        arm: which unknowns (n,) are the arm's.
-
+    shifted: rows bound with shifts. x (n,): where everything stands; column: the joint's shift in it. arm: which
+    unknowns (n,) are the arm's.
     """
     joints = workspace_joints(shifted.problem.robot, poses=POSES)
     block, columns = shifted.blocks[0], shifted.blocks[0].columns[0]

@@ -82,14 +82,13 @@ class Shown(Value):
 class Change(Judged):
     """Whether an arm has changed since its calibration, by fresh rows.
 
-    robot, result, verdict, samples, sha256, rows, own, standing, copied_lines, fitted_lines: see
-    `casacal.verification.figures.Judged`. drift: what may have drifted since, standard deviations by name.
-    alarm: rate of false alarms that was asked for. p, level: the smallest chance of all tests, and below which it is an
-    alarm, so that this rate is met. chi_square, freedom, p_all: of all rows together.
-    ended: "nothing", "changed", "rows" or "undecided". causes: the one, or those that cannot be told apart, likeliest
-    first. bad_lines: rows that are off. joints: what would have been found of each. unseen: what cannot show here.
-    touches: postures that would tell the causes apart, with expected readings; None where none are needed or known.
-    tells: log-odds to expect of them between the two causes that are hardest to tell apart.
+    drift: what may have drifted since, standard deviations by name. alarm: rate of false alarms that was asked for. p,
+    level: the smallest chance of all tests, and below which it is an alarm, so that this rate is met. chi_square,
+    freedom, p_all: of all rows together. ended: "nothing", "changed", "rows" or "undecided". causes: the one, or those
+    that cannot be told apart, likeliest first. bad_lines: rows that are off. joints: what would have been found of
+    each. unseen: what cannot show here. touches: postures that would tell the causes apart, with expected readings;
+    None where none are needed or known. tells: log-odds to expect of them between the two causes that are hardest to
+    tell apart.
     """
 
     drift: tuple[tuple[str, float], ...]

@@ -30,7 +30,8 @@ def updated_document(
     arm: CalibratedArm, fresh: Fresh, state: State, found: Change, folder: Path | None
 ) -> dict[str, Any]:
     """The whole of it, sealed; paths are relative to the folder that it will stand in, if any."""
-    old, bound, n = arm.document, fresh.bound, fresh.bound.unknowns
+    old, bound, n, place = arm.document, fresh.bound, fresh.bound.unknowns, Path(arm.file).parent
+    files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in old["problem"].get("files", ())]
     stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
     of_arm = np.flatnonzero([not key for key in bound.beside])
     effects = {row["name"] for row in (old.get("discrepancy") or {}).get("unknowns", ())}
@@ -38,7 +39,7 @@ def updated_document(
     rows = np.array([*of_arm, *others.values()], dtype=np.intp)
     document = {
         **{key: old[key] for key in KEPT if key in old},
-        "problem": _problem(arm, folder),
+        "problem": {**old["problem"], "path": _elsewhere(old["problem"]["path"], place, folder), "files": files},
         "method": "update",
         "status": "Converged: old posterior and fresh rows.",
         "converged": True,
@@ -145,13 +146,6 @@ def _verdict(old: Mapping[str, Any], tip: Mapping[str, Any], found: Change) -> d
         return {"level": "calibrated", "words": f"Calibrated: {expected}.", "reasons": []}
     words = f"Use with care: {expected}; but {' and '.join(doubts[:2])}."
     return {"level": "use with care", "words": words, "reasons": [*map(sentence, doubts), *reasons]}
-
-
-def _problem(arm: CalibratedArm, folder: Path | None) -> dict[str, Any]:
-    """The problem and its files, as the new folder names them."""
-    said, place = dict(arm.document["problem"]), Path(arm.file).parent
-    files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in said.get("files", ())]
-    return {**said, "path": _elsewhere(said["path"], place, folder), "files": files}
 
 
 def _elsewhere(path: str, place: Path, folder: Path | None) -> str:

@@ -86,7 +86,8 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
             left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
             found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
             continue
-        used = _shown(look, k)
+        _, _, rows = np.linalg.svd(look.slopes[k] * cause.sizes, full_matrices=False)
+        used = cause.sizes[:, None] * rows[:n].T  # directions in its own unknowns along which it shows
         ways = np.zeros((look.shifted.unknowns, n))
         ways[cause.columns] = used
         wider = prior.with_ways(ways, np.ones(n))
@@ -124,13 +125,6 @@ def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[f
     tests = look.tests
     whole = tests.fresh.freedom
     return chance(chi_square, whole - freedom, tests.noise), likelihood(chi_square, whole, tests.noise) - cost
-
-
-def _shown(look: Look, k: int) -> Array:
-    """Directions (k, r) in a cause's own unknowns along which it shows."""
-    sizes = look.causes[k].sizes
-    _, _, rows = np.linalg.svd(look.slopes[k] * sizes, full_matrices=False)
-    return np.asarray(sizes[:, None] * rows[: int(look.tests.freedoms[k])].T)
 
 
 POOL = 400  # touches among which is chosen

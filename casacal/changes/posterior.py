@@ -127,11 +127,8 @@ class Prior:
     def of(fresh: Fresh, unknowns: int, covariance: Array | None = None) -> Prior:
         """Of what a calibration says of fresh rows, and of what these know alone.
 
-        Args:
-            fresh: the rows.
-            unknowns: how many there are in all; those that the rows do not have stay zero.
-            covariance: of what is known of the rows, and after it of the last unknowns; by default that of the rows.
-
+        unknowns: how many there are in all; those that the rows do not have stay zero. covariance: of what is known of
+        the rows, and after it of the last unknowns; by default that of the rows.
         """
         bound, alone = fresh.bound, np.flatnonzero(~fresh.known)
         covariance = fresh.covariance if covariance is None else covariance
@@ -212,10 +209,8 @@ def updated_state(arm: CalibratedArm, fresh: Fresh, free: Sequence[Array], dropp
     both[list(shared), k:] = whole[np.ix_(list(shared.values()), places)]
     both[k:, :k] = both[:k, k:].T
     if not np.isfinite(both).all():
-        raise CasacalError(
-            f"{arm.file}: it leaves directions without bound, so there is no prior to update",
-            "Calibrate again with old and new rows",
-        )
+        fix = "Calibrate again with old and new rows"
+        raise CasacalError(f"{arm.file}: it leaves directions without bound, so there is no prior to update", fix)
     prior = Prior.of(fresh, n + len(places), both)
     ways = np.zeros((n + len(places), len(free)))
     ways[:n] = np.reshape(free, (len(free), n)).T

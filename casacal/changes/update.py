@@ -11,7 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.calibration.saved import AsArm, SavedCalibration
 from casacal.changes.causes import JOINTS, joint_direction, shift_columns
-from casacal.changes.change import ROWS, UNDECIDED, CauseFound, Change
+from casacal.changes.change import ROWS, UNDECIDED, Change
 from casacal.changes.changed import looked
 from casacal.changes.document import updated_document
 from casacal.changes.look import Look
@@ -75,22 +75,17 @@ def _refuse(given: Opened, found: Change) -> None:
     """Raise CasacalError for what cannot be updated."""
     document = given.arm.document
     if document.get("method") == "truth":
-        raise CasacalError(
-            f"{given.arm.file}: a true arm is not estimated, so nothing updates it", "Give a calibration"
-        )
+        fix = "Give a calibration"
+        raise CasacalError(f"{given.arm.file}: a true arm is not estimated, so nothing updates it", fix)
     if given.other or (document.get("data") or {}).get("instruments"):
-        raise CasacalError(
-            f"{given.arm.file}: a result can be updated only by rows of its own instrument",
-            "Calibrate again with all rows",
-        )
+        fix = "Calibrate again with all rows"
+        raise CasacalError(f"{given.arm.file}: a result can be updated only by rows of its own instrument", fix)
     if found.ended == ROWS or found.bad_lines:
         lines = ", ".join(map(str, found.bad_lines))
         raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
     if found.ended == UNDECIDED:
-        raise CasacalError(
-            f"{found.samples}: these rows do not show what changed, so nothing was updated",
-            "Take the touches of --touches FILE, or calibrate again",
-        )
+        fix = "Take the touches of --touches FILE, or calibrate again"
+        raise CasacalError(f"{found.samples}: these rows do not show what changed, so nothing was updated", fix)
 
 
 def _still(look: Look, found: Change) -> tuple[list[str], Any]:
@@ -108,31 +103,23 @@ def _free(fresh: Fresh, look: Look, found: Change) -> list[Array]:
     """Directions (n,) along which anything may have happened."""
     for cause in found.causes:
         if cause.kind == "joint":
-            return [_of_joint(fresh, look, cause)]
+            place = next(each.place for each in look.causes if each.name == cause.name)
+            # what stands may differ from what stood in the look; the arm's unknowns come first in both
+            arm, count = look.fresh.of_arm, look.shifted.unknowns
+            bare = np.append(look.fresh.x, np.zeros(count - look.fresh.bound.unknowns))
+            bare[np.array(look.shifted.beside, dtype=bool)] = 0.0  # gears that err are no part of an offset
+            joint = int(shift_columns(look.shifted, JOINTS)[place])
+            direction = joint_direction(look.shifted, bare, joint, np.isin(np.arange(count), arm))
+            if direction is None:
+                what = f"The zero of {cause.name} changed, and no free unknown of this problem does what it does"
+                raise CasacalError(what, "Calibrate again with its offset free (--free)")
+            return [np.append(direction[arm], np.zeros(fresh.bound.unknowns - arm.size))]
         if cause.kind == "tool":
             keys = fresh.bound.problem.robot.parameters
             slots = [slot for slot in fresh.bound.slots if slot.key == "tool" and slot.key not in keys]
             columns = [j for slot in slots if not slot.beside and not slot.datum for j in slot.columns]
             if not columns:
-                raise CasacalError(
-                    "The tool has moved, but this problem holds it",
-                    "Correct its position in the problem, or free it (--free tool), and calibrate again",
-                )
+                fix = "Correct its position in the problem, or free it (--free tool), and calibrate again"
+                raise CasacalError("The tool has moved, but this problem holds it", fix)
             return [*np.eye(fresh.bound.unknowns)[columns]]
     return []
-
-
-def _of_joint(fresh: Fresh, look: Look, cause: CauseFound) -> Array:
-    place = next(each.place for each in look.causes if each.name == cause.name)
-    # what stands may differ from what stood in the look; the arm's unknowns come first in both
-    arm, count = look.fresh.of_arm, look.shifted.unknowns
-    bare = np.append(look.fresh.x, np.zeros(count - look.fresh.bound.unknowns))
-    bare[np.array(look.shifted.beside, dtype=bool)] = 0.0  # gears that err are no part of an offset
-    joint = int(shift_columns(look.shifted, JOINTS)[place])
-    direction = joint_direction(look.shifted, bare, joint, np.isin(np.arange(count), arm))
-    if direction is None:
-        raise CasacalError(
-            f"The zero of {cause.name} changed, and no free unknown of this problem does what it does",
-            "Calibrate again with its offset free (--free)",
-        )
-    return np.append(direction[arm], np.zeros(fresh.bound.unknowns - arm.size))

@@ -52,7 +52,8 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     problem: with one instrument. samples: its rows, some hundred. base: their misfit as they are. gross: whether it is
     so large that two mistakes at once are looked for.
     """
-    tried = _looked_at_closely(list(_tried(problem, samples)))
+    nothing = _Trial((), Undone(problem, samples), 0.0)
+    tried = _looked_at_closely([each for fault in suspected(problem, samples) for each in _one(fault, nothing)])
     best = _simplest(tried)
     if best is None:
         return None
@@ -62,11 +63,6 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):
             return _told(both, base, pairs)
     return _told(best, base, tried) if best.size <= max(min(BETTER * base, EXPLAINED), CHANCE) else None
-
-
-def _tried(problem: Problem, samples: Samples) -> Iterator[_Trial]:
-    for fault in suspected(problem, samples):
-        yield from _one(fault, _Trial((), Undone(problem, samples), 0.0))
 
 
 def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:

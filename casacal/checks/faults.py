@@ -25,6 +25,7 @@ from casacal.checks.numbers import numbers
 from casacal.instruments import Suspect
 from casacal.instruments.description import UNIT_MISTAKES, readings_within
 from casacal.problem.problem import Problem
+from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 
@@ -50,9 +51,9 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
             cause, fix = f"the joint angles look like {words}", "Correct the unit in the columns' names"
             yield Fault("unit of the joints", cause, fix, _turned(np.diag(np.where(turns, factor, 1.0))))
     yield from flips(problem)
-    if problem.robot.in_other_convention() is not None:
+    if (other := problem.robot.in_other_convention()) is not None:
         cause, fix = "the DH table seems to be of the other convention", "Correct its convention, standard or modified"
-        yield Fault("DH convention", cause, fix, _in_other_convention, 1, common=False)
+        yield Fault("DH convention", cause, fix, partial(_with_arm, robot=other), 1, common=False)
     for i, j in combinations(range(len(turns)), 2):
         if turns[i] == turns[j]:
             order = np.eye(len(turns))
@@ -97,15 +98,14 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         elif turns[i]:
             cause = f"joint {j + 1} seems to slide as joint {i + 1} turns"
             yield Fault(about, cause, DOCTOR, partial(geared, turning=i, sliding=j), 1, False)
-    if probe is not None and probe.column is not None:
-        fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
-        yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
     lengths = [name for name, kind in problem.instrument.columns.items() if kind == "length"]
     if probe is None and lengths:
         fix = "Check the instrument's scale factor and its settings for air, or declare the scale as an unknown"
         undo = partial(scaled, columns=lengths)
         yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
     if probe is not None and probe.column is not None:
+        fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
+        yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
         said = probe.zero_label or "session"
         fix = f"Give the rows from there on another value in a column '{said}'"
         fix += "" if probe.zero else ", and declare zero_shift=dial_zero() for the dial"
@@ -181,9 +181,7 @@ def _zeros(problem: Problem) -> Iterator[Fault]:
             yield Fault(f"zero of joint {i + 1}", cause, fix, undo, 1, common=False)
 
 
-def _in_other_convention(problem: Problem, samples: Samples) -> Undone:
-    robot = problem.robot.in_other_convention()
-    assert robot is not None
+def _with_arm(problem: Problem, samples: Samples, *, robot: Robot) -> Undone:
     return Undone(problem.with_parts(robot, problem.instruments), samples)
 
 

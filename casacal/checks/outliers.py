@@ -69,7 +69,11 @@ def studentised_outliers(bound: BoundProblem, result: Result) -> Outliers:
     free = max(float(bound.rows - leverage.sum()), 1.0)
     alike = np.abs(r) / np.sqrt(1 - leverage)  # of the same spread, also where faces of few rows take much of it
     scale = max(1.4826 * float(np.median(alike)), 1e-12)
-    size = alike / _scale_of_rows(bound, alike, scale)
+    faces, rough = bound.faces, np.full(len(bound.faces.names), scale)
+    for k, rows_of_it in enumerate(faces.rows().values()):
+        if rows_of_it.size >= FEWEST_OF_A_FACE:  # a face may be rougher than all rows are
+            rough[k] = max(1.4826 * float(np.median(alike[bound.residuals_of(rows_of_it)])), scale)
+    size = alike / rough[faces.codes][bound.sample_of]
     limit = most_by_chance(bound.rows, free)
     bad = np.flatnonzero(size > limit)
     bad = bad[~_of_a_region(bound, np.sign(r) * size, bad)]
@@ -111,48 +115,30 @@ def most_by_chance(rows: int, free: float) -> float:
     return float(stdtrit(max(free, 1.0), 1 - CHANCE / (2 * rows)))
 
 
-def _scale_of_rows(bound: BoundProblem, sizes: Array, scale: float) -> Array:
-    """Robust noise (rows,): that of all rows, or of the row's own face where that is rougher."""
-    faces = bound.faces
-    own = np.full(len(faces.names), scale)
-    for k, rows in enumerate(faces.rows().values()):
-        if rows.size >= FEWEST_OF_A_FACE:
-            own[k] = max(1.4826 * float(np.median(sizes[bound.residuals_of(rows)])), scale)
-    return own[faces.codes][bound.sample_of]
-
-
 def single_rows(bound: BoundProblem, result: Result, found: Outliers) -> list[Finding]:
     """Errors on rows that chance does not explain: lost turns of the pointer, and what is left.
 
     bound: with all rows. result: a fit that these rows hardly pull.
     """
     findings = list[Finding]()
-    for i, own in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
-        if own.size:
-            findings += _of_instrument(bound, result, found, i, own.tolist())
-    return findings
-
-
-def _of_instrument(bound: BoundProblem, result: Result, found: Outliers, i: int, own: list[int]) -> list[Finding]:
-    """The same of rows of instrument `i`, numbered within it."""
-    samples = bound.samples[i]
-    name = bound.problem.names[i] if len(bound.samples) > 1 else ""
-    turns = lost_turns(bound, result, own, found.scale, i)
-    findings = []
-    for (by, turned), rows in turns.items():
-        fits = "this row fits" if len(rows) == 1 else "these rows fit"
-        dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
-        fix = "Measure again, or correct the reading if the pointer was misread"
-        lines = tuple(sorted(samples.lines[k] for k in rows))
-        cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
-        findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
-    explained = {k for rows in turns.values() for k in rows}
-    lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
-    if lines:
-        off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
-        fix = "Measure them again or remove them; calibrate leaves them out where they are few"
-        cause = f"{off}; more than {found.limit:.1f} is not chance"
-        findings.append(Finding("error", "outliers", cause, fix, lines, name))
+    for i, rows_of_it in enumerate(bound.measured.apart(np.array(found.rows, dtype=np.intp))):
+        own, samples = rows_of_it.tolist(), bound.samples[i]
+        name = bound.problem.names[i] if len(bound.samples) > 1 else ""
+        turns = lost_turns(bound, result, own, found.scale, i) if own else {}
+        for (by, turned), rows in turns.items():
+            fits = "this row fits" if len(rows) == 1 else "these rows fit"
+            dial = f"{counted(abs(turned), 'turn')} of a pointer that shows {abs(by / turned):g} mm"
+            fix = "Measure again, or correct the reading if the pointer was misread"
+            lines = tuple(sorted(samples.lines[k] for k in rows))
+            cause = f"with {by:+.3g} mm added to the reading {fits}: {dial}"
+            findings.append(Finding("error", "lost revolution", cause, fix, lines, name))
+        explained = {k for rows in turns.values() for k in rows}
+        lines = tuple(sorted(samples.lines[k] for k in own if k not in explained))
+        if lines:
+            off = f"{counted(len(lines))} off by up to {found.worst:.0f} standard deviations"
+            fix = "Measure them again or remove them; calibrate leaves them out where they are few"
+            cause = f"{off}; more than {found.limit:.1f} is not chance"
+            findings.append(Finding("error", "outliers", cause, fix, lines, name))
     return findings
 
 

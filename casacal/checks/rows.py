@@ -20,8 +20,7 @@ from casacal.samples.samples import Samples
 from casacal.wording import counted
 
 OUTSIDE, LABELS_ALIKE = "readings outside travel", "labels alike"
-GRIDS_DEG = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-GRIDS_MM = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+GRIDS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # degrees, or mm
 ENOUGH_ROWS = 12  # rows from which a common grid of values cannot be chance
 
 
@@ -80,7 +79,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
     """Joint values or readings written so coarsely that rounding outweighs the stated noise."""
     samples, findings = bound.block.samples, []
     noise = float(np.median(bound.block.noise))
-    for kind, grids in (("revolute", np.radians(GRIDS_DEG)), ("prismatic", np.array(GRIDS_MM))):
+    for kind, grids in (("revolute", np.radians(GRIDS)), ("prismatic", np.array(GRIDS))):
         joints = [i for i, joint in enumerate(bound.problem.robot.axes) if joint.kind == kind]
         steps = {i: _grid(samples.joints[:, i], grids) for i in joints}
         coarse = [i for i, step in steps.items() if step]
@@ -95,7 +94,7 @@ def rounded(bound: BoundProblem) -> list[Finding]:
             fix = "Log the joints with more digits, or declare the joint repeatability"
             findings.append(Finding("error" if effect > 2 * noise else "warning", "joints rounded", cause, fix))
     lengths = [name for name, kind in bound.problem.instrument.columns.items() if kind == "length"]
-    step = max((_grid(samples.columns[name], np.array(GRIDS_MM)) for name in lengths), default=0.0)
+    step = max((_grid(samples.columns[name], np.array(GRIDS)) for name in lengths), default=0.0)
     if step / math.sqrt(12) > noise:
         cause = f"readings are written in steps of {step:g} mm; the stated noise is {noise:.2g} mm"
         fix = "Read the dial more finely, or declare a larger noise_std"
@@ -106,18 +105,14 @@ def rounded(bound: BoundProblem) -> list[Finding]:
 def _blur(bound: BoundProblem, steps: dict[int, float]) -> float:
     """RMS residual (mm) that joints rounded to steps (rad, mm) cause: the noise model with that much repeatability."""
     problem = bound.problem
-    joints = [
-        replace(joint, repeatability_std=steps.get(i, 0.0) / math.sqrt(12))
-        for i, joint in enumerate(problem.robot.axes)
-    ]
-    exact = [replace(joint, repeatability_std=0.0) for joint in problem.robot.axes]
-    noise = [
-        BoundProblem(
-            Problem(replace(problem.robot, joints=kind), *problem.instruments), bound.slots, bound.samples
-        ).block.noise
-        for kind in (joints, exact)
-    ]
-    return math.sqrt(max(float((noise[0] ** 2 - noise[1] ** 2).mean()), 0.0))
+
+    def noise(steps: dict[int, float]) -> Array:
+        stds = [steps.get(i, 0.0) / math.sqrt(12) for i in range(len(problem.robot.axes))]
+        joints = [replace(joint, repeatability_std=std) for joint, std in zip(problem.robot.axes, stds, strict=True)]
+        rounded_so = Problem(replace(problem.robot, joints=joints), *problem.instruments)
+        return BoundProblem(rounded_so, bound.slots, bound.samples).block.noise
+
+    return math.sqrt(max(float((noise(steps) ** 2 - noise({}) ** 2).mean()), 0.0))
 
 
 def _grid(values: Array, grids: Array) -> float:
@@ -185,8 +180,13 @@ def odd_labels(problem: Problem, samples: Samples) -> list[Finding]:
 
 def _rare(problem: Problem, name: str, counts: dict[str, int], column: str, total: int) -> tuple[str, str] | None:
     """Cause and fix for a label of too few rows; None where it has enough."""
-    own = _own_unknowns(problem, name, column)
-    group, components = problem.instrument.words.group, problem.models[0].components
+    instrument = problem.instrument
+    own = sum(  # of the instrument, which it has for itself: none where it shares the plane of another one
+        unknown.size
+        for key, unknown in instrument.unknowns.items()
+        if unknown.per == column and instrument.instance(key, name) == name
+    )
+    group, components = instrument.words.group, problem.models[0].components
     few = own > 0 and total * components < own + MARGIN
     rare = len(counts) > 1 and counts[name] <= FEW and counts[name] < RARE * sum(counts.values())
     if not few and not rare:
@@ -221,16 +221,6 @@ def _slip(one: str, two: str, *, both_common: bool) -> bool:
             return False
         return not (both_common and start == len(short) - 1)
     return short[start:] == long[start + 1 :] and long[start].isalpha()
-
-
-def _own_unknowns(problem: Problem, name: str, column: str) -> int:
-    """Unknowns of the instrument that a label has for itself; none where it shares the plane of another one."""
-    instrument = problem.instrument
-    return sum(
-        unknown.size
-        for key, unknown in instrument.unknowns.items()
-        if unknown.per == column and instrument.instance(key, name) == name
-    )
 
 
 def _rows_of_unknowns(problem: Problem, counts: dict[str, int], column: str) -> dict[str, int]:

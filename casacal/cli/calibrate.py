@@ -6,7 +6,8 @@ import argparse
 import shlex
 import sys
 import time
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     samples = read_samples(source, options)
     box = None if options.box is None else box_of(options.box)
     method = options.method or ("sckf-lm" if options.loss is None else "lm")
-    with _Progress(method) as progress, nullcontext() if options.reference is None else on_stderr():
+    with _progress(method) as progress, nullcontext() if options.reference is None else on_stderr():
         calibration = calibrate(
             replace(source, problem=problem),
             samples,
@@ -162,21 +163,20 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     return FAILED if denied else DONE
 
 
-class _Progress:
+@contextmanager
+def _progress(method: str) -> Iterator[Callable[[int, float], None]]:
     """A line on standard error, after the first second, and only on a terminal."""
+    began, shown = time.monotonic(), 0.0
 
-    def __init__(self, method: str) -> None:
-        self.method, self.began, self.shown = method, time.monotonic(), 0.0
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __call__(self, step: int, value: float) -> None:
+    def say_step(step: int, value: float) -> None:
+        nonlocal shown
         now = time.monotonic()
-        if now - self.began > 1.0 and now - self.shown > 0.5 and sys.stderr.isatty():
-            self.shown = now
-            write_progress(f"\r{self.method}: step {step}, {value:.6g}   ")
+        if now - began > 1.0 and now - shown > 0.5 and sys.stderr.isatty():
+            shown = now
+            write_progress(f"\r{method}: step {step}, {value:.6g}   ")
 
-    def __exit__(self, *_: object) -> None:
-        if self.shown:
+    try:
+        yield say_step
+    finally:
+        if shown:
             write_progress("\n")

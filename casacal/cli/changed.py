@@ -50,7 +50,11 @@ def run(options: argparse.Namespace) -> int:
     from casacal.verification.opened import opened
 
     result, other, named, rows = fresh_rows(options)
-    _spare(options, made_from(result))
+    outs = [] if options.touches is None else [options.touches]
+    if options.update is not None:
+        check_folder("--update", options.update)
+        outs.append(Path(options.update) / "result.json")
+    spare(outs, options.samples, options.readings, result.file, *made_from(result))
     standing = names_of("--standing", options.standing)
     given = opened(result, rows, problem=other, instrument=named, standing=standing)
     drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
@@ -76,14 +80,3 @@ def run(options: argparse.Namespace) -> int:
         if options.touches is not None and found.touches is None:
             say_paragraphs(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
     return DONE if found.changed is False else FAILED
-
-
-def _spare(options: argparse.Namespace, inputs: list[Path]) -> None:
-    """Raise CasacalError where an answer would be written over what is read, or into what is no folder."""
-    outs = [] if options.touches is None else [options.touches]
-    if options.update is not None:
-        check_folder("--update", options.update)
-        outs.append(Path(options.update) / "result.json")
-    result = Path(options.result)
-    place = result / "result.json" if result.is_dir() else result
-    spare(outs, options.samples, options.readings, place, *inputs)

@@ -190,7 +190,12 @@ def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, 
     if len(names) == 1:
         if options.sets:
             raise CasacalError("--samples NAME=FILE is for several instruments", "Name the file alone, as SAMPLES")
-        return {names[0]: _only_file(source, options.samples)}
+        if options.samples is not None and not options.samples.strip():
+            raise CasacalError("SAMPLES is empty", "Name a file, or leave it out for samples.csv beside the problem")
+        usual = source.samples.as_posix() if source.samples is not None and source.samples.is_file() else None
+        if (file := options.samples or usual) is None:
+            raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
+        return {names[0]: file}
     if options.samples is not None:
         wanted = " ".join(f"--samples {name}=FILE" for name in names)
         raise CasacalError(f"Got one file for {len(names)} instruments", f"Name one for each: {wanted}")
@@ -223,14 +228,3 @@ def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bo
         return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
     sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
     return Measurements(problem.names, tuple(sets))
-
-
-def _only_file(source: ProblemFile, given: str | None) -> str:
-    """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
-    if given is not None:
-        if not given.strip():
-            raise CasacalError("SAMPLES is empty", "Name a file, or leave it out for samples.csv beside the problem")
-        return given
-    if source.samples is None or not source.samples.is_file():
-        raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
-    return source.samples.as_posix()

@@ -97,7 +97,11 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
     file.refuse_others()
-    _refuse_plan_of_another(options.plan, source.name)
+    first = Path(options.plan).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+    planned = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
+    if planned and planned[1] != source.name:
+        what = f"{options.plan} was planned for '{planned[1]}', and the problem is '{source.name}'"
+        raise CasacalError(what, "Name its own plan")
     if file.begun():
         touches, cut = file.read()
         if cut:
@@ -127,14 +131,6 @@ def _labelled(route: Route, source: ProblemFile, session: str | None) -> Route:
             labels = {**samples.labels, column: Labels.alike(said, len(samples))}
             samples = replace(samples, labels=labels)
     return replace(route, samples=samples)
-
-
-def _refuse_plan_of_another(path: str, name: str) -> None:
-    """Raise CasacalError for a plan whose first line names another problem."""
-    first = Path(path).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
-    made_for = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
-    if made_for and made_for[1] != name:
-        raise CasacalError(f"{path} was planned for '{made_for[1]}', and the problem is '{name}'", "Name its own plan")
 
 
 def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:

@@ -101,8 +101,7 @@ def run(options: argparse.Namespace) -> int:
     if simulation.moves_beyond_geometry:
         say_paragraphs(
             "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
-            "error, is in "
-            "Simulation.true_tips (Python)"
+            "error, is in Simulation.true_tips (Python)"
         )
     say_paragraphs(f"Written: {', '.join(written)}")
     return DONE

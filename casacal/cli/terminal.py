@@ -9,7 +9,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any, Literal, TextIO
 
 from casacal.errors import CasacalError
@@ -130,20 +130,13 @@ def _write(text: str, stream: TextIO, *, flush: bool = False) -> None:
         if flush:
             stream.flush()
     except OSError as error:
-        _silence(stream)
+        with suppress(OSError, ValueError):  # its reader left, or its disk is full: all that is held goes nowhere
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
         left = isinstance(error, BrokenPipeError) or error.errno == errno.EINVAL  # Windows' word for a broken pipe
         if stream is sys.stdout and not left:
             what = f"Standard output cannot be written ({error.strerror})"
             raise CasacalError(what, "Send it elsewhere") from error
     except ValueError:  # closed by someone in this process
-        pass
-
-
-def _silence(stream: TextIO) -> None:
-    """Send what a stream still holds, and all that follows, nowhere: its reader left, or its disk is full."""
-    try:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
-    except (OSError, ValueError):
         pass

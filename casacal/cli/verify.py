@@ -46,7 +46,12 @@ def run(options: argparse.Namespace) -> int:
         files = () if other is None else (file.path for file in other.files)
         spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
         spare([options.report], *made_from(result), option="--report")
-        _spare_calibration(options.report)
+        if not options.report.strip():
+            raise CasacalError("--report is empty", "Name a file, such as verified.html")
+        if Path(options.report).is_file():
+            with Path(options.report).open(encoding="utf-8", errors="replace") as file:
+                if "<title>Calibration of" in file.read(HEAD):
+                    raise CasacalError(f"'{options.report}' is the report of a calibration", "Name another --report")
     found = verify(
         result,
         rows,
@@ -68,13 +73,3 @@ def run(options: argparse.Namespace) -> int:
         if not options.verbose:
             say_paragraphs("Faces, regions and statistics: --verbose")
     return DONE if found.passed else FAILED
-
-
-def _spare_calibration(path: str) -> None:
-    """Raise CasacalError where a page of a calibration stands already: it would be lost."""
-    if not path.strip():
-        raise CasacalError("--report is empty", "Name a file, such as verified.html")
-    if Path(path).is_file():
-        with Path(path).open(encoding="utf-8", errors="replace") as file:
-            if "<title>Calibration of" in file.read(HEAD):
-                raise CasacalError(f"'{path}' is the report of a calibration", "Name another --report")

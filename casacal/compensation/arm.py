@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -173,29 +173,9 @@ def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
     return named_covariance(result) if found is None else (found[0], list(found[1]))
 
 
-def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
-    """The same of all that a result corrects and of its other unknowns.
-
-    Raises CasacalError where it holds none.
-    """
-    return all_motion(result) if result.corrected else named_covariance(result)
-
-
 def numbers(rows: Sequence[Sequence[float | None]]) -> Array:
     """A table of numbers as JSON holds it, null where one is infinite."""
     return np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
-
-
-def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:
-    """Names of those components, of the unknowns with the given keys, that neither samples nor prior hold.
-
-    Raises CasacalError for a result that holds no covariance.
-    """
-    covariance, columns = covariance_of(result)
-    unknowns = result.source.problem.model.unknowns
-    names = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
-    wanted = set(keys)
-    return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]
 
 
 def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alone: bool) -> Array:

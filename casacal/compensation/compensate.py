@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array, Rows
-from casacal.compensation.arm import FRAMES, CalibratedArm, infinite_variances, local_coordinates, row_constants
+from casacal.compensation.arm import FRAMES, CalibratedArm, covariance_of, local_coordinates, row_constants
 from casacal.compensation.inverse_kinematics import PosedArm, postures
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.targets import Compensation, Outcome, Rounding, Targets, rows_with, targets_from
 from casacal.compensation.told import Told
-from casacal.compensation.turns import lengths, turning
+from casacal.compensation.turns import turning
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.joint_space import joint_units
 
@@ -78,14 +78,16 @@ def compensate(
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
-    arm = _as_told(told, nominal)
+    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
+    arm = replace(nominal, local=local)
+    if used.effects:
+        arm = PosedArm.of(used, local, frame, row_constants(told.arm, used), told.columns)
     start, positions, rotations = _meant(nominal, targets)
     found: Rows = np.asarray(np.isfinite(start).all(axis=1))
     began = np.where(found[:, None], start, np.mean(nominal.robot.limits, axis=0))
     joints, elsewhere = began.copy(), np.zeros(len(began), dtype=bool)
-    joints[found], elsewhere[found] = _solved(
-        arm.of_rows(found), positions[found], rotations[found], start[found], largest
-    )
+    given = positions[found], rotations[found], start[found]
+    joints[found], elsewhere[found] = _solved(arm.of_rows(found), *given, largest)
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
@@ -101,18 +103,10 @@ def compensate(
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
     outcomes = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
-    before, moved = lengths(arm.miss(start, positions, rotations)[0]), np.where(jumps, 0.0, moved)
+    before, moved = np.linalg.norm(arm.miss(start, positions, rotations)[0], axis=1), np.where(jumps, 0.0, moved)
     return Compensation(
         targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected, told.missing
     )
-
-
-def _as_told(told: Told, nominal: PosedArm) -> PosedArm:
-    """The calibrated arm, with what rows tell of its effects."""
-    used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
-    if not used.effects:
-        return replace(nominal, local=local)
-    return PosedArm.of(used, local, nominal.frame, row_constants(told.arm, used), told.columns)
 
 
 def _trusted(result: CalibratedArm, frame: str) -> None:
@@ -122,7 +116,10 @@ def _trusted(result: CalibratedArm, frame: str) -> None:
     keys = list(result.source.problem.robot.parameters)
     if frame == "tip":
         keys += list(result.source.problem.instrument.unknowns)
-    lost = infinite_variances(result, keys)
+    covariance, columns = covariance_of(result)
+    unknowns = result.source.problem.model.unknowns
+    named = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
+    lost = [named[i][1] for i, j in columns if named[i][0] in keys and not math.isfinite(covariance[j, j])]
     if lost:
         raise CasacalError(
             f"{result.file}: neither samples nor prior hold {', '.join(lost[:6])}{', ...' if len(lost) > 6 else ''}, "
@@ -180,8 +177,8 @@ def _proof(
         known = result.denial is None  # nothing is expected of a result that is not to be used
         prediction = predict(result, samples, frame=arm.frame, std=known)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
-        place[sound] = lengths(prediction.positions - positions[sound])
-        turn[sound] = lengths(turning(turns @ rotations[sound].transpose(0, 2, 1)))
+        place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
+        turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)
         spread[sound] = prediction.std if known else np.nan
     return place, turn, spread
 

@@ -42,10 +42,6 @@ def _is_size(value: Any) -> bool:
     return is_number(value) and value > 0
 
 
-def _is_verdict(value: Any) -> bool:
-    return isinstance(value, dict) and value.get("level") in LEVELS and is_text(value.get("words"))
-
-
 def _is_fitted(data: Mapping[str, Any]) -> bool:
     fitted = data.get("fitted_rows")
     return fitted is None or (isinstance(fitted, dict) and is_listing(fitted))
@@ -68,7 +64,7 @@ OPTIONAL: Mapping[str, Shape] = {
     "schema": lambda value: isinstance(value, int) and not isinstance(value, bool),
     "metrics": lambda value: isinstance(value, dict) and all(isinstance(each, dict) for each in value.values()),
     "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
-    "verdict": _is_verdict,
+    "verdict": lambda value: isinstance(value, dict) and value.get("level") in LEVELS and is_text(value.get("words")),
     "arm": lambda value: isinstance(value, dict),
     "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")) and _is_fitted(value),
     "noise": lambda value: isinstance(value, dict) and _is_noise(value),

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array, Rows
 from casacal.compensation.told import NOTHING_TOLD
-from casacal.compensation.turns import inverse_left_jacobian, lengths, turning
+from casacal.compensation.turns import inverse_left_jacobian, turning
 from casacal.kernels.batch import BLOCK, Batch
+from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import AXIS_WEIGHT, joint_units, random_joints
 from casacal.robots.robot import Robot
@@ -65,8 +66,7 @@ class PosedArm:
         rates = [ca.mtimes(ca.reshape(by_joint[:, j], 3, 3), turn.T) for j in range(n)]  # dR/dq R' = [omega]x
         omega = ca.horzcat(*(ca.vertcat(rate[2, 1], rate[0, 2], rate[1, 0]) for rate in rates))
         outputs = [place, ca.vec(turn.T), ca.vec(ca.vertcat(ca.jacobian(place, q), omega).T)]
-        dense = [ca.densify(output) for output in ca.cse(outputs)]
-        made = Batch(ca.Function("pose", [z, ca.vertcat(q, *symbols.values())], dense))
+        made = Batch(row_function("pose", [z, ca.vertcat(q, *symbols.values())], outputs))
         return PosedArm(problem.robot, made, local, frame, np.array([*told.values()]).T)
 
     def of_rows(self, rows: NDArray[Any]) -> PosedArm:
@@ -97,7 +97,7 @@ class PosedArm:
     def takes(self, joints: Array, positions: Array, rotations: Array) -> Rows:
         """Rows (N,) in which joint values bring it to a pose."""
         place, turn, _ = self.miss(joints, positions, rotations)
-        return self.within(lengths(place), lengths(turn))
+        return self.within(np.linalg.norm(place, axis=1), np.linalg.norm(turn, axis=1))
 
     def reach(self, positions: Array, rotations: Array, start: Array, *, steps: int = 60) -> Array:
         """Joint values (N, n), inside the limits, that bring each row as near to its pose as damped steps lead.

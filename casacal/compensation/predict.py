@@ -10,16 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    FRAMES,
-    CalibratedArm,
-    found_values,
-    local_coordinates,
-    row_constants,
-)
+from casacal.compensation.arm import FRAMES, CalibratedArm, found_values, local_coordinates, row_constants
 from casacal.compensation.result_file import arm_from
 from casacal.compensation.spread import RowZeros, position_stds
-from casacal.compensation.told import NOTHING_TOLD, Told
+from casacal.compensation.told import NOTHING_TOLD, Told, whole_rows
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.files import write_text
 from casacal.kinematics import stacked_poses
@@ -149,12 +143,12 @@ def predict(
     problem = result.source.problem.without_effects if nominal else result.used
     model, instrument = problem.model, problem.instrument
     z = local_coordinates(result, nominal=nominal, of=problem)
-    data = np.zeros((len(joints), model.pose.numel_in(2)))
-    data[:, : joints.joints.shape[1]] = joints.joints
-    for i, name in enumerate(instrument.columns):
-        data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
-    known = joints.joints.shape[1] + len(instrument.columns) + len(instrument.known_columns)
-    data, constants = told.placed(model.names, data), row_constants(result, problem)
+    n, read = (
+        joints.joints.shape[1],
+        {name: joints.columns[name] for name in instrument.columns if name in joints.columns},
+    )
+    data = whole_rows(joints.joints, n, model.names, {**read, **told.columns})
+    known, constants = n + len(instrument.columns) + len(instrument.known_columns), row_constants(result, problem)
     poses = stacked_poses(model.batch.pose(z, constants, data)[0])
     positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
     found = found_values(result, alone=not model.effects)

@@ -27,11 +27,28 @@ def seen_by(arm: CalibratedArm, instrument: str | None = None) -> CalibratedArm:
             problem.number(instrument)
         return arm
     name = problem.names[0] if instrument is None else instrument
-    one = problem.measured_by(name)
-    source = replace(arm.source, problem=one)
-    return CalibratedArm(
-        arm.file, source, FrozenMapping(_document(arm.document, name, problem.names[0], _of_others(problem, name)))
-    )
+    of_others = _of_others(problem, name)
+
+    def own(each: str) -> str:
+        return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
+
+    found = dict(arm.document)
+    if name != problem.names[0] and found.get("tip") is not None:  # it is of the first instrument's tip
+        found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
+    found |= _renamed(found, own)
+    if isinstance(said := found.get("discrepancy"), Mapping):
+        told = {"told": [{**each, **_renamed(each, own)} for each in said["told"]]} if "told" in said else {}
+        found["discrepancy"] = {**said, **_renamed(said, own), **told}
+    if isinstance(found.get("proposed"), Mapping):
+        found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
+    if isinstance(noise := found.get("noise"), Mapping):
+        by_face, before = noise.get("by_face") or {}, f"{name} "
+        faces = {face.removeprefix(before): value for face, value in by_face.items() if face.startswith(before)}
+        found["noise"] = {**noise, "by_face": faces | ({ALL_ROWS: by_face[name]} if name in by_face else {})}
+    data = found.get("data")
+    if isinstance(data, Mapping) and name in (data.get("instruments") or {}):
+        found["data"] = {**data, **data["instruments"][name]}
+    return CalibratedArm(arm.file, replace(arm.source, problem=problem.measured_by(name)), FrozenMapping(found))
 
 
 def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
@@ -47,36 +64,8 @@ def _of_others(problem: Problem, name: str) -> Callable[[str], bool]:
     return lambda each: each in exact or any(each.startswith(f"{key}.") for key in theirs)
 
 
-def _document(document: Mapping[str, Any], name: str, first: str, of_others: Callable[[str], bool]) -> dict[str, Any]:
-    def own(each: str) -> str:
-        return f"{OTHERS}{each}" if of_others(each) else each.removeprefix(f"{name}.")
-
-    found = dict(document)
-    if first != name and found.get("tip") is not None:  # it is of the first instrument's tip
-        found["tip"] = {**found["tip"], "expected_rms_mm": None, "prior_rms_mm": None}
-    found |= _renamed(found, own)
-    if isinstance(said := found.get("discrepancy"), Mapping):
-        told = {"told": [{**each, **_renamed(each, own)} for each in said["told"]]} if "told" in said else {}
-        found["discrepancy"] = {**said, **_renamed(said, own), **told}
-    if isinstance(found.get("proposed"), Mapping):
-        found["proposed"] = {own(key): value for key, value in found["proposed"].items()}
-    if isinstance(noise := found.get("noise"), Mapping):
-        found["noise"] = {**noise, "by_face": _faces(noise.get("by_face") or {}, name)}
-    data = found.get("data")
-    if isinstance(data, Mapping) and name in (data.get("instruments") or {}):
-        found["data"] = {**data, **data["instruments"][name]}
-    return found
-
-
 def _renamed(part: Mapping[str, Any], own: Callable[[str], str]) -> dict[str, Any]:
     """What of a part has the names of unknowns, with other names."""
     rows = {key: [{**row, "name": own(row["name"])} for row in part[key]] for key in NAMED if key in part}
     names = part.get("covariance_of")
     return rows if names is None else {**rows, "covariance_of": [own(each) for each in names]}
-
-
-def _faces(by_face: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Noise by the faces of one instrument."""
-    before = f"{name} "
-    found = {face.removeprefix(before): value for face, value in by_face.items() if face.startswith(before)}
-    return {**found, ALL_ROWS: by_face[name]} if name in by_face else found

@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import (
-    CalibratedArm,
-    all_motion,
-    covariance_of,
-    local_coordinates,
-    row_constants,
-    with_effects,
-)
-from casacal.compensation.told import NOTHING_TOLD
+from casacal.compensation.arm import CalibratedArm, all_motion, local_coordinates, row_constants, with_effects
+from casacal.compensation.told import NOTHING_TOLD, whole_rows
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
 from casacal.instruments import Instrument
@@ -42,53 +35,34 @@ class Moved:
     elsewhere: Array
     constants: Array
 
-    @property
-    def joints(self) -> int:
-        """How many joint values a row begins with."""
-        return self.model.pose.numel_in(2) - self.elsewhere.size
-
-    def rows(self, given: Array, told: Mapping[str, Array] = NOTHING_TOLD) -> Array:
-        """Whole rows (N, n + k) of given joint values and first columns, and of columns that are told, by name."""
-        rows = np.tile(np.concatenate([np.zeros(self.joints), self.elsewhere]), (len(given), 1))
-        rows[:, : given.shape[1]] = given
-        for name, values in told.items():
-            rows[:, self.joints + self.model.names.index(name)] = values
-        return rows
-
 
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
-    problem, found = result.source.problem, with_effects(result)
-    covariance, columns = covariance_of(result)
-    if found is None:
-        index, local = [j for _, j in columns], [n for k, u in problem.model.unknowns.items() for n in u.names(k)]
-        known, names = covariance[np.ix_(index, index)], [local[i] for i, _ in columns]
-        model, z = problem.model, local_coordinates(result, of=problem)
-        elsewhere, constants = np.zeros(len(model.names)), row_constants(result, problem)
-        return Moved(model, z, [i for i, _ in columns], names, known, None, elsewhere, constants)
-    model, site = problem.with_kit.model, Site(problem.robot, problem.instrument)
+    problem, effects = result.source.problem, with_effects(result)
+    problem = problem if effects is None else problem.with_kit
+    model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
-    lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
-    if lost:
-        what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
-        raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
-    whole, off = found
-    places = {name: j for j, name in enumerate(off)}
+    if effects is not None:
+        lost = sorted({each["name"] for each in result.discrepancy["unknowns"]} - set(names))
+        if lost:
+            what = f"{result.file}: it holds an effect beside the geometry ('{lost[0]}') that the problem does not have"
+            raise CasacalError(what, "Give the problem that it was calibrated with, or calibrate again")
+        for effect in model.effects:
+            away |= effect.away(Site(problem.robot, problem.instrument))
+        away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
+    covariance, known = all_motion(result)
+    places = {name: j for j, name in enumerate(known)}
     at = [i for i, name in enumerate(names) if name in places]
     index = [places[names[i]] for i in at]
-    away = dict.fromkeys(model.names, 0.0)
-    for effect in model.effects:
-        away |= effect.away(site)
-    away |= {name: float(value) for name, value in result.discrepancy.get("usual", {}).items() if name in away}
     return Moved(
         model,
-        local_coordinates(result, of=problem.with_kit),
+        local_coordinates(result, of=problem),
         at,
         [names[i] for i in at],
-        whole[np.ix_(index, index)],
-        np.array([off[names[i]] for i in at]),
+        covariance[np.ix_(index, index)],
+        None if effects is None else np.array([effects[1][names[i]] for i in at]),
         np.array(list(away.values())),
-        row_constants(result, problem.with_kit),
+        row_constants(result, problem),
     )
 
 
@@ -137,14 +111,19 @@ def position_stds(
     effects, by name; what is not told is as large as it was in the fitted rows.
     """
     arm, joints = moved_arm(result), workspace_joints(result.source.problem.robot)
-    data = arm.rows(data, told)
+    names, n = arm.model.names, joints.shape[1]
+    data = whole_rows(data, n, names, told, arm.elsewhere)
+    joints = whole_rows(joints, n, names, NOTHING_TOLD, arm.elsewhere)
     if zeros is None:
         return _stds(arm.covariance, _field(arm, data, frame), _field(arm, joints, frame), arm.off)
-    names, found = np.array(zeros.names), np.zeros(len(data))
+    found = np.zeros(len(data))
     off = None if arm.off is None else np.append(arm.off, 0.0)
-    for name in dict.fromkeys(zeros.names):
-        covariance = _with_zero(result, [*arm.names, name], zeros.prior_std)
-        rows = names == name
+    whole, known = all_motion(result)
+    for name in dict.fromkeys(zeros.names):  # the zero as well as the result knows it, or else as its prior does
+        at = [known.index(each) for each in (*arm.names, name) if each in known]
+        covariance = np.diag([*np.zeros(len(arm.names)), zeros.prior_std**2])
+        covariance[: len(at), : len(at)] = whole[np.ix_(at, at)]
+        rows = np.array(zeros.names) == name
         there, workspace = (_field(arm, each, frame, zeros.sign) for each in (data[rows], joints))
         found[rows] = _stds(covariance, there, workspace, off)
     return found
@@ -154,22 +133,11 @@ def _stds(covariance: Array, there: tuple[Array, Array], workspace: tuple[Array,
     return np.asarray(np.linalg.norm(tip_stds(covariance, up_to_base(*there, *workspace), off), axis=1))
 
 
-def _field(arm: Moved, given: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
+def _field(arm: Moved, rows: Array, frame: str, sign: int = 0) -> tuple[Array, Array]:
     """Moves of positions (3 N, k) by what moves the arm, with a sign also by the dial's zero, and the positions."""
-    rows, batch = arm.rows(given), arm.model.batch
+    batch = arm.model.batch
     points, slopes = (batch.tip_jacobian if frame == "tip" else batch.flange_jacobian)(arm.z, arm.constants, rows)
     field = slopes.reshape(3 * len(rows), arm.z.size)[:, arm.columns]
     if sign:
         field = np.column_stack([field, sign * batch.plunger(arm.z, arm.constants, rows)[0].ravel()])
     return field, points
-
-
-def _with_zero(result: CalibratedArm, names: Sequence[str], prior_std: float) -> Array:
-    """Covariance of some unknowns (k, k), the last a zero of the dial: by its prior where the result knows none."""
-    whole, known = all_motion(result)
-    at = [known.index(name) for name in names if name in known]
-    found = np.zeros((len(names), len(names)))
-    found[: len(at), : len(at)] = whole[np.ix_(at, at)]
-    if len(at) < len(names):
-        found[-1, -1] = prior_std**2
-    return found

@@ -112,9 +112,8 @@ def _of_table(table: Table, source: ProblemFile) -> Targets:
     axes, probe = source.problem.layout().joints, source.problem.instrument.probe
     if probe is not None and probe.zero_label in table.header:
         what = f"targets cannot be of one {probe.zero_label}: the tip is the tool's point as the problem declares it"
-        raise SamplesError(
-            table.file, what, "Leave out this column, or give targets of the flange without it", column=probe.zero_label
-        )
+        fix = "Leave out this column, or give targets of the flange without it"
+        raise SamplesError(table.file, what, fix, column=probe.zero_label)
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
     joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None
@@ -145,29 +144,22 @@ def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
 
 
 class Outcome(Enum):
-    """How a target ended: a closed set of words."""
+    """How a target ended: a closed set of words, and what each means in a sentence."""
 
-    REACHED = "reached"
-    LIMIT = "at a joint limit"
-    SINGULAR = "singular"
-    UNREACHABLE = "unreachable"
-    OUTSIDE = "outside the joint limits"
-    NOT_FINITE = "not finite"
+    meaning: str
 
-    @property
-    def meaning(self) -> str:
-        """The word in a sentence."""
-        return _MEANINGS[self]
+    REACHED = "reached", "the calibrated robot takes the pose"
+    LIMIT = "at a joint limit", "a joint would have to pass its limit"
+    SINGULAR = "singular", "near a singularity: no small joint motion takes the pose"
+    UNREACHABLE = "unreachable", "no posture takes the pose"
+    OUTSIDE = "outside the joint limits", "the target's own joint values are outside the limits"
+    NOT_FINITE = "not finite", "the model gives values that are not finite"
 
-
-_MEANINGS = {
-    Outcome.REACHED: "the calibrated robot takes the pose",
-    Outcome.LIMIT: "a joint would have to pass its limit",
-    Outcome.SINGULAR: "near a singularity: no small joint motion takes the pose",
-    Outcome.UNREACHABLE: "no posture takes the pose",
-    Outcome.OUTSIDE: "the target's own joint values are outside the limits",
-    Outcome.NOT_FINITE: "the model gives values that are not finite",
-}
+    def __new__(cls, word: str, meaning: str) -> Outcome:
+        """A word of the set, as its value."""
+        made = object.__new__(cls)
+        made._value_, made.meaning = word, meaning
+        return made
 
 
 @dataclass(frozen=True)

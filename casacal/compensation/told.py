@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from casacal.array_types import Array
 from casacal.compensation.arm import CalibratedArm
@@ -46,12 +48,20 @@ class Told:
                 columns |= effect.told(site, rows) if effect.key in keys else {}
         return Told(told, columns, FrozenMapping(lacking))
 
-    def placed(self, names: tuple[str, ...], data: Array) -> Array:
-        """Rows (N, n + k) of joint values and the model's columns, with those that are told in their places."""
-        first = data.shape[1] - len(names)
-        for name, values in self.columns.items():
-            data[:, first + names.index(name)] = values
-        return data
+
+def whole_rows(
+    first: Array, joints: int, names: Sequence[str], told: Mapping[str, Array], elsewhere: Array | float = 0.0
+) -> Array:
+    """Whole rows (N, n + k) of a row model with k columns, of which the first (N, m) are given.
+
+    told: columns (N,) by name, in their places. elsewhere: what the others hold (k,).
+    """
+    rows = np.zeros((len(first), joints + len(names)))
+    rows[:, joints:] = elsewhere
+    rows[:, : first.shape[1]] = first
+    for name, values in told.items():
+        rows[:, joints + names.index(name)] = values
+    return rows
 
 
 def columns_that_tell(arm: CalibratedArm) -> dict[str, tuple[str, ...]]:

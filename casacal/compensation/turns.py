@@ -1,15 +1,10 @@
-"""Rotation vectors and lengths of many rows."""
+"""Rotation vectors of many rows."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from casacal.array_types import Array
-
-
-def lengths(vectors: Array) -> Array:
-    """Lengths (N,) of vectors (N, 3)."""
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def turning(rotations: Array) -> Array:

@@ -63,13 +63,18 @@ class Axes:
 def axes_of(robot: Robot) -> Axes:
     """Find the axes of a robot at its nominal parameters from its pose function.
 
-    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows).
+    Raises ProblemError when the pose is not one motion per joint (with joints coupled as the doctor's family knows),
+    and for a parameter without a nominal value.
     """
-    pose = nominal_pose(robot)
-    n, count = len(robot.axes), 12
+    values, n, count = {}, len(robot.axes), 12
+    for key, unknown in robot.parameters.items():
+        if unknown.nominal is None:
+            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
+        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM.zeros(unknown.size))
     q = ca.SX.sym("q", n)
-    symbolic = ca.reshape(pose.function(q), 4, 4)
-    slope = np.array(ca.Function("slope", [q], [ca.jacobian(ca.vec(symbolic), q)])(np.zeros(n)))
+    symbolic = ca.vec(ca.SX(robot.pose(SimpleNamespace(**values), q)))
+    pose = Batch(ca.Function("pose", [q], [ca.densify(symbolic)]))
+    slope = np.array(ca.Function("slope", [q], [ca.jacobian(symbolic, q)])(np.zeros(n)))
     tried = random_joints(robot, count, np.random.default_rng(0))
     at_zero, *asked = stacked_poses(pose(np.vstack([np.zeros(n), tried]))[0])
     turns = tuple(robot.revolute.tolist())
@@ -81,25 +86,8 @@ def axes_of(robot: Robot) -> Axes:
         wanted = np.array(asked)
         if np.abs(place - wanted[:, :3, 3]).max() < EXACT and np.abs(turn - wanted[:, :3, :3]).max() < EXACT:
             return found
-    raise ProblemError(
-        f"The pose of '{robot.name}' is not one turn or slide per joint",
-        "Give the doctor a pose without gears or links",
-    )
-
-
-def nominal_pose(robot: Robot) -> Batch:
-    """Flange pose (16, column by column; mm) by joint values (n; rad, mm) at the nominal parameters.
-
-    Raises ProblemError for a parameter without a nominal value.
-    """
-    values = {}
-    for key, unknown in robot.parameters.items():
-        if unknown.nominal is None:
-            raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Give it the drawing's")
-        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM.zeros(unknown.size))
-    q = ca.SX.sym("q", len(robot.axes))
-    pose = ca.SX(robot.pose(SimpleNamespace(**values), q))
-    return Batch(ca.Function("pose", [q], [ca.densify(ca.vec(pose))]))
+    fix = "Give the doctor a pose without gears or links"
+    raise ProblemError(f"The pose of '{robot.name}' is not one turn or slide per joint", fix)
 
 
 def _mixings(turns: tuple[bool, ...]) -> Iterator[Array]:

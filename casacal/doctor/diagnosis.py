@@ -74,11 +74,12 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class _Known:
-    """The arm between a known base and a known tool, with what the rows show in units of one guess."""
+    """The arm between base and tool, and the distance (mm) from the base that rules out a unit of length."""
 
     axes: Axes
     halves: Halves
     base: Array
+    reach: float
 
 
 def diagnose(
@@ -110,50 +111,45 @@ def diagnose(
 
     """
     if rows.joints.shape[1] != len(robot.axes):
-        raise CasacalError(
-            f"The rows have {rows.joints.shape[1]} joints and '{robot.name}' has {len(robot.axes)}", "Use its own rows"
-        )
+        fix = "Use its own rows"
+        raise CasacalError(f"The rows have {rows.joints.shape[1]} joints and '{robot.name}' has {len(robot.axes)}", fix)
     if len(robot.axes) > MOST_JOINTS:
-        raise CasacalError(
-            f"'{robot.name}' has {len(robot.axes)} joints", f"The doctor searches arms of up to {MOST_JOINTS}"
-        )
+        fix = f"The doctor searches arms of up to {MOST_JOINTS}"
+        raise CasacalError(f"'{robot.name}' has {len(robot.axes)} joints", fix)
     if not tolerance > 0:
         raise CasacalError(f"The tolerance is {tolerance:g} mm", "Give a positive number of mm")
-    known, reach = _known_arm(robot, base, tool)
-    axes = known.axes
-    meanings, more = _meanings(known, rows, tolerance, reach)
+    known = _known_arm(robot, base, tool)
+    meanings, more = _meanings(known, rows, tolerance)
     if meanings:
-        found = Diagnosis(rows, tolerance, meanings, more, _postures(axes, rows, meanings[0]), None, None)
+        found = Diagnosis(rows, tolerance, meanings, more, _postures(known.axes, rows, meanings[0]), None, None)
         if found.certain:
             return found
-        return replace(found, further=further_pose(axes, robot, meanings, tolerance, seed=len(rows)))
+        return replace(found, further=further_pose(known.axes, robot, meanings, tolerance, seed=len(rows)))
     if more:
         return Diagnosis(rows, tolerance, (), True, 0, None, None)
-    odd, slips = _odd(known, rows, tolerance, reach) if len(rows) in WORTH_LEAVING_OUT else ((), ())
+    odd, slips = _odd(known, rows, tolerance) if len(rows) in WORTH_LEAVING_OUT else ((), ())
     convention, other = "", robot.in_other_convention()
     if other is not None and isinstance(other.arm, DHTable):
-        known_other, far = _known_arm(other, base, tool)
-        convention = other.arm.convention if _meanings(known_other, rows, tolerance, far)[0] else ""
-    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows, reach), odd, slips, convention)
+        convention = other.arm.convention if _meanings(_known_arm(other, base, tool), rows, tolerance)[0] else ""
+    return Diagnosis(rows, tolerance, (), False, 0, None, _nearest(known, rows), odd, slips, convention)
 
 
-def _known_arm(robot: Robot, base: Array | None, tool: Array | None) -> tuple[_Known, float]:
-    """The arm between base and tool, and the distance (mm) from the base that rules out a unit of length."""
+def _known_arm(robot: Robot, base: Array | None, tool: Array | None) -> _Known:
     axes = axes_of(robot)
     if tool is not None:
         axes = replace(axes, turn=axes.turn @ tool[:3, :3], place=axes.turn @ tool[:3, 3] + axes.place)
     places = axes.poses(random_joints(robot, 500, np.random.default_rng(0)))[1]
     far = REACH * float(np.linalg.norm(places, axis=1).max())
-    return _Known(axes, Halves.of(axes), np.eye(4) if base is None else base), far
+    return _Known(axes, Halves.of(axes), np.eye(4) if base is None else base, far)
 
 
-def _odd(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tuple[tuple[int, ...], tuple[Slip, ...]]:
+def _odd(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple[int, ...], tuple[Slip, ...]]:
     """Lines without which the others fit, and the single numbers in them that could be to blame."""
     lines: list[int] = []
     slips: list[Slip] = []
     looked_at = True
     for i in range(len(rows)):
-        meanings, more = _meanings(known, rows.without(i), tolerance, reach)
+        meanings, more = _meanings(known, rows.without(i), tolerance)
         if not meanings:
             continue
         lines.append(rows.line(i))
@@ -164,44 +160,44 @@ def _odd(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tu
     return tuple(lines), tuple(sorted(slips, key=lambda slip: slip.miss)) if looked_at else ()
 
 
-def _meanings(known: _Known, rows: PendantRows, tolerance: float, reach: float) -> tuple[tuple[Meaning, ...], bool]:
+def _meanings(known: _Known, rows: PendantRows, tolerance: float) -> tuple[tuple[Meaning, ...], bool]:
     """All meanings that fit the rows, the simplest first, and whether more would."""
     meanings: list[Meaning] = []
     more = False
-    for joint_unit, length_unit, q, positions in _guesses(known, rows, reach):
+    for joint_unit, length_unit, q, positions in _guesses(known, rows):
         orientations = {name: known.base[:3, :3].T @ shown for name, shown in rotations_of(rows.orientations).items()}
-        found = known.halves.fitting(q, positions, orientations.values(), tolerance)
-        more |= found.more
-        if not len(found.readings):
+        readings, left_aside = known.halves.fitting(q, positions, orientations.values(), tolerance)
+        more |= left_aside
+        if not len(readings):
             continue
-        turn, place = poses_of(known.axes, found.readings, q)
+        turn, place = poses_of(known.axes, readings, q)
         miss_mm = np.linalg.norm(place - positions, axis=2).max(axis=1)
         misses = {name: angle_between(turn, shown).max(axis=1) for name, shown in orientations.items()}
         fits = np.flatnonzero(np.min(list(misses.values()), axis=0) <= tolerance * 1e-3)
-        groups = distinct(known.axes, found.readings.take(fits))
+        groups = distinct(known.axes, readings.take(fits))
         more |= len(groups) == MOST_MEANINGS
         for group in groups:
             same = fits[group]
             written = sorted(
-                {c for i in same if (c := conventions_of(found.readings.options[i], known.axes.mixing)) is not None},
+                {c for i in same if (c := conventions_of(readings.options[i], known.axes.mixing)) is not None},
                 key=changes,
             )
-            first = same[int(np.argmin(found.readings.take(same).changes))]
+            first = same[int(np.argmin(readings.take(same).changes))]
             rotations = {name: float(miss[first]) for name, miss in misses.items() if miss[first] <= tolerance * 1e-3}
             if written:
-                reading, worst = found.readings.options[first], float(miss_mm[first])
+                reading, worst = readings.options[first], float(miss_mm[first])
                 meanings.append(Meaning(tuple(written), reading, joint_unit, length_unit, rotations, worst))
     stated = {(rows.joint_unit or "deg", rows.length_unit or "mm")}
     meanings.sort(key=lambda m: ((m.joint_unit, m.length_unit) not in stated, changes(m.simplest)))
     return tuple(meanings), more
 
 
-def _guesses(known: _Known, rows: PendantRows, reach: float) -> Iterator[tuple[str, str, Array, Array]]:
+def _guesses(known: _Known, rows: PendantRows) -> Iterator[tuple[str, str, Array, Array]]:
     """Units that the rows may be in, with joint values in rad and mm and positions in mm in the robot's base frame."""
     turns = np.array(known.axes.turns)
     for length_unit, length in LENGTHS.items():
         positions = (rows.positions * length - known.base[:3, 3]) @ known.base[:3, :3]
-        if np.linalg.norm(positions, axis=1).max() > reach:
+        if np.linalg.norm(positions, axis=1).max() > known.reach:
             continue
         for joint_unit, angle in ANGLES.items():
             if joint_unit == "rad" and np.abs(rows.joints[:, turns]).max(initial=0.0) > MOST_TURNING:
@@ -209,10 +205,10 @@ def _guesses(known: _Known, rows: PendantRows, reach: float) -> Iterator[tuple[s
             yield joint_unit, length_unit, rows.joints * np.where(turns, angle, length), positions
 
 
-def _nearest(known: _Known, rows: PendantRows, reach: float) -> Miss | None:
+def _nearest(known: _Known, rows: PendantRows) -> Miss | None:
     """How near the best reading comes; None when the positions are out of the arm's reach in any unit."""
     best: Miss | None = None
-    for _, _, q, positions in _guesses(known, rows, reach):
+    for _, _, q, positions in _guesses(known, rows):
         readings: Family = known.halves.nearest(q, positions)
         turn, place = poses_of(known.axes, readings, q)
         mm = np.linalg.norm(place - positions, axis=2).max(axis=1)

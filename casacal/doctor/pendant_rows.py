@@ -43,13 +43,8 @@ class PendantRows:
 
     def __post_init__(self) -> None:
         for i, k in np.argwhere(~(np.abs(self.numbers) <= LARGEST))[:1]:
-            raise SamplesError(
-                self.file,
-                f"{self.numbers[i, k]:g} is beyond any robot",
-                "Copy the number again",
-                line=self.line(i),
-                column=self.names[k],
-            )
+            what = f"{self.numbers[i, k]:g} is beyond any robot"
+            raise SamplesError(self.file, what, "Copy the number again", line=self.line(i), column=self.names[k])
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -94,14 +89,15 @@ def read_pendant_rows(path: str | Path, turns: Sequence[bool]) -> PendantRows:
     for name in table.header:
         stem = name.split("_")[0]
         if stem[:1] == "q" and stem[1:].isdigit() and not 1 <= int(stem[1:]) <= len(turns):
-            raise SamplesError(
-                table.file, f"the robot has {len(turns)} joints", "Use the rows of this robot", column=name
-            )
+            fix = "Use the rows of this robot"
+            raise SamplesError(table.file, f"the robot has {len(turns)} joints", fix, column=name)
     place = [_column(table, name, LENGTHS) for name in ("x", "y", "z")]
     turn = [(name, "") for name in QUATERNION] if set(QUATERNION) <= set(table.header) else _angles(table)
     orientations = _numbers(table, turn)
-    if len(turn) == 4:
-        _check_quaternions(table, orientations)
+    lengths = np.linalg.norm(orientations, axis=1)
+    for i in np.flatnonzero((len(turn) == 4) & (np.abs(lengths - 1) > 1e-2))[:1]:
+        what = f"the quaternion has the length {lengths[i]:.4g}"
+        raise SamplesError(table.file, what, "Give a unit quaternion qw,qx,qy,qz", line=table.lines[i])
     return PendantRows(
         _numbers(table, joints),
         _numbers(table, place),
@@ -121,12 +117,9 @@ def _angles(table: Table) -> list[tuple[str, str]]:
     for triple in TRIPLES:
         if stems.issuperset(triple):
             return [_column(table, name, ANGLES) for name in triple]
-    raise SamplesError(
-        table.file,
-        f"there is no orientation: the columns are {', '.join(table.header[:20])}",
-        "Add qw,qx,qy,qz or three of rx,ry,rz or a,b,c or w,p,r or o,a,t, with _deg or _rad",
-        line=table.header_line,
-    )
+    what = f"there is no orientation: the columns are {', '.join(table.header[:20])}"
+    fix = "Add qw,qx,qy,qz or three of rx,ry,rz or a,b,c or w,p,r or o,a,t, with _deg or _rad"
+    raise SamplesError(table.file, what, fix, line=table.header_line)
 
 
 def _column(table: Table, name: str, units: dict[str, float]) -> tuple[str, str]:
@@ -147,21 +140,9 @@ def _one_unit(table: Table, columns: Sequence[tuple[str, str]]) -> str:
     units = sorted({unit for _, unit in columns})
     if len(units) > 1:
         shown = ", ".join(name for name, _ in columns)
-        raise SamplesError(
-            table.file, f"the columns {shown} state different units", "Use one unit for all", line=table.header_line
-        )
+        fix = "Use one unit for all"
+        raise SamplesError(table.file, f"the columns {shown} state different units", fix, line=table.header_line)
     return units[0] if units else ""
-
-
-def _check_quaternions(table: Table, quaternions: Array) -> None:
-    lengths = np.linalg.norm(quaternions, axis=1)
-    for i in np.flatnonzero(np.abs(lengths - 1) > 1e-2)[:1]:
-        raise SamplesError(
-            table.file,
-            f"the quaternion has the length {lengths[i]:.4g}",
-            "Give a unit quaternion qw,qx,qy,qz",
-            line=table.lines[i],
-        )
 
 
 SEQUENCES = {"fixed-xyz": "xyz", "zyx": "ZYX", "zyz": "ZYZ", "xyz": "XYZ"}

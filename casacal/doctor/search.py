@@ -25,14 +25,6 @@ NEARLY = 0.5
 
 
 @dataclass(frozen=True)
-class Found:
-    """Readings of the whole arm that bring the flange where the rows say; `more` when others were left aside."""
-
-    readings: Family
-    more: bool
-
-
-@dataclass(frozen=True)
 class Halves:
     """All readings of the joints of each half, prepared once for an arm."""
 
@@ -49,21 +41,27 @@ class Halves:
         left, right = (readings(part, axes.turns, coupled=coupled) for part in parts)
         return Halves(axes, (left, right), left.family(), right.family())
 
-    def fitting(self, q: Array, positions: Array, orientations: Iterable[Array], tolerance: float) -> Found:
+    def fitting(
+        self, q: Array, positions: Array, orientations: Iterable[Array], tolerance: float
+    ) -> tuple[Family, bool]:
         """Readings that bring the flange within `tolerance` mm of positions (N, 3; mm) at q (N, n; rad, mm).
 
-        Where too many do, as when the last axes meet in the flange, only those are kept that also turn it within as
-        many mrad of one of the orientations (N, 3, 3) that the rows may mean.
+        And whether others were left aside. Where too many do, as when the last axes meet in the flange, only those are
+        kept that also turn it within as many mrad of one of the orientations (N, 3, 3) that the rows may mean.
         """
         left, right, radius = self._trees(q, positions, tolerance)
         if left.count_neighbors(right, radius) <= MOST:
-            return Found(self._checked(_pairs(left, right, radius), q, positions, tolerance), more=False)
+            return self._checked(_pairs(left, right, radius), q, positions, tolerance), False
         near = np.flatnonzero(np.isfinite(_distances(left, right, radius)))
         if len(near) <= MOST_LEFT:
             pairs = self._turned_alike(near, q, orientations, tolerance)
             if pairs is not None:
-                return Found(self._checked(pairs, q, positions, tolerance), more=False)
-        return self._simple_ones(q, positions, tolerance)
+                return self._checked(pairs, q, positions, tolerance), False
+        # the rows say next to nothing: the simplest of the readings that couple no joints
+        halves = Halves.of(self.axes, coupled=False)
+        left, right, radius = halves._trees(q, positions, tolerance)
+        found = halves._checked(_pairs(left, right, radius), q, positions, tolerance)
+        return found.take(np.argsort(found.changes, kind="stable")[:MOST]), True
 
     def nearest(self, q: Array, positions: Array) -> Family:
         """Readings that come about as near to the positions as any do."""
@@ -89,13 +87,6 @@ class Halves:
             pairs = _pairs(wanted, tree, radius)
             found = np.unique(np.concatenate([found, np.column_stack([near[pairs[:, 0]], pairs[:, 1]])]), axis=0)
         return found
-
-    def _simple_ones(self, q: Array, positions: Array, tolerance: float) -> Found:
-        """Where the rows say next to nothing: the simplest of the readings that couple no joints."""
-        halves = Halves.of(self.axes, coupled=False)
-        left, right, radius = halves._trees(q, positions, tolerance)
-        found = halves._checked(_pairs(left, right, radius), q, positions, tolerance)
-        return Found(found.take(np.argsort(found.changes, kind="stable")[:MOST]), more=True)
 
     def _trees(self, q: Array, positions: Array, tolerance: float) -> tuple[Any, Any, float]:
         """k-d trees of both halves' points, and the radius within which they meet."""

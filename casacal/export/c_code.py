@@ -12,6 +12,7 @@ from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError
 from casacal.export.functions import inputs_of, pose_at, told_names
 from casacal.export.remark import remark
+from casacal.problem.compile import row_function
 
 LEVER = 300.0  # millimetres that weigh as much as one radian in a step
 
@@ -115,10 +116,7 @@ def c_functions(result: CalibratedArm, prefix: str) -> list[ca.Function]:
     inputs = [known, known, [*known, target, damping]]
     outputs = [[ca.vec(pose.T)], [ca.vec(jacobian.T)], [q + step, error]]
     names = (f"{prefix}_pose_raw", f"{prefix}_jacobian_raw", f"{prefix}_step_raw")
-    return [
-        ca.Function(name, given, [ca.densify(out) for out in ca.cse(made)])
-        for name, given, made in zip(names, inputs, outputs, strict=True)
-    ]
+    return [row_function(name, given, made) for name, given, made in zip(names, inputs, outputs, strict=True)]
 
 
 def _comment(text: str) -> str:

@@ -211,5 +211,4 @@ def _is_built_like_one(origins: list[Array]) -> bool:
 
 def _fixed(value: float, digits: int = 12) -> str:
     """A number without exponent, which YAML readers take for a text where it has no point."""
-    shown = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if shown in ("-0", "") else shown
+    return f"{value:z.{digits}f}".rstrip("0").rstrip(".")

@@ -146,14 +146,11 @@ SAME = {"alpha": 1e-8, "a": 1e-6, "d": 1e-6, "theta": 1e-8}
 def dh_text(result: CalibratedArm, source: str | Path | None = None, *, toml: bool = False) -> str:
     """The calibrated DH table in its own convention, with the controller's joint signs, offsets and coupling.
 
-    Args:
-        result: of a robot built by `Robot.from_dh` or `from_dh_file`.
-        source: the DH file the table came from, to be written back with nothing but its numbers changed; where axes
-            are parallel, Hayati's `beta` is added if the file has none. None writes a file afresh.
-        toml: without a source, TOML in place of CSV.
+    result: of a robot built by `Robot.from_dh` or `from_dh_file`. source: the DH file the table came from, to be
+    written back with nothing but its numbers changed; where axes are parallel, Hayati's `beta` is added if the file has
+    none. None writes a file afresh. toml: without a source, TOML in place of CSV.
 
     Raises CasacalError for other robots, and for a source that is not the table the calibration began with.
-
     """
     result = arm_from(result)
     arm = result.source.problem.robot.arm
@@ -181,15 +178,15 @@ def _remarked(text: str, lines: list[str]) -> str:
 
 def _check_source(source: str | Path, arm: DHTable) -> None:
     """Refuse a file that is not the table the calibration began with."""
-    began = read_dh_file(source)
-    wrong = ""
+    began, wrong = read_dh_file(source), ""
+    mine, theirs = (table.conventions or Conventions.plain(len(table.joints)) for table in (began, arm))
     if len(began.joints) != len(arm.joints):
         wrong = f"it has {len(began.joints)} joints, the calibrated arm {len(arm.joints)}"
     elif began.convention != arm.convention:
         wrong = f"its convention is {began.convention}, the calibrated arm's {arm.convention}"
     elif began.parallel not in ((), arm.parallel):
         wrong = f"its parallel rows are {list(began.parallel)}, the calibrated arm's {list(arm.parallel)}"
-    elif not _same_conventions(began, arm):
+    elif not all(np.allclose(getattr(mine, k), getattr(theirs, k), atol=1e-8) for k in ("matrix", "offsets")):
         wrong = "its joint signs, offsets or coupling are not those of the calibrated arm"
     for key, tolerance in SAME.items():
         if wrong:
@@ -201,13 +198,6 @@ def _check_source(source: str | Path, arm: DHTable) -> None:
     if wrong:
         fix = "Give the file that the problem was made from, or leave out the source"
         raise CasacalError(f"{source}: {wrong}", fix)
-
-
-def _same_conventions(one: DHTable, two: DHTable) -> bool:
-    """Whether two tables mean the same by a controller's joint values."""
-    mine, theirs = (table.conventions or Conventions.plain(len(table.joints)) for table in (one, two))
-    same = np.allclose(mine.matrix, theirs.matrix, atol=1e-8)
-    return bool(same and np.allclose(mine.offsets, theirs.offsets, atol=1e-8))
 
 
 def _check_written(text: str, source: str | Path, table: DHTable) -> None:

@@ -33,16 +33,11 @@ def export(
 ) -> str:
     """A calibrated arm in a form that others read, as text.
 
-    Args:
-        arm: what is exported.
-        form: one of `FORMS`.
-        path: file to write it to; None writes nothing.
-        source: for "dh" and "urdf", the file written back with only its numbers changed.
-        prefix: for "c", what the functions' names begin with; by default the problem's name.
-        force: write a result whose verdict is not to use it, with that verdict as a comment.
+    form: one of `FORMS`. path: file to write it to; None writes nothing. source: for "dh" and "urdf", the file written
+    back with only its numbers changed. prefix: for "c", what the functions' names begin with; by default the problem's
+    name. force: write a result whose verdict is not to use it, with that verdict as a comment.
 
     Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
-
     """
     arm = arm_from(arm)
     if not isinstance(form, str) or form not in FORMS:
@@ -56,7 +51,11 @@ def export(
         raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
     arm.check_usable(force=force)
     if form == "dh":
-        text = _dh(arm, path, source)
+        toml = is_toml(path) if path is not None else source is not None and is_toml(source)
+        if source is not None and is_toml(source) != toml:
+            fix = "Let both names end in .csv, or both in .toml"
+            raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
+        text = dh_text(arm, source, toml=toml)
     elif form == "urdf":
         text = _remarked(urdf_text(arm, source), arm)
     elif form == "c":
@@ -82,11 +81,3 @@ def _remarked(text: str, arm: CalibratedArm) -> str:
     place = re.search(r"<(?=[A-Za-z_])", text)
     assert place is not None
     return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
-
-
-def _dh(arm: CalibratedArm, path: str | Path | None, source: str | Path | None) -> str:
-    toml = is_toml(path) if path is not None else source is not None and is_toml(source)
-    if source is not None and is_toml(source) != toml:
-        fix = "Let both names end in .csv, or both in .toml"
-        raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
-    return dh_text(arm, source, toml=toml)

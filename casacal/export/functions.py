@@ -15,6 +15,7 @@ from casacal.compensation.result_file import arm_from
 from casacal.compensation.told import columns_that_tell, where_told
 from casacal.discrepancy.effect import Site
 from casacal.errors import CasacalError
+from casacal.problem.compile import row_function
 from casacal.problem.problem import Problem
 
 
@@ -22,16 +23,10 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
     """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
 
     Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
-    (k), in the order of `told_names`.
-
-    Args:
-        arm: what was calibrated.
-        nominal: as drawn in place of as calibrated.
-        free: the robot's parameters are inputs too, by name and before q; `values_of` gives what they are. Effects
-            beside the geometry are then no part of it.
+    (k), in the order of `told_names`. nominal: as drawn in place of as calibrated. free: the robot's parameters are
+    inputs too, by name and before q; `values_of` gives what they are. Effects beside the geometry are then no part.
 
     Raises CasacalError when both nominal and free are asked for.
-
     """
     _check(nominal, free)
     arm = arm_from(arm)
@@ -40,11 +35,9 @@ def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fal
         return problem.symbols_of(0).value_functions["pose"]
     q = ca.SX.sym("q", len(problem.robot.axes))
     if nominal:
-        pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))
-        return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+        return row_function("pose", [q], [ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))], ["q"])
     inputs = inputs_of(arm, q)
-    pose = pose_at(arm, *inputs.values())
-    return ca.Function("pose", [*inputs.values()], [ca.densify(e) for e in ca.cse([pose])], [*inputs], ["pose"])
+    return row_function("pose", [*inputs.values()], [pose_at(arm, *inputs.values())], [*inputs])
 
 
 def told_names(arm: CalibratedArm) -> tuple[str, ...]:
@@ -58,7 +51,7 @@ def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
     return {"q": q, "told": ca.SX.sym("told", count)} if count else {"q": q}
 
 
-def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None) -> ca.SX:
+def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
     """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
     columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
     site = Site(problem.robot, problem.instrument)
@@ -94,15 +87,13 @@ def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = Fals
         return arm.source.problem.without_effects.symbols.value_functions["tip"]
     q, used = ca.SX.sym("q", len(arm.source.problem.robot.axes)), arm if nominal else where_told(arm)
     problem = arm.source.problem.without_effects if nominal else used.used
-    inputs = {"q": q} if nominal else inputs_of(arm, q)
-    d = (
-        ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
-        if nominal
-        else _row(arm, problem, q, inputs.get("told"))
-    )
+    inputs, d = {"q": q}, ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
+    if not nominal:
+        inputs = inputs_of(arm, q)
+        d = _row(arm, problem, **inputs)
     z = local_coordinates(used, nominal=nominal, of=problem)
     tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
-    return ca.Function("tip", [*inputs.values()], [ca.densify(each) for each in ca.cse([tip])], [*inputs], ["tip"])
+    return row_function("tip", [*inputs.values()], [tip], [*inputs])
 
 
 def values_of(

@@ -24,14 +24,11 @@ def urdf_text(result: CalibratedArm, source: str | Path | None = None) -> str:
     """The URDF with the calibrated origins; every other byte is that of the source, so it carries no remark.
 
     A number that is the same to twelve digits keeps its text; where a joint has no <origin> and needs one, it is put
-    behind the joint's start tag.
+    behind the joint's start tag. source: the URDF; None takes the text that the result holds, else the file of that
+    name beside the problem.
 
-    Args:
-        result: of a robot built by `Robot.from_urdf`.
-        source: the URDF; None takes the text that the result holds, else the file of that name beside the problem.
-
-    Raises CasacalError for other robots, and for a source that is not the one the calibration began with.
-
+    Raises CasacalError for robots that `Robot.from_urdf` did not build, and for a source that is not the one the
+    calibration began with.
     """
     result = arm_from(result)
     arm = result.source.problem.robot.arm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,14 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.compensation.arm import CalibratedArm, covariance_of, local_coordinates, named_covariance, row_constants
+from casacal.compensation.arm import (
+    CalibratedArm,
+    covariance_of,
+    found_values,
+    local_coordinates,
+    named_covariance,
+    row_constants,
+)
 from casacal.compensation.result_file import arm_from
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.export.remark import remark
@@ -46,15 +54,10 @@ def work_frame(
 
     Of faces: z is the normal of the first, x that of the second as far as it lies across z, the origin is where all
     three meet. Normals point to the arm's side. Of points: the first is the origin, x points to the second, and the
-    third lies in the xy plane, on the side of y. Touches with a ball give faces and points of its centre.
-
-    Args:
-        result: a calibration.
-        faces: labels of three faces.
-        points: labels of three points of `FixedPoint`.
+    third lies in the xy plane, on the side of y. Touches with a ball give faces and points of its centre. Either are
+    three labels, of faces or of points of `FixedPoint`.
 
     Raises CasacalError where these fix no frame, or not three are named; UnknownNameError for a label that is none.
-
     """
     result = arm_from(result)
     labels, build = (faces, _of_faces) if faces is not None else (points, _of_points)
@@ -69,7 +72,11 @@ def work_frame(
     slopes = _base(result, matrix[:3, 3], len(known))
     for j, name in enumerate(names):
         if name in known:
-            slopes[:, known.index(name)] += _change(build, places, matrix, j, len(names))
+            move = np.zeros(len(names))
+            move[j] = STEP
+            change = (build(places(move)) - build(places(-move))) / (2 * STEP)  # by central differences
+            spin = change[:3, :3] @ matrix[:3, :3].T
+            slopes[:, known.index(name)] += [*change[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]]
     lost = ~np.isfinite(np.diagonal(covariance)) & (np.abs(slopes) > 0).any(axis=0)
     if lost.any():
         return WorkFrame(matrix, math.inf, math.inf)
@@ -100,9 +107,12 @@ def frame_text(
     rx, ry, rz = turn.as_rotvec()
     what = f"faces {', '.join(faces)}" if faces is not None else f"points {', '.join(points or ())}"
     spread = f"{frame.origin_std:.3f} mm, {1e3 * frame.turn_std:.3f} mrad (three axes together)"
+    base = "the base frame of the calibrated arm"
+    if isinstance(result.source.problem.robot.pose, Facing):  # two chains that face each other
+        base = "the frame of what faces the arm and moves with it (a table, another flange), not of the arm's base"
     lines = [
         *(f"# {line}" for line in remark(result)),
-        f"# work object of {what}, in {_base_words(result)}",
+        f"# work object of {what}, in {base}",
         "# standard deviation, apart from the position of the base: "
         + (spread if math.isfinite(frame.origin_std) else "not known"),
         f'ABB, RAPID: PERS wobjdata work := [FALSE, TRUE, "", [[{x:.4f}, {y:.4f}, {z:.4f}], '
@@ -113,13 +123,6 @@ def frame_text(
         f"{rx:.8f}, {ry:.8f}, {rz:.8f}]",
     ]
     return "\n".join(lines) + "\n"
-
-
-def _base_words(result: CalibratedArm) -> str:
-    """Whose frame it is in: that of what faces the arm, where two chains face each other."""
-    if isinstance(result.source.problem.robot.pose, Facing):
-        return "the frame of what faces the arm and moves with it (a table, another flange), not of the arm's base"
-    return "the base frame of the calibrated arm"
 
 
 Places = Callable[[Array], Array]
@@ -136,7 +139,8 @@ def _faces(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[s
     if not isinstance(plane, Plane):
         raise CasacalError(f"The faces of {result.file} are no planes of the instrument", "Name three points instead")
     names = [name for label in labels for name in plane.names(f"plane.{label}")]
-    local = _local(result, names).reshape(3, -1)
+    moved = found_values(result, alone=False)
+    local = np.array([moved.get(name, 0.0) for name in names]).reshape(3, -1)
     nominals = [plane.nominal if plane.nominal is not None else np.array(proposed[f"plane.{k}"]) for k in labels]
 
     def places(moves: Array) -> Array:
@@ -152,23 +156,13 @@ def _faces(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[s
 def _points(result: CalibratedArm, labels: Sequence[str]) -> tuple[Places, list[str]]:
     """Three points, and the names of their coordinates."""
     known = {row["name"]: float(row["estimate"]) for row in result.document["parameters"]}
-    labelled = tuple(name.removeprefix("point.").removesuffix("_x") for name in known if _is_point(name))
+    labelled = tuple(named[1] for name in known if (named := re.fullmatch(r"point\.(.*)_x", name, re.DOTALL)))
     for label in labels:
         if label not in labelled:
             raise UnknownNameError(f"point of {result.file}", str(label), labelled)
     names = [f"point.{label}_{axis}" for label in labels for axis in "xyz"]
     found = np.array([known[name] for name in names])
     return lambda moves: (found + moves).reshape(3, 3), names
-
-
-def _is_point(name: str) -> bool:
-    return name.startswith("point.") and name.endswith("_x")
-
-
-def _local(result: CalibratedArm, names: Sequence[str]) -> Array:
-    """Local coordinates of some unknowns; zero for those that are held."""
-    found = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", ())}
-    return np.array([found.get(name, 0.0) for name in names])
 
 
 def _of_faces(faces: Array) -> Array:
@@ -214,13 +208,3 @@ def _frame(x: Array, z: Array, origin: Array) -> Array:
     matrix = np.eye(4)
     matrix[:3] = np.column_stack([x, np.cross(z, x), z, origin])
     return matrix
-
-
-def _change(build: Callable[[Array], Array], places: Places, at: Array, j: int, count: int) -> Array:
-    """How the frame shifts (3, mm) and turns (3, rad) with unknown `j` of `count`, by central differences."""
-    move = np.zeros(count)
-    move[j] = STEP
-    ahead, behind = build(places(move)), build(places(-move))
-    change = (ahead - behind) / (2 * STEP)
-    spin = change[:3, :3] @ at[:3, :3].T
-    return np.concatenate([change[:3, 3], [spin[2, 1], spin[0, 2], spin[1, 0]]])

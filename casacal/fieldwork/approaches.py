@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,8 @@ MOST_PLACES = 40  # places through which a way is tried
 ON_THE_WAY = 60  # postures looked at between two touches
 FREE = 2.0  # how near the tip may come to a face between touches, mm
 ARRIVED = 0.05  # by how much a place above may be missed, mm
+
+Clear = Callable[[Array, Array], bool]  # whether the way from one posture (n,) to another keeps clear
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +63,8 @@ def approaches(
     """
     probe = problem.instrument.probe
     if probe is None:
-        raise CasacalError(
-            f"{type(problem.instrument).__name__} has no plunger that could be drawn back", "Use the plan's CSV"
-        )
+        fix = "Use the plan's CSV"
+        raise CasacalError(f"{type(problem.instrument).__name__} has no plunger that could be drawn back", fix)
     still = cell_of(problem, cell)
     samples = route.samples
     arm, readings, tips, axes = drawn_touch(problem, probe, samples)
@@ -73,15 +76,15 @@ def approaches(
     levels = [level[back] for level in levels]
     chosen, clear = np.zeros(int(back.sum()), dtype=int), np.ones(int(back.sum()), dtype=bool)
     if isinstance(still, Cell):
-        looked = _Looked(arm, still, clearance)
+        is_clear = partial(_is_clear, arm, still, clearance)
         for k in range(1, len(clear)):
-            clear[k] = _raised(looked, levels, chosen, k)
+            clear[k] = _raised(is_clear, levels, chosen, k)
     above = np.array([levels[level][k] for k, level in enumerate(chosen)])
     via = np.full_like(above, np.nan)
     if isinstance(still, Cell):
         places = levels[-1][np.isfinite(levels[-1]).all(axis=1)]
         for k in np.flatnonzero(~clear).tolist():
-            found = _through(looked, places, above[k - 1], above[k])
+            found = _through(is_clear, places, above[k - 1], above[k])
             if found is not None:
                 via[k], clear[k] = found, True
 
@@ -93,50 +96,40 @@ def approaches(
     return Approaches(of_all(above), of_all(retreat * np.array(HIGHER)[chosen]), of_all(via), of_all(clear) == 1)
 
 
-def _through(looked: _Looked, places: Array, start: Array, end: Array) -> Array | None:
+def _through(clear: Clear, places: Array, start: Array, end: Array) -> Array | None:
     """A place by which the way is clear, the one with the shortest way first; None where there is none."""
     ways = np.abs(places - start).max(axis=1) + np.abs(places - end).max(axis=1)
     for k in np.argsort(ways)[:MOST_PLACES]:
-        if looked.clear(start, places[k]) and looked.clear(places[k], end):
+        if clear(start, places[k]) and clear(places[k], end):
             return np.asarray(places[k])
     return None
 
 
-def _raised(looked: _Looked, levels: list[Array], chosen: NDArray[np.intp], k: int) -> bool:
+def _raised(clear: Clear, levels: list[Array], chosen: NDArray[np.intp], k: int) -> bool:
     """Raise both ends of the way to touch k until it is clear; whether it is."""
     for level in range(len(levels)):
         ends = [max(int(chosen[k - 1]), level), max(int(chosen[k]), level)]
         start, end = levels[ends[0]][k - 1], levels[ends[1]][k]
         if not (np.isfinite(start).all() and np.isfinite(end).all()):
             return False
-        if looked.clear(start, end):
+        if clear(start, end):
             chosen[k - 1], chosen[k] = ends
             return True
     return False
 
 
-@dataclass(frozen=True)
-class _Looked:
-    """Ways between postures, looked at."""
-
-    arm: Touch
-    cell: Cell
-    clearance: Clearance | None
-
-    def clear(self, start: Array, end: Array) -> bool:
-        """Whether the straight way of the joints keeps off faces, and off all else that is said."""
-        part = np.linspace(0, 1, ON_THE_WAY)[:, None]
-        joints = start * (1 - part) + end * part
-        tips, _ = self.arm.place(self.arm.local, joints, np.zeros((len(joints), 1)))
-        for face in self.cell.faces:
-            local = (tips - face.centre) @ face.axes.T
-            over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)
-            height = local[over, 0]
-            if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
-                return False
-        if self.clearance is None:
-            return True
-        return bool(self.clearance.clear(self.arm.robot, None, joints, tips).all())
+def _is_clear(arm: Touch, cell: Cell, clearance: Clearance | None, start: Array, end: Array) -> bool:
+    """Whether the straight way of the joints between two postures keeps off faces, and off all else that is said."""
+    part = np.linspace(0, 1, ON_THE_WAY)[:, None]
+    joints = start * (1 - part) + end * part
+    tips, _ = arm.place(arm.local, joints, np.zeros((len(joints), 1)))
+    for face in cell.faces:
+        local = (tips - face.centre) @ face.axes.T
+        over = (np.abs(local[:, 1:]) <= np.asarray(face.size) / 2 + FREE).all(axis=1)
+        height = local[over, 0]
+        if (height < FREE).any() and not (height < -FREE).all():  # wholly behind it, it is another side's matter
+            return False
+    return clearance is None or bool(clearance.clear(arm.robot, None, joints, tips).all())
 
 
 def _above(arm: Touch, joints: Array, readings: Array, tips: Array, axes: Array, retreat: float) -> Array:

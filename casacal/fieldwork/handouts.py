@@ -89,8 +89,14 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
     form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
-    notes = (line for note in _notes(name) for line in in_comments(note))
-    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in notes), *form.head[1:]]
+    notes = (
+        f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
+        "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
+        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
+        "at each stop take the reading with casacal measure, or write it down; then let the program go on",
+    )
+    comments = (line for note in notes for line in in_comments(note))
+    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in comments), *form.head[1:]]
 
     def add(part: tuple[str, ...], words: str) -> None:
         lines.extend(line.format(words) for line in part)
@@ -113,15 +119,6 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
         add(form.wait, f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
         add(form.slow, written(ways.above[k]))
     return "\n".join([*lines, *form.end]) + "\n"
-
-
-def _notes(name: str) -> list[str]:
-    return [
-        f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
-        "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
-        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
-        "at each stop take the reading with casacal measure, or write it down; then let the program go on",
-    ]
 
 
 WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units

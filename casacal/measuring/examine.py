@@ -73,12 +73,8 @@ def examined(
 ) -> Alarm | None:
     """Look for a touch that the others contradict; None where all agree.
 
-    Args:
-        known: from all of these touches, in their order.
-        touches: those that were taken in, by their numbers.
-        slips: what may have been typed wrong in one of them.
-        others: what all but the last tell, where that has just come; None where all have been there before.
-
+    known: from all of these touches, in their order. touches: those that were taken in, by their numbers. slips: what
+    may have been typed wrong in one. others: what all but the last tell, where that has just come; else None.
     """
     numbers, last = list(touches), len(touches) - 1
     new = touches[numbers[last]]
@@ -112,10 +108,8 @@ def refuse_along(known: Known, touch: Touch) -> None:
     noise = known.bound.on(rows_of([touch])).block.noise
     if (noise < ALONG * np.median(known.bound.block.noise)).any():
         where = ", ".join(touch.labels.values()) or "the face"
-        raise CasacalError(
-            f"At these joint values the plunger is parallel to '{where}' and cannot touch it",
-            "Look at the joint values and the face",
-        )
+        fix = "Look at the joint values and the face"
+        raise CasacalError(f"At these joint values the plunger is parallel to '{where}' and cannot touch it", fix)
 
 
 def _chance_alone(known: Known, touch: Touch) -> float:

@@ -39,9 +39,8 @@ class Gauge:
         """A line without its ends; raises CasacalError where it says that there is no reading."""
         text = line.strip("\x00\r\n\t ")
         if re.fullmatch(self.errors, text, re.IGNORECASE):
-            raise CasacalError(
-                f"The gauge says {text!r}, which is an error", "Check the gauge, and send the reading again"
-            )
+            fix = "Check the gauge, and send the reading again"
+            raise CasacalError(f"The gauge says {text!r}, which is an error", fix)
         return text
 
     def reading(self, line: str) -> float:
@@ -49,10 +48,8 @@ class Gauge:
         text = self.refuse_error(line)
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
-            raise CasacalError(
-                f"{text!r} is not a reading of a gauge called {self.name}",
-                "Look at --gauge and --pattern, or send it again",
-            )
+            fix = "Look at --gauge and --pattern, or send it again"
+            raise CasacalError(f"{text!r} is not a reading of a gauge called {self.name}", fix)
         said = found.groupdict().get("unit")
         value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * UNITS[(said or self.unit).lower()]
         if not math.isfinite(value):
@@ -84,9 +81,8 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
         except re.error as error:
             raise CasacalError(f"The pattern {pattern!r} is none ({error})", "Write a regular expression") from None
         if "value" not in groups:
-            raise CasacalError(
-                f"The pattern {pattern!r} has no group 'value'", "Write (?P<value>...) around the number"
-            )
+            fix = "Write (?P<value>...) around the number"
+            raise CasacalError(f"The pattern {pattern!r} has no group 'value'", fix)
         known = Gauge("of this pattern", pattern)
     if asks is not None:  # the ends of lines are typed as a backslash and a letter
         known = replace(known, asks=asks.replace("\\r", "\r").replace("\\n", "\n"))
@@ -119,9 +115,8 @@ class SerialLine:
         try:
             self._line.write(text.encode("ascii", errors="replace"))
         except OSError as error:
-            raise CasacalError(
-                f"The connection to the gauge was lost ({error})", "Plug it in again and continue"
-            ) from None
+            fix = "Plug it in again and continue"
+            raise CasacalError(f"The connection to the gauge was lost ({error})", fix) from None
 
     def lines(self) -> Iterator[str]:
         """Lines as they come, ended by a carriage return, a line feed or both; ends when the line is closed or gone."""

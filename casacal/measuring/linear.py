@@ -144,10 +144,6 @@ class Pool(Value):
         """The number of the touch that lowers the tip error most, of a belief with a covariance (n, n)."""
         return int(np.argmax(gains(self.slopes, covariance, field.T @ field)))
 
-    def best(self, known: Known, field: Array) -> Touch:
-        """The touch that lowers the tip error most."""
-        return Touch.of(self.samples, self.most_telling(known.covariance, field))
-
     def needed(self, known: Known, field: Array, tolerance: float) -> int | None:
         """How many more touches, each the best after the one before it, bring the error below a tolerance.
 

@@ -52,10 +52,8 @@ class Session(Standing):
 
         """
         if self.alarm is not None:
-            raise CasacalError(
-                f"Touch {self.shown(self.alarm.touch)} is in doubt",
-                "Answer first, by undo(), keep() or correct(suspect)",
-            )
+            fix = "Answer first, by undo(), keep() or correct(suspect)"
+            raise CasacalError(f"Touch {self.shown(self.alarm.touch)} is in doubt", fix)
         planned, layout = self.planned(number), self.problem.layout()
         touch = Touch(
             joints_of(q, layout),

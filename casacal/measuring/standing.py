@@ -40,13 +40,11 @@ class Standing(Value):
     skipped: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
-        refuse_several(self.problem, "A session uses one instrument", "Give")
+        refuse_several(self.problem, "A session uses one instrument", "Give", self.box, self.targets)
         if self.plan is not None and not isinstance(self.plan, Route):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
             raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
-        if self.box is not None and self.targets is not None:
-            raise CasacalError("Got a box and targets", "Give one of them")
 
     def __len__(self) -> int:
         return len(self.touches)
@@ -76,7 +74,7 @@ class Standing(Value):
             return told[Pool.of(known, rows_of(told)).most_telling(known.covariance, self.field)]
         if self.tolerance is None or known is None or self.field is None:
             return None
-        return self._pool.best(known, self.field)
+        return Touch.of(self._pool.samples, self._pool.most_telling(known.covariance, self.field))
 
     def needed(self) -> int | None:
         """How many more well-chosen touches the tolerance takes; None where there is none, or 200 are not enough."""

@@ -73,10 +73,8 @@ def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:
     except (TypeError, ValueError):
         raise CasacalError(f"Got {came(q)} as joint values", f"Give {len(layout.joints)} numbers") from None
     if values.shape != (len(layout.joints),) or not np.isfinite(values).all():
-        raise CasacalError(
-            f"Joint values have the shape {values.shape}, or some are not finite",
-            f"Give {len(layout.joints)} numbers, rad and mm",
-        )
+        fix = f"Give {len(layout.joints)} numbers, rad and mm"
+        raise CasacalError(f"Joint values have the shape {values.shape}, or some are not finite", fix)
     for i, (value, kind) in enumerate(zip(values, layout.joints, strict=True), 1):
         if abs(value) > LARGEST[kind]:
             raise CasacalError(f"Joint {i} is {value:g}, which no robot can take", "Give rad, and mm where it slides")

@@ -118,16 +118,10 @@ class TouchFile(Value):
         lines = [line for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
         if lines and lines[0] != f"# {self.mark}":
             if self.mark in lines[0]:
-                raise SamplesError(
-                    path.as_posix(),
-                    "another program has changed this file",
-                    "Undo the change, or calibrate with its rows as they are and continue in another file",
-                )
-            raise SamplesError(
-                path.as_posix(),
-                "this file exists already and belongs to another problem or plan",
-                "Name another --out, or continue with the plan that it was begun with",
-            )
+                fix = "Undo the change, or calibrate with its rows as they are and continue in another file"
+                raise SamplesError(path.as_posix(), "another program has changed this file", fix)
+            fix = "Name another --out, or continue with the plan that it was begun with"
+            raise SamplesError(path.as_posix(), "this file exists already and belongs to another problem or plan", fix)
         if len(lines) < 3:
             return []
         samples, found = Samples.from_file(path, self.layout), []
@@ -135,9 +129,8 @@ class TouchFile(Value):
         beside = zip(*(samples.extra.get(name, missing) for name in BESIDE), strict=True)
         for k, (order, number, purpose, kept) in enumerate(beside):
             if not order.isdecimal() or not (number == NONE or number.isdecimal()) or purpose not in PURPOSES:
-                raise SamplesError(
-                    path.as_posix(), "order, touch or purpose were changed", "Restore them, or start a new file"
-                )
+                fix = "Restore them, or start a new file"
+                raise SamplesError(path.as_posix(), "order, touch or purpose were changed", fix)
             of_plan = None if number == NONE else int(number)
             found.append((int(order), Touch.of(samples, k, of_plan, purpose, kept=kept == KEPT)))
         return found

@@ -84,15 +84,7 @@ class Panel:
 
 def number(value: float) -> str:
     """Length in picture units with at most one decimal."""
-    shown = f"{float(value):.1f}".removesuffix(".0")
-    return "0" if shown == "-0" else shown
-
-
-def nice_step(span: float, most: int) -> float:
-    """Step of 1, 2 or 5 times a power of ten that divides a span into at most so many parts."""
-    raw = max(span, 1e-12) / most
-    power = 10.0 ** math.floor(math.log10(raw))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * (1 - 1e-9))
+    return f"{float(value):z.1f}".removesuffix(".0")
 
 
 def nice_ceiling(value: float) -> float:
@@ -104,9 +96,11 @@ def nice_ceiling(value: float) -> float:
     return next(factor * power for factor in factors if factor * power >= value * (1 - 1e-9))
 
 
-def ticks(low: float, high: float, most: int = 5) -> list[tuple[float, str]]:
-    """Round values from low to high with as many decimals as they need."""
-    step = nice_step(high - low, most)
+def ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Values from low to high in steps of 1, 2 or 5 times a power of ten, with as many decimals as they need."""
+    raw = max(high - low, 1e-12) / 5  # into at most so many parts
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * (1 - 1e-9))
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [(k * step, f"{k * step:.{digits}f}".replace("-", "−") if k else "0") for k in range(first, last + 1)]

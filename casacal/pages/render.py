@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -37,26 +36,13 @@ def count(number: int, word: str) -> str:
     return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
-def left_out_rows(data: Mapping[str, Any]) -> list[str]:
-    """Rows that were neither fitted nor held out, of the `data` of a result.json."""
-    copies = data["copies"]
-    found = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
-    return found + ([f"{copies:,} {'copy' if copies == 1 else 'copies'} left out"] if copies else [])
-
-
 def shortened(words: str, longest: int) -> str:
     """Words that take no more than so many characters."""
     return words if len(words) <= longest else words[: max(longest - 1, 1)] + "…"
 
 
 def rendered(template: str, context: Mapping[str, object]) -> str:
-    """A page, or a part of one, that needs no other file, no network and no script.
-
-    Args:
-        template: a file of casacal/pages/templates.
-        context: what the template names.
-
-    """
+    """A page from templates/, or a part of one, that needs no other file, no network and no script."""
     return _templates().get_template(template).render(context)
 
 

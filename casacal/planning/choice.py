@@ -30,13 +30,15 @@ ROUNDS = 20  # times that more touches are drawn where some do not keep clear
 RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
 
 
-def refuse_several(problem: Problem, what: str, fix: str) -> None:
-    """Raise CasacalError for what is no problem, or one of several instruments."""
+def refuse_several(problem: Problem, what: str, fix: str, box: Box | None, targets: object) -> None:
+    """Raise CasacalError for what is no problem, or one of several instruments, and for two places at once."""
     if not isinstance(problem, Problem):
         raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
     if len(problem.instruments) > 1:
         names = ", ".join(problem.names)
         raise CasacalError(f"{what}, but the problem has {names}", f"{fix} problem.measured_by(name)")
+    if box is not None and targets is not None:
+        raise CasacalError("Got a box and targets", "Give one of them")
 
 
 def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
@@ -79,10 +81,9 @@ def pool_of(
         if len(found) < RARE * tried:
             break
     assert found is not None
-    raise CasacalError(
-        f"Only {len(found)} of {tried} reachable touches keep clear of boxes, faces and the arm itself",
-        "Make the boxes or --link-radius smaller, move the faces, or ignore the shapes of the URDF (--ignore-shapes)",
-    )
+    what = f"Only {len(found)} of {tried} reachable touches keep clear of boxes, faces and the arm itself"
+    fix = "Make the boxes or --link-radius smaller, move the faces, or ignore the shapes of the URDF (--ignore-shapes)"
+    raise CasacalError(what, fix)
 
 
 UNKNOWN = 1e-9  # information, in units of what filters start from, of what nobody knows beforehand
@@ -220,8 +221,6 @@ def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -
         return workspace_joints(bound.problem.robot)
     joints = np.atleast_2d(np.asarray(targets, dtype=np.float64))
     if joints.shape[1] != len(bound.problem.robot.axes) or not np.isfinite(joints).all():
-        raise CasacalError(
-            f"Targets have the shape {np.shape(targets)}",
-            f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm",
-        )
+        fix = f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm"
+        raise CasacalError(f"Targets have the shape {np.shape(targets)}", fix)
     return joints

@@ -59,7 +59,8 @@ class Clearance(Value):
         """Which postures (N, n; rad, mm) keep clear, whose tips (N, 3, mm) touch faces of a cell."""
         good = np.ones(len(joints), dtype=bool)
         if self.shapes is not None:
-            boxes = tuple(_body(box) for box in self.boxes)
+            sides = [np.array(box, dtype=np.float64).T for box in self.boxes]
+            boxes = tuple(Body.box(transform(np.eye(3), (low + high) / 2), high - low) for low, high in sides)
             good &= self.shapes.clear(boxes, () if cell is None else cell.faces, joints, tips)
         if not self.boxes and self.link_radius is None:
             return good
@@ -67,7 +68,8 @@ class Clearance(Value):
         rods = np.concatenate([nodes, tips[:, None]], axis=1)
         if self.link_radius is None:
             return good & ~_inside(rods[:, -2:], self.boxes, 0.0)
-        points = _along(rods)  # (N, rods, ALONG, 3)
+        part = np.linspace(0, 1, ALONG)[:, None]
+        points = rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part  # on rods: (N, rods, ALONG, 3)
         count, radius = len(joints), self.link_radius
         good &= ~_inside(points.reshape(count, -1, 3), self.boxes, radius)
         if cell is not None:
@@ -84,17 +86,6 @@ def nodes_of(robot: Robot, joints: Array) -> Array:
     places = ca.Function("places", [q], [ca.horzcat(*links.carried(model))])
     found = np.array(places.map(len(joints))(joints.T)).reshape(3, -1, order="F").T.reshape(len(joints), -1, 3)
     return np.concatenate([np.zeros((len(joints), 1, 3)), found], axis=1)
-
-
-def _body(box: Box) -> Body:
-    low, high = np.array(box, dtype=np.float64).T
-    return Body.box(transform(np.eye(3), (low + high) / 2), high - low)
-
-
-def _along(rods: Array) -> Array:
-    """Points (N, rods, ALONG, 3) on rods between nodes (N, rods + 1, 3)."""
-    part = np.linspace(0, 1, ALONG)[:, None]
-    return np.asarray(rods[:, :-1, None] * (1 - part) + rods[:, 1:, None] * part)
 
 
 def _inside(points: Array, boxes: Sequence[Box], radius: float) -> NDArray[np.bool_]:

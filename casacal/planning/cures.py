@@ -101,26 +101,10 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
 
 
-def _measured_tool(arm: Seen, x: Array, told: Array) -> Iterator[Outcome]:
-    """The tool's point measured by other means, where the samples know it less well."""
-    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
-    tool = [j for j in tool_unknowns(arm, x) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
-    if tool:
-        prior_std = arm.prior_std.copy()
-        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
-        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
-        yield Outcome("tool", words, 0, told, prior_std)
-
-
 def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
     """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
 
-    Args:
-        bound: the problem whose direction it is.
-        now: covariance of its unknowns (s, s).
-        found: from `cures`, best first.
-        direction: in units of `prior_scale`.
-
+    bound: the problem whose direction it is. now: covariance of its unknowns (s, s). found: from `cures`, best first.
     """
     along = np.where(bound.datum, 0.0, direction.direction) / np.linalg.norm(direction.direction)
     if not along.any():
@@ -141,8 +125,20 @@ def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDire
 def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
     arm, at = seen(bound, x)
-    told, touches = arm.information(at), _touches(bound, x)
-    yield from _measured_tool(arm, at, told)
+    told = arm.information(at)
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        touches = None
+    if touches is not None and touches.tilt >= MOST_TILT:  # no such arm is understood
+        touches = None
+    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
+    tool = [j for j in tool_unknowns(arm, at) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
+    if tool:  # the samples know its point less well than other means
+        prior_std = arm.prior_std.copy()
+        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
+        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
+        yield Outcome("tool", words, 0, told, prior_std)
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
@@ -191,15 +187,6 @@ def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcom
         words = f"{EXTRA_TOUCHES} more samples of the {name}"
         information = told + more * (told - arm.information(at))
         yield Outcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
-
-
-def _touches(bound: BoundProblem, x: Array) -> Touches | None:
-    """The arm before its faces; None where no such thing can be said."""
-    try:
-        touches = Touches.of(bound, x)
-    except CasacalError:
-        return None
-    return touches if touches is not None and touches.tilt < MOST_TILT else None
 
 
 def _spread(covariance: Array, along: Array) -> float:

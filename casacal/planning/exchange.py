@@ -52,14 +52,9 @@ def exchange(
 ) -> Exchanged:
     """Improve a plan until no single exchange does.
 
-    Args:
-        rows: whitened slopes of every measurement that could be made (N, m, n).
-        known: information (n, n) that there is without them, positive definite.
-        weight: M (n, n).
-        start: the plan to begin with (k,), no row twice.
-        criterion: what is made small.
-        barred: which measurements (N,) must not be taken.
-
+    rows: whitened slopes of every measurement that could be made (N, m, n). known: information (n, n) that there is
+    without them, positive definite. weight: M (n, n). start: the plan to begin with (k,), no row twice. barred: which
+    measurements (N,) must not be taken.
     """
     plan, free = start.copy(), np.ones(len(rows), dtype=bool)
     free[plan] = False

@@ -9,8 +9,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came
-from casacal.planning.choice import Choice, pool_of, wanted_joints
-from casacal.planning.plan import bound_pool, refuse
+from casacal.planning.choice import Choice, pool_of, refuse_several, wanted_joints
+from casacal.planning.plan import bound_pool
 from casacal.planning.route import touches_needed
 from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
@@ -44,42 +44,31 @@ def touches_for(
 
     box, targets, after, loose: as for `plan`. Raises CasacalError where so many as `most` miss the tolerance.
     """
-    refuse(problem, 3, 3, 1, 0.0, 0.0, box, targets)
+    refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
         shown = f"{tolerance:g}" if is_real(tolerance) else came(tolerance)
         raise CasacalError(f"Got {shown} as the tolerance", "Give a positive number of mm")
     pool = pool_of(problem, cell, POOL, 0)
     bound = bound_pool(problem, pool, after, loose)
     choice = Choice.of(bound, wanted_joints(bound, box, targets), count=len(pool), loose=loose)
-    if tolerance is None:
-        return _enough(choice, ON_TOP if after is not None else math.ceil(SPARE * touches_needed(problem, pool)))
-    return _until(choice, tolerance, 3 if after is not None else 12, most)
-
-
-def _enough(choice: Choice, least: int) -> int:
-    """From the least on, until more of them only average noise."""
-    count, rng = least, np.random.default_rng(0)
-    left = choice.error(choice.best_of(count, 1, rng))
-    while count < MOST:
-        more = min(math.ceil(count * 1.5), MOST)
-        then = choice.error(choice.best_of(more, 1, rng))
-        if then > AVERAGED * left:
-            break
-        count, left = more, then
-    return count
-
-
-def _until(choice: Choice, tolerance: float, count: int, most: int) -> int:
-    """Until the error is below the tolerance."""
     rng = np.random.default_rng(0)
+    if tolerance is None:  # from the least on, until more of them only average noise
+        count = ON_TOP if after is not None else math.ceil(SPARE * touches_needed(problem, pool))
+        left = choice.error(choice.best_of(count, 1, rng))
+        while count < MOST:
+            more = min(math.ceil(count * 1.5), MOST)
+            then = choice.error(choice.best_of(more, 1, rng))
+            if then > AVERAGED * left:
+                break
+            count, left = more, then
+        return count
+    count = 3 if after is not None else 12
     while count < most:
         if choice.error(choice.best_of(count, 1, rng)) <= tolerance:
             return count
         count = min(max(math.ceil(count * 1.25), count + 1), most)
     left = choice.error(choice.best_of(most, 1, rng))
-    if left <= tolerance:
-        return most
-    raise CasacalError(
-        f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm",
-        "Ask for less, measure with less noise, or add a face, a step or another instrument",
-    )
+    if left > tolerance:
+        what = f"{most} best touches leave {left:.3g} mm, more than {tolerance:g} mm"
+        raise CasacalError(what, "Ask for less, measure with less noise, or add a face, a step or another instrument")
+    return most

@@ -112,10 +112,8 @@ class LinkShapes(Value):
         """
         arm = robot.arm
         if not isinstance(arm, UrdfChain):
-            raise ProblemError(
-                f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown",
-                "Give a link_radius",
-            )
+            fix = "Give a link_radius"
+            raise ProblemError(f"'{robot.name}' does not come from a URDF, so the shapes of its links are unknown", fix)
         shapes, unread = shapes_of(arm.path, arm.chain[0].parent, arm.chain[-1].child)
         return LinkShapes(robot, shapes, unread)
 
@@ -140,7 +138,13 @@ class LinkShapes(Value):
         """Which postures (N, n; rad, mm), whose tips are at (N, 3), keep off boxes, faces and each other."""
         placed = self.at(joints)
         good = np.ones(len(joints), dtype=bool)
-        plates = [_plate(face) for face in faces]
+        plates = [  # what carries a face, whose top it is
+            Body.box(
+                transform(face.axes.T, np.asarray(face.centre) - THICK / 2 * face.axes[0]),
+                np.array([THICK, *face.size]),
+            )
+            for face in faces
+        ]
         last = len(self.robot.axes) - 1
         for shape, body in zip(self.shapes, placed, strict=True):
             if shape.carrier < 0:  # where the base stands nobody can change
@@ -197,9 +201,3 @@ def _body(shape: LinkShape) -> Body:
     if shape.kind == "cylinder":
         return Body.cylinder(shape.pose, shape.size[0], shape.size[1])
     return Body.box(shape.pose, np.array(shape.size))
-
-
-def _plate(face: Face) -> Body:
-    """What carries a face: a plate whose top it is."""
-    middle = np.asarray(face.centre) - THICK / 2 * face.axes[0]
-    return Body.box(transform(face.axes.T, middle), np.array([THICK, *face.size]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -96,13 +97,14 @@ def plan(
     Raises CasacalError for numbers that make no plan, SimulationError where faces are out of reach.
 
     """
-    refuse(problem, touches, pool, starts, again, check, box, targets)
+    refuse_several(problem, "A plan is for one instrument", "Plan for", box, targets)
+    _refuse(touches, pool, starts, again, check)
     refuse_unknown("criterion", [criterion], (each.value for each in Criterion))
     wanted = Criterion(criterion)
     reachable = pool_of(problem, cell, pool, seed, clearance)
     bound = bound_pool(problem, reachable, after, loose)
-    joints = wanted_joints(bound, box, targets)
-    choice = Choice.of(bound, joints, count=pool, loose=loose)
+    choice_at = partial(Choice.of, bound, wanted_joints(bound, box, targets), count=pool, loose=loose)
+    choice = choice_at()
     checks, repeats = round(check * touches), round(again * touches)
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
@@ -112,16 +114,20 @@ def plan(
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
     purposes = [FIT] * len(best) + [CHECK] * checks
     draws = [choice.error(rng.choice(pool, len(best), replace=False)) for _ in range(DRAWS)]
+    fitted = np.concatenate([best, twice])
+    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
+    arms = bound.x0 + std * np.random.default_rng([seed, 2]).normal(size=(ARMS, std.size))
+    over_arms = [choice_at(at=arm).error(fitted) for arm in arms]
     return Plan(
         replace(reachable.take(order), lines=tuple(range(1, len(order) + 1))),
         (*(purposes[k] for k in way), *[AGAIN] * repeats),
-        choice.error(np.concatenate([best, twice])),
+        choice.error(fitted),
         choice.error(best[:0]),
         float(np.median(draws)),
         choice.error(np.arange(pool)),
         choice.curve(best, rng, wanted),
         choice.lost(best, LOST, DRAWS, rng),
-        _over_arms(bound, joints, pool, loose, np.concatenate([best, twice]), np.random.default_rng([seed, 2])),
+        float(np.sqrt(np.mean(np.square(over_arms)))),
     )
 
 
@@ -147,21 +153,6 @@ def _enough_of_each(
         best = choice.best_of(count, starts, rng, criterion, barred)
 
 
-def _over_arms(
-    bound: BoundProblem,
-    joints: Array,
-    pool: int,
-    loose: Mapping[str, float] | None,
-    chosen: Chosen,
-    rng: np.random.Generator,
-) -> float:
-    """Error, RMS over arms drawn from the prior: what a plan made by the drawing does on arms that are not as drawn."""
-    std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)
-    arms = (bound.x0 + std * rng.normal(size=std.size) for _ in range(ARMS))
-    errors = [Choice.of(bound, joints, count=pool, loose=loose, at=arm).error(chosen) for arm in arms]
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
 def bound_pool(
     problem: Problem, pool: Samples, after: Samples | None, loose: Mapping[str, float] | None
 ) -> BoundProblem:
@@ -176,11 +167,8 @@ def bound_pool(
     return bound
 
 
-def refuse(
-    problem: Problem, touches: int, pool: int, starts: int, again: float, check: float, box: Box | None, targets: object
-) -> None:
+def _refuse(touches: int, pool: int, starts: int, again: float, check: float) -> None:
     """Raise CasacalError for numbers that make no plan."""
-    refuse_several(problem, "A plan is for one instrument", "Plan for")
     for what, value, least in (("touches", touches, 3), ("pool", pool, touches), ("starts", starts, 1)):
         if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
             shown = f"{value:g}" if is_real(value) else came(value)
@@ -190,5 +178,3 @@ def refuse(
             raise CasacalError(f"Got {came(part)} as the part '{what}'", "Give a number from 0 to below 1")
     if touches - round(check * touches) - round(again * touches) < 3:
         raise CasacalError(f"Fewer than three of {touches} touches are fitted", "Ask for more, or check fewer")
-    if box is not None and targets is not None:
-        raise CasacalError("Got a box and targets", "Give one of them")

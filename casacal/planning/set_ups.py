@@ -139,24 +139,13 @@ def set_ups(
     """Compare ways to set the cell up by the tip error to expect from as many touches, the best first.
 
     As it is; one plate; it at two heights; three faces at right angles; a gauge block; other tilts. What this arm
-    cannot touch is last, with an infinite error.
-
-    Args:
-        problem: a robot with one instrument that touches faces.
-        cell: as for `plan`.
-        touches: how many are fitted in each.
-        box, targets: where the tip is wanted, as for `plan`.
-        seed: of everything that is drawn.
-
-    Raises CasacalError for an instrument that touches no faces.
-
+    cannot touch is last, with an infinite error. touches: how many are fitted in each. cell, box, targets, seed: as for
+    `plan`. Raises CasacalError for an instrument that touches no faces.
     """
     still = cell_of(problem, cell)
     if not isinstance(still, Cell):
-        raise CasacalError(
-            f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them",
-            "Plan without comparing set-ups",
-        )
+        what = f"{type(problem.instrument).__name__} touches no faces, so there are no set-ups of them"
+        raise CasacalError(what, "Plan without comparing set-ups")
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
     found = list[SetUp]()
@@ -194,7 +183,9 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
         higher = raised(first, HIGHER, fresh("higher", cell.faces))
         words = f"one plate, '{first.label}', and it again {HIGHER:g} mm higher"
         yield words, labelled, replace(cell, faces=(first, higher))
-        if not _right_angles(cell):
+        normals = np.array([face.axes[0] for face in cell.faces])
+        square = np.abs(normals @ normals.T) < math.sin(math.radians(10))
+        if count < 3 or (square.sum(axis=1) < 2).all():  # there are not three faces at right angles already
             walls = (rising(first, first.axes[k], fresh(label, (first,))) for k, label in ((1, "wall"), (2, "side")))
             yield "three faces at right angles", labelled, replace(cell, faces=(first, *walls))
         label = fresh("gauge block", cell.faces)
@@ -205,10 +196,3 @@ def _ways(problem: Problem, cell: Cell) -> Iterator[tuple[str, Problem, Cell]]:
     for other in TILTS:
         if abs(other - tilt) > 1:
             yield f"as it is, tilt up to {other:.0f} degrees", problem, replace(cell, tilt=math.radians(other))
-
-
-def _right_angles(cell: Cell) -> bool:
-    """Whether there are three faces at right angles already."""
-    normals = np.array([face.axes[0] for face in cell.faces])
-    across = np.abs(normals @ normals.T) < math.sin(math.radians(10))
-    return len(normals) > 2 and bool((across.sum(axis=1) >= 2).any())

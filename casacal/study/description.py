@@ -47,12 +47,8 @@ class Setting(Protocol):
 class Method:
     """An estimator with its options.
 
-    Args:
-        estimate: the function.
-        options: keyword arguments of every call.
-        seeded: whether it takes `seed`, which then differs from trial to trial.
-        trials: in how many trials it takes part, the first ones; None for all.
-
+    estimate: the function. options: keyword arguments of every call. seeded: whether it takes `seed`, which then
+    differs from trial to trial. trials: in how many trials it takes part, the first ones; None for all.
     """
 
     estimate: Estimator
@@ -69,16 +65,10 @@ class Method:
 class Study:
     """Every method on every trial of every setting, on the same truth, poses and noise.
 
-    Args:
-        name: a word.
-        settings: by name, such as `Simulated(problem, cell)`.
-        methods: by name, a `Method` or a plain function of a `LeastSquares`.
-        trials: how many per setting.
-        seed: of all of them; trial k of every setting gets the same child of it.
-        details: how many trials, the first ones, also keep the objective on the way; the very first its estimates too.
-
-    Raises StudyError when a part is missing.
-
+    name: a word. settings: by name, such as `Simulated(problem, cell)`. methods: by name, a `Method` or a plain
+    function of a `LeastSquares`. trials: how many per setting. seed: of all of them; trial k of every setting gets the
+    same child of it. details: how many trials, the first ones, also keep the objective on the way; the very first its
+    estimates too. Raises StudyError when a part is missing.
     """
 
     name: str

@@ -115,13 +115,9 @@ def _ours(module: str | None) -> bool:
 
 def _code(code: CodeType) -> Any:
     # neither file nor line numbers: moving a function does not change what it computes
-    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c != _docstring(code)]
+    told = {first for first in code.co_consts[:1] if isinstance(first, str)}  # the docstring
+    constants = [_code(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts if c not in told]
     return [_digest(code.co_code), list(code.co_names), constants]
-
-
-def _docstring(code: CodeType) -> Any:
-    first = code.co_consts[0] if code.co_consts else None
-    return first if isinstance(first, str) else object()
 
 
 def _names(code: CodeType) -> list[str]:

@@ -71,15 +71,25 @@ def run(
         count = total - sum(len(task.methods) for task in missing)
         if progress is not None:
             progress(count, total)
-        for made in _performed(study, missing, file, quick, workers, scheduler, timeout):
+        if workers == 1 and scheduler is None and timeout is None:
+            all_made: Iterator[list[Record]] = (perform(study, task) for task in missing)
+        else:
+            asked = executors.errands(study, missing, file, quick)
+            if timeout is not None:
+                all_made = supervised(study.name, asked, timeout, workers)
+            elif scheduler is not None:
+                all_made = executors.on_cluster(executors.perform_errand, asked, scheduler)
+            else:
+                all_made = executors.in_processes(executors.perform_errand, asked, workers)
+        for made in all_made:
             appender.append(made)
             count += len(made)
             if progress is not None:
                 progress(count, total)
         ordered = _ordered(everything, records.read_records(path))
         appender.rewrite(ordered)
-    asked = {key for task in everything for key in task.keys}
-    return Run(study, tuple(r for r in ordered if records.key_of(r) in asked), out, quick)
+    known = {key for task in everything for key in task.keys}
+    return Run(study, tuple(r for r in ordered if records.key_of(r) in known), out, quick)
 
 
 def open_run(study: Study, out: Path, *, quick: bool = False) -> Run:
@@ -115,25 +125,6 @@ def merge(study: Study, parts: Sequence[Path], out: Path, *, quick: bool = False
 def missing(study: Study, made: Run) -> int:
     """How many records of a study a run does not have."""
     return sum(len(task.methods) for task in tasks_of(study)) - len(made.records)
-
-
-def _performed(
-    study: Study,
-    tasks: Sequence[Task],
-    file: str | Path | None,
-    quick: bool,
-    workers: int,
-    scheduler: str | None,
-    timeout: float | None,
-) -> Iterator[list[Record]]:
-    if workers == 1 and scheduler is None and timeout is None:
-        return (perform(study, task) for task in tasks)
-    asked = executors.errands(study, tasks, file, quick)
-    if timeout is not None:
-        return supervised(study.name, asked, timeout, workers)
-    if scheduler is not None:
-        return executors.on_cluster(executors.perform_errand, asked, scheduler)
-    return executors.in_processes(executors.perform_errand, asked, workers)
 
 
 def tasks_of(study: Study) -> list[Task]:

@@ -147,15 +147,9 @@ def write_report(source: StudyFile, run: Run, options: str) -> Path:
     options: of the command, those that decide what is in the report.
     """
     run.out.mkdir(parents=True, exist_ok=True)
-    lines = [*lines_of(source, run), "", "## How this was made", "", *_made(source, run, options)]
-    path = run.out / REPORT
-    write_text(path, "\n".join(lines) + "\n")
-    return path
-
-
-def _made(source: StudyFile, run: Run, options: str) -> list[str]:
     commands = source.commands(options)
-    lines = [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
+    lines = [*lines_of(source, run), "", "## How this was made", ""]
+    lines += [f"{' or '.join(f'`{command}`' for command in commands)}.", ""]
     if run.study is not None:
         failed = sum(record["error"] is not None for record in run.records)
         lines += [
@@ -171,7 +165,9 @@ def _made(source: StudyFile, run: Run, options: str) -> list[str]:
         at_once = f", {made['processes']} processes" if made["processes"] > 1 else ""
         at_once = ", which asked a Dask cluster" if made.get("cluster") else at_once
         lines.append(f"- {place}{at_once}; Python {made['python']}, {packages}")
-    return lines
+    path = run.out / REPORT
+    write_text(path, "\n".join(lines) + "\n")
+    return path
 
 
 def _processor() -> str:

@@ -164,7 +164,10 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
         with np.errstate(all="ignore"):  # what overflows is found below, and said in a sentence
             result = as_result(outcome, made.problem, method)
             figures = dict(made.judge(result))
-            detail = _detail(made, metered, result, trial) if trial < study.details else {}
+            detail: Record = {}
+            if trial < study.details:  # curves need some trials; what a parameter table looks like shows in one
+                detail = {"detail": dict(made.detail(result))} if trial == 0 else {}
+                detail["trace"] = _trace(made.problem, metered, result)
     except _caught() as error:  # failures are rows with their message
         spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
         return {**failed(said(error)), TIMINGS: spent}
@@ -185,12 +188,6 @@ def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str
 def failed(message: str) -> Record:
     """The record of a method that gave no answer, and what it said instead."""
     return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}, TIMINGS: {}}
-
-
-def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:
-    # estimates of one trial show what a parameter table looks like; curves need some
-    kept = {"detail": dict(made.detail(result))} if trial == 0 else {}
-    return {**kept, "trace": _trace(made.problem, metered, result)}
 
 
 def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list[float]]:

@@ -187,10 +187,7 @@ def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | N
 def errors_by_part(seen: Seen, drawn: Array) -> tuple[PartError, ...]:
     """Errors of all rows, then of faces and of regions where there are several with rows enough.
 
-    Args:
-        seen: what the rows see.
-        drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.
-
+    drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.
     """
     bound, x = seen.fresh.bound, seen.fresh.x
     pair = seen.residual(drawn), seen.residual(x)

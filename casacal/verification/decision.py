@@ -119,12 +119,8 @@ class Decision:
 def decide(scatter: Scatter, given: float, tolerance: float, risk: float) -> Decision:
     """Decide by the rule of this module.
 
-    Args:
-        scatter: what the rows say.
-        given: rows less what their own unknowns absorbed: what freedom is in proportion to.
-        tolerance: of the RMS error, mm.
-        risk: chance of a wrong decision of an arm at the tolerance, below one half.
-
+    given: rows less what their own unknowns absorbed: what freedom is in proportion to. tolerance: of the RMS error,
+    mm. risk: chance of a wrong decision of an arm at the tolerance, below one half.
     """
     accept, reject = scatter.accept_below_mm(tolerance, risk), scatter.reject_above_mm(tolerance, risk)
     measured = scatter.measured_mm

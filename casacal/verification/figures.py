@@ -115,7 +115,6 @@ class Figures(Judged):
 
     A row's residual is its distance from the face, mm, or the length of its error where a row has several residuals.
 
-    robot, result, verdict, samples, sha256, rows, own, standing, copied_lines, fitted_lines: see `Judged`.
     before_mm, after_mm, predicted_mm: residuals, RMS, with the arm as drawn, as calibrated, and as it was predicted.
     chi_square, freedom, p: of all residuals against their predicted covariance, and the chance of so much or more.
     seen, arm_chi_square, arm_p: the same in those directions of the arm alone that these rows know better than the

@@ -14,14 +14,13 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, corrected_values, known_motion, sizes_of
+from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance, sizes_of
 from casacal.errors import CasacalError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
-from casacal.uncertainty.identifiability import prior_scale
 from casacal.unknowns import Unknown
 from casacal.wording import counted
 
@@ -94,11 +93,6 @@ class Fresh:
         """The same of some residuals alone, with all priors."""
         return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
 
-    def scaled_arm(self) -> Array:
-        """Derivative of the same rows by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
-        columns, more = self.of_arm, len(self.linear.residual) - self.bound.rows
-        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((more, columns.size))])
-
 
 def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
     """Unknowns (g,) that rows alone know and that have a prior, and the whitened rows (g, n) that these priors are."""
@@ -113,19 +107,14 @@ def fresh_rows(
 ) -> Fresh:
     """Bind fresh rows to a result.
 
-    Args:
-        result: the arm as calibrated.
-        problem: that arm, and the instrument of the rows.
-        samples: the rows.
-        other: whether it is another instrument than that of the calibration.
-        standing: labels of faces, or keys of unknowns, that stand where the calibration found them.
-
-    Raises CasacalError for what cannot be standing, SamplesError for too few rows or too many.
-
+    problem: its arm, and the instrument of the rows. other: whether that is another one than that of the calibration.
+    standing: labels of faces, or keys of unknowns, that stand where the calibration found them. Raises CasacalError for
+    what cannot be standing, SamplesError for too few rows or too many.
     """
     kept = _kept(result, problem, samples, standing)
     bound = _bound(result, problem, samples, kept, other=other)
-    rows, (covariance, names) = result.document["parameters"], known_motion(result)
+    covariance, names = all_motion(result) if result.corrected else named_covariance(result)
+    rows = result.document["parameters"]
     values = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
     values |= {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
     places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
@@ -147,11 +136,9 @@ def fresh_rows(
                 raise CasacalError(f"{result.file}: it does not say how well '{name}' is known", fix)
     own = int((~known).sum())
     if bound.rows <= own:
-        raise SamplesError(
-            samples.file,
-            f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
-            "Take more rows, or name with --standing what has not moved since the calibration",
-        )
+        what = f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know"
+        fix = "Take more rows, or name with --standing what has not moved since the calibration"
+        raise SamplesError(samples.file, what, fix)
     # geometry and corrections are known as the result says, other effects by their sizes
     found, columns = np.diag(bound.prior_std[known] ** 2), np.flatnonzero(known)
     said = np.flatnonzero([not bound.beside[j] or bound.names[j] in corrected for j in columns])
@@ -167,10 +154,8 @@ def _bound(
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
-            raise CasacalError(
-                f"'{slot.name}' was held in the calibration, and its position now is not known",
-                "Calibrate without --fix, or name it with --standing if it has not moved",
-            )
+            fix = "Calibrate without --fix, or name it with --standing if it has not moved"
+            raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
     if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
         bound = bound.under(problem.with_kit).with_sizes(times)
@@ -203,10 +188,8 @@ def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: C
         for name in there[word]:
             nominal = unknowns[name].nominal
             if nominal is None and len(proposed.get(name, ())) != unknowns[name].nominal_size:
-                raise CasacalError(
-                    f"{result.file}: it does not give the position of '{word}'",
-                    "Leave it out of --standing, or calibrate again",
-                )
+                fix = "Leave it out of --standing, or calibrate again"
+                raise CasacalError(f"{result.file}: it does not give the position of '{word}'", fix)
             kept[name] = np.array(proposed[name]) if nominal is None else nominal
     return kept
 

@@ -11,14 +11,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casacal.calibration.given import samples_of
+from casacal.calibration.given import problem_from, samples_of
 from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
-from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 from casacal.samples.repeats import copies, fitted_among
@@ -47,9 +47,8 @@ class Opened:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             fresh = fresh_rows(self.arm, self.source.problem, self.rows, other=self.other, standing=standing)
             if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
-                raise SamplesError(
-                    self.rows.file, "the residuals of some rows are not finite", "Check their values with check"
-                )
+                fix = "Check their values with check"
+                raise SamplesError(self.rows.file, "the residuals of some rows are not finite", fix)
         return fresh
 
     @property
@@ -100,7 +99,13 @@ def opened(
     if not isinstance(result, CalibratedArm):
         raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
     arm = seen_by(result, instrument if problem is not None else measured_by(result, samples, instrument))
-    source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
+    source, robot = arm.source, arm.source.problem.robot
+    if problem is not None:  # the result's arm with another problem's instrument
+        other = problem_from(problem).problem
+        if not _same_arm(robot, other.robot):
+            what = f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})"
+            raise CasacalError(what, "Give a problem whose robot is that of the calibration, parameter by parameter")
+        source = ProblemFile.of(Problem(robot, other.instrument))
     return _fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
 
 
@@ -129,22 +134,6 @@ def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str
         fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
         raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
     raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
-
-
-def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
-    """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
-    if isinstance(given, (str, Path)):
-        given = load_problem(given)
-    other = given.problem if isinstance(given, ProblemFile) else given
-    if not isinstance(other, Problem):
-        raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
-    robot = arm.source.problem.robot
-    if not _same_arm(robot, other.robot):
-        raise CasacalError(
-            f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",
-            "Give a problem whose robot is that of the calibration, parameter by parameter",
-        )
-    return Problem(robot, other.instrument)
 
 
 def _same_arm(one: Robot, two: Robot) -> bool:
@@ -187,11 +176,8 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         part = 1.0  # a result from before results held their rows
     if part >= SPENT:
         said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
-        raise SamplesError(
-            rows.file,
-            f"{said} that the arm was calibrated from, which verifies nothing",
-            "Take fresh rows, in other postures",
-        )
+        fix = "Take fresh rows, in other postures"
+        raise SamplesError(rows.file, f"{said} that the arm was calibrated from, which verifies nothing", fix)
     copied, fitted = (
         tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
         for some, which in ((rows, again), (once, seen))

@@ -33,20 +33,14 @@ def verification_page(found: Figures) -> str:
 def with_section(path: Path, document: Mapping[str, Any], found: Figures) -> str:
     """The text of a calibration's report with the section of a verification.
 
-    Args:
-        path: the report, as `casacal calibrate` wrote it.
-        document: the result.json that the report is of.
-        found: the verification.
-
-    Raises CasacalError where there is no such report, or it is of another calibration.
-
+    document: the result.json that the report is of. Raises CasacalError where there is no such report, or it is of
+    another calibration.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
-        raise CasacalError(
-            f"There is no report '{path}' to write into", "Write a separate page: --report FILE"
-        ) from None
+        fix = "Write a separate page: --report FILE"
+        raise CasacalError(f"There is no report '{path}' to write into", fix) from None
     marks = [str(document.get(part, {}).get("sha256", "")) for part in ("problem", "data")]
     if "<title>Calibration of" not in text or text.count(BEFORE) != 1 or not all(mark in text for mark in marks):
         raise CasacalError(f"'{path}' is not the report of this result", "Write a separate page: --report FILE")

@@ -20,6 +20,7 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
+from casacal.uncertainty.identifiability import prior_scale
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
 from casacal.values import is_real
 from casacal.verification.arm_error import errors_by_part, seen_by_rows
@@ -120,7 +121,10 @@ def verify(
 def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, risk: float) -> Verification:
     """All figures of a verification."""
     fresh, freedom, words = given.fresh(standing), given.noise_freedom, given.source.problem.instrument.words
-    bound, rows, scaled = fresh.bound, fresh.linear, fresh.scaled_arm()
+    bound, rows, arm = fresh.bound, fresh.linear, fresh.of_arm
+    # slopes by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat); priors of own unknowns have none
+    scaled = np.zeros((len(rows.residual), arm.size))
+    scaled[: bound.rows] = fresh.jacobian[:, arm] * prior_scale(bound)[arm]
     per_row = bound.rows // len(given.rows)
     off = np.array([k for k in rows.gross() if k < bound.rows], dtype=np.intp)
     kept = np.setdiff1d(np.arange(len(rows.residual)), off)
@@ -151,7 +155,7 @@ def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, r
         noise_mm=noise,
         noise_most_mm=most,
         noise_stated_mm=stated,
-        unknowns=fresh.of_arm.size,
+        unknowns=arm.size,
         promised_tip_mm=promised,
         hidden_tip_mm=hidden,
         accuracy=words.accuracy,
@@ -174,11 +178,8 @@ def _decision(arm: CalibratedArm, fresh: Fresh, off: NDArray[np.intp], tolerance
         seen = seen_by_rows(arm, fresh, without)
         scatter = seen.scatter(seen.residual(fresh.x))
         if scatter is None:
-            raise SamplesError(
-                fresh.bound.block.samples.file,
-                "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested",
-                "Take more rows, or leave the tolerance out",
-            )
+            what = "the unknowns fitted to these rows absorb any error of the arm, so no tolerance can be tested"
+            raise SamplesError(fresh.bound.block.samples.file, what, "Take more rows, or leave the tolerance out")
         found.append(decide(scatter, seen.given_rows(), tolerance, risk))
     if found[-1].verdict == found[0].verdict:
         return found[0]

@@ -48,10 +48,11 @@ def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Bo
     moved, worst = tip_extremes(calibration.motion, calibration.workspace)
     tip = document["tip"]
     unseen = f", {count(tip['unseen'], 'direction')} unseen" if tip["unseen"] else ""
+    alone = tip["without_prior_rms_mm"]  # one of a metre bounds nothing
     rows = [
         ["Before: priors alone", mm(tip["prior_rms_mm"]), "–"],
         ["After: samples and priors", mm(tip["expected_rms_mm"]), mm(worst)],
-        [f"Samples alone, without priors{unseen}", _bounded(tip["without_prior_rms_mm"]), "–"],
+        [f"Samples alone, without priors{unseen}", mm(alone) if alone < METRE else "unbounded", "–"],
     ]
     if box is not None:
         motion = calibration.motion
@@ -62,11 +63,6 @@ def expected_error(each: Sequence[Touches], document: Mapping[str, Any], box: Bo
     words = "distance of the calibrated from the nominal tip, mm"
     correction = _maps("correction", words, workspace.correction, workspace.tips, marks, box)
     return {"rows": rows, "moved": moved, "maps": [(TITLES["error"], error), (TITLES["correction"], correction)]}
-
-
-def _bounded(value: float) -> str:
-    """An error without priors; one of a metre bounds nothing."""
-    return mm(value) if value < METRE else "unbounded"
 
 
 def _maps(name: str, words: str, values: Array, tips: Array, marks: Array, box: Box | None) -> Markup:

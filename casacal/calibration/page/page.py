@@ -16,7 +16,7 @@ from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
 from casacal.calibration.page.touches import Touches
 from casacal.calibration.verdict import Level
-from casacal.pages.render import count, fixed, left_out_rows, mm, rendered
+from casacal.pages.render import count, fixed, mm, rendered
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import KNOWN_FROM
 from casacal.wording import capital, numbered_lines, sized
@@ -35,9 +35,11 @@ def report_page(
     document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
     reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
     """
-    each, problem, data = Touches.of_each(calibration), calibration.fit.problem, document["data"]
+    each = tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
+    problem, data = calibration.fit.problem, document["data"]
     denied = document["verdict"]["level"] == "do not use"
-    aside = left_out_rows(data)
+    aside = [f"{data['set_aside']:,} set aside"] if data["set_aside"] else []
+    aside += [f"{data['copies']:,} {'copy' if data['copies'] == 1 else 'copies'} left out"] if data["copies"] else []
     parameters, held = tables.parameters(calibration, denied=denied)
     costly, harmless = tables.directions(calibration, denied=denied)
     context = {

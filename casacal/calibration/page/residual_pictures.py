@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from casacal.array_types import Array
 from casacal.calibration.page.touches import TITLES, Part, Places, Touches, When, spread, thinned
-from casacal.pages.drawing import Panel, Ticks, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
+from casacal.pages.drawing import Panel, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
 from casacal.pages.maps import Scale, Squares, in_squares
 from casacal.pages.render import shortened
 
@@ -49,7 +49,12 @@ def _histogram(touches: Touches, when: When) -> Markup:
     count = 2 * round(min(max(len(everything) ** (1 / 3), BINS[0] / 2), BINS[1] / 2) - 0.5) + 1
     edges = np.linspace(-half, half, count + 1)
     shares = [100 * np.histogram(np.clip(values, -half, half), edges)[0] / len(values) for values in found]
-    curve = _expected(touches, edges) if when == "after" else np.zeros(0)
+    curve = np.zeros(0)
+    if when == "after":  # shares that the noise of the rows, as used, predicts, percent
+        from scipy.stats import norm
+
+        stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
+        curve = 100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1))
     top = 1.08 * max(float(np.concatenate([*shares, curve]).max()), 1.0)
     panel = Panel((-half, half), (0.0, top))
     beyond = int((np.abs(everything) > half).sum())
@@ -64,14 +69,6 @@ def _histogram(touches: Touches, when: When) -> Markup:
         steps(panel, edges, shares[1], "outline held") if len(shares) > 1 else None,
         line(panel, (edges[:-1] + edges[1:]) / 2, curve, "expected") if len(curve) else None,
     )
-
-
-def _expected(touches: Touches, edges: Array) -> Array:
-    """Shares (bins,) that the noise of the rows, as used, predicts, percent."""
-    from scipy.stats import norm
-
-    stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
-    return np.asarray(100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1)))
 
 
 def row_plots(touches: Touches) -> Markup:
@@ -104,12 +101,15 @@ def _by_row(touches: Touches, when: When) -> Markup:
         beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
     order = "rows in file order" if touches.has_faces else "rows in file order, coordinate by coordinate"
     between = range(1, count) if count <= LINED else ()
+    longest = max(3, 48 // count)
+    named = touches.series if count <= NAMED else ()
+    names = [(k + 0.5, shortened(name, longest)) for k, name in enumerate(named)]
     return picture(
         touches.named(f"rows-{when}"),
         f"{TITLES[when]}: residual of each row",
         f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} mm.",
         panel.height,
-        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=_names(touches)),
+        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=names),
         *(line(panel, np.array([k, k], float), np.array([-top, top]), "grid") for k in between),
         line(panel, np.array([0.0, count]), np.zeros(2), "zero"),
         *drawn,
@@ -133,18 +133,16 @@ def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
     return np.concatenate(across), np.concatenate(up)
 
 
-def _names(touches: Touches) -> Ticks:
-    count = len(touches.series)
-    longest = max(3, 48 // count)
-    return [(k + 0.5, shortened(name, longest)) for k, name in enumerate(touches.series)] if count <= NAMED else []
-
-
 def face_maps(touches: Touches) -> Markup | None:
     """One map per face, all on one scale; None where rows touch no face."""
     if not touches.has_faces or touches.instrument.probe is None:
         return None
     found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
-    maps = [(label, places, _means(places)) for label, places in found if places is not None]
+    maps = [
+        (label, p, in_squares(p.uv, p.residuals, FACE_SQUARES) if len(p.uv) > MOST_POINTS else None)
+        for label, p in found
+        if p is not None
+    ]
     if not maps:
         return None
     scale = Scale.of_signs(np.concatenate([p.residuals if m is None else m.values for _, p, m in maps]))
@@ -166,15 +164,19 @@ def face_maps(touches: Touches) -> Markup | None:
     return figure(" ".join(words), *pictures, key=key)
 
 
-def _means(places: Places) -> Squares | None:
-    return in_squares(places.uv, places.residuals, FACE_SQUARES) if len(places.uv) > MOST_POINTS else None
-
-
 def _map(name: str, label: str, places: Places, means: Squares | None, scale: Scale) -> Markup:
     low, high = places.uv.min(axis=0), places.uv.max(axis=0)
     edge = 0.08 * float((high - low).max())
     panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
     size = np.abs(places.residuals)
+    drawn: list[Markup | None] = []
+    for colour, rows in scale.parts(places.residuals if means is None else means.values):
+        if means is not None:
+            drawn.append(cells(panel, means.x[rows], means.y[rows], means.side, colour))
+            continue
+        for held, look in ((False, "spot"), (True, "spot square")):
+            here = rows[places.held[rows] == held]
+            drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
     return picture(
         name,
         f"Residual over face {label}",
@@ -186,20 +188,5 @@ def _map(name: str, label: str, places: Places, means: Squares | None, scale: Sc
             f"{shortened(label, 28)}: v, mm" + (" (up)" if places.upright else ""),
             upright=True,
         ),
-        *(_touched(panel, places, scale) if means is None else _squares(panel, means, scale)),
+        *drawn,
     )
-
-
-def _touched(panel: Panel, places: Places, scale: Scale) -> list[Markup | None]:
-    drawn = []
-    for colour, rows in scale.parts(places.residuals):
-        for held, look in ((False, "spot"), (True, "spot square")):
-            here = rows[places.held[rows] == held]
-            drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
-    return drawn
-
-
-def _squares(panel: Panel, means: Squares, scale: Scale) -> list[Markup | None]:
-    return [
-        cells(panel, means.x[rows], means.y[rows], means.side, colour) for colour, rows in scale.parts(means.values)
-    ]

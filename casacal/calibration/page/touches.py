@@ -101,11 +101,6 @@ class Touches:
             parts.append(_part(calibration, calibration.heldout, number, held=True))
         return Touches(calibration, tuple(parts), number, names[number] if len(names) > 1 else "")
 
-    @staticmethod
-    def of_each(calibration: Calibration) -> tuple[Touches, ...]:
-        """The same of every instrument."""
-        return tuple(Touches.of(calibration, i) for i in range(len(calibration.fit.samples)))
-
     @property
     def instrument(self) -> Instrument:
         """What measured the rows."""
