@@ -8,7 +8,15 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
-BESIDE = ("studies/*/*.png", "studies/*.py", "problems/*/*.*", "casacal/**/*.py", "tests/*.py", "LICENSE", "CITATION.cff")
+BESIDE = (
+    "studies/*/*.png",
+    "studies/*.py",
+    "problems/*/*.*",
+    "casacal/**/*.py",
+    "tests/*.py",
+    "LICENSE",
+    "CITATION.cff",
+)
 """Pages, and what else they link to."""
 
 
