@@ -9,6 +9,7 @@ from mkdocs.structure.files import File, Files
 
 PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
 BESIDE = (
+    "docs/*.js",
     "studies/*/*.png",
     "studies/*.py",
     "problems/*/*.*",
