@@ -18,7 +18,7 @@ from casacal.cli.main import COMMANDS, main
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 DOCUMENTS = [
     *sorted(ROOT.glob("*.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "problems").glob("*/*.md")),
     *sorted((ROOT / "studies").glob("*/*.md")),
 ]
@@ -27,7 +27,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 PAGES = {
-    path.stem: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    path.stem: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 }
 
 
