@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from html import escape
 
 LEAST_CHANCE = 1e-6  # chance below which nobody asks how small it is
 METRE = 1000.0  # millimetres from which an error is no figure any more: it says that nothing holds the tip
@@ -83,3 +84,11 @@ def sized(value: float, unit: str) -> str:
     name, factor = SMALL_UNITS.get(unit, (unit, 1.0))
     number = value * factor
     return f"{number:,.0f} {name}" if number >= 100 else f"{number:.2g} {name}"
+
+
+def html_table(words: str, header: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    """A paragraph and a table as a notebook shows them; what is in them is escaped."""
+    cells = "".join(f"<th>{escape(str(name))}</th>" for name in header)
+    lines = ["".join(f"<td>{escape(str(value))}</td>" for value in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<p>{escape(words.strip('<>'))}</p><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table>"

@@ -18,7 +18,7 @@ from casacal.cli.main import COMMANDS, main
 INTERVAL = r"\d[\d.]* ?%? \(\d[\d.]* to \d[\d.]*\)"
 DOCUMENTS = [
     *sorted(ROOT.glob("*.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "problems").glob("*/*.md")),
     *sorted((ROOT / "studies").glob("*/*.md")),
 ]
@@ -27,7 +27,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 PAGES = {
-    path.stem: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    path.stem: path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 }
 
 
@@ -73,6 +73,20 @@ def test_the_front_page_shows_what_comes_out(workplace, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     assert main(["calibrate", "problems/hsr_jr680"]) == 0
     assert capsys.readouterr().out.rstrip() == blocks(README, "text")[0].rstrip()
+
+
+@pytest.mark.long
+def test_the_demonstration_goes_the_whole_way(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--seed", "3"]) == 0
+    said = capsys.readouterr().out
+    shown = re.findall(r"^\$ casacal (\w+)", said, re.M)
+    assert shown == ["new", "plan", "simulate", "check", "calibrate", "simulate", "verify", "compensate"]
+    for name in ("plan.csv", "ur5/samples.csv", "fit/report.html", "fresh.csv", "ur5.script"):
+        assert (tmp_path / "casacal_demo" / name).stat().st_size > 0
+    assert "Calibrated: expect a tip error of" in said
+    assert main(["demo"]) == 2
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_every_command_and_option_is_on_a_page():

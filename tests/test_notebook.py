@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from casacal import calibrate
+from casacal import calibrate, plan, simulate, verify
 from casacal.calibration.calibrated import Calibrated
 from casacal.calibration.result_json import calibration_document
 
@@ -64,3 +64,27 @@ def test_pictures_take_an_axes_or_make_one(found):
         plt.close(made.figure)
     _, now = found.tip_std
     assert np.sqrt(np.mean(np.asarray(spread) ** 2)) == pytest.approx(now, rel=1e-9)
+
+
+def test_values_show_themselves_as_tables(hsr):
+    problem = hsr.problem
+    samples = problem.read(hsr.samples)
+    shown = problem._repr_html_()
+    assert shown.count("<tr>") == 1 + 24 + 3  # the arm, and a plane whose prior is flat
+    assert "<td>a3</td><td>mm</td><td>0.7</td>" in shown
+    assert shown.count("<td>flat</td>") == 3
+    rows = samples._repr_html_()
+    assert rows.count("<tr>") == 1 + 10
+    assert f"<td>{samples.joints[0, 0]:.5g}</td>" in rows
+    assert f"<td>{samples.labels['plane'][0]}</td>" in rows
+    route = plan(problem, hsr.cell, touches=12, pool=60, seed=0)
+    assert f"<td>{route.curve[min(route.curve)]:.3g}</td>" in route._repr_html_()
+    named = dataclasses.replace(samples, file="<b>.csv")
+    assert "<b>" not in named._repr_html_()
+
+
+def test_a_verification_shows_what_it_says(found, hsr):
+    judged = verify(found, simulate(hsr.problem, hsr.cell, samples=30, seed=5).samples)
+    shown = judged._repr_html_()
+    assert shown.startswith("<p>Promise")
+    assert shown.count("<p>") == len(judged.summary(whole=False).splitlines())

@@ -23,6 +23,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples, joined
 from casacal.uncertainty.expectation import Box
 from casacal.values import FrozenMapping, is_real
+from casacal.wording import html_table
 
 DRAWS = 8  # random plans of as many touches, for comparison; draws of what is lost
 LOST = 0.1  # part of the fitted touches of which it is said what losing them costs
@@ -53,6 +54,11 @@ class Plan(Route):
 
     def __repr__(self) -> str:
         return f"<Plan of {len(self)} touches: expect {self.error:.3g} mm, at random {self.at_random:.3g} mm>"
+
+    def _repr_html_(self) -> str:
+        """Tip error to expect by number of fitted touches, mm RMS: what a notebook shows."""
+        rows = [(count, f"{error:.3g}") for count, error in self.curve.items()]
+        return html_table(repr(self), ("fitted touches", "expected tip error, mm RMS"), rows)
 
 
 def plan(

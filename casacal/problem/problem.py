@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
@@ -20,6 +21,7 @@ from casacal.tables.read import read_any_table
 from casacal.tables.text import KEY, joined_tables
 from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping
+from casacal.wording import html_table
 
 KITS = ("with_kit", "with_rich_kit")
 
@@ -42,6 +44,15 @@ class Problem(MeasuredArm):
 
     def __repr__(self) -> str:
         return f"<Problem: {self.robot!r} measured by {self._said}>"
+
+    def _repr_html_(self) -> str:
+        """What is free, with its unit and prior: what a notebook shows."""
+        rows = [
+            (name, unit, f"{std:.3g}" if math.isfinite(std) else "flat")
+            for key, unknown in self._named()
+            for name, unit, std in zip(unknown.names(key), unknown.units, unknown.prior_stds, strict=True)
+        ]
+        return html_table(repr(self), ("unknown", "unit", "prior standard deviation"), rows)
 
     @property
     def model(self) -> RowModel:

@@ -17,6 +17,9 @@ from casacal.tables.columns import MANY_ROWS, Columns, Labels
 from casacal.tables.read import columns_of_frame, read_columns
 from casacal.tables.text import Table
 from casacal.values import FrozenMapping, Value, read_only, short
+from casacal.wording import html_table
+
+SHOWN = 10  # rows that a notebook shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,16 @@ class Samples(Value):
         read = [*self.columns, *self.labels]
         beside = f", {short(read)}" if read else ""
         return f"<{len(self)} samples of {self.file}: {self.joints.shape[1]} joints{beside}>"
+
+    def _repr_html_(self) -> str:
+        """The first rows, rad and mm: what a notebook shows."""
+        header = ["line", *(f"q{j + 1}" for j in range(self.joints.shape[1])), *self.columns, *self.labels]
+        rows = (
+            [self.lines[i], *(f"{value:.5g}" for value in (*self.joints[i], *(v[i] for v in self.columns.values()))),
+             *(labels[i] for labels in self.labels.values())]
+            for i in range(min(len(self), SHOWN))
+        )  # fmt: skip
+        return html_table(repr(self), header, rows)
 
     def take(self, rows: Sequence[int] | Index) -> Samples:
         """Return the given rows, in the given order, with the same provenance."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import asdict, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,10 @@ class Verification(Figures):
         said = "kept" if self.kept else "not kept"
         p = min(self.p, self.arm_p)
         return f"<Verification of {self.robot} by {self.rows} fresh rows: promise {said}, p {p:.3g}>"
+
+    def _repr_html_(self) -> str:
+        """What `summary` says: what a notebook shows."""
+        return "".join(f"<p>{escape(words)}</p>" for words in told(self, whole=False))
 
 
 def verify(

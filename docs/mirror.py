@@ -1,0 +1,40 @@
+"""Hook of MkDocs: the site has the paths of the repository, so that a link between documents works in both."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
+BESIDE = (
+    "docs/*.js",
+    "studies/*/*.png",
+    "studies/*.py",
+    "problems/*/*.*",
+    "casacal/**/*.py",
+    "tests/*.py",
+    "LICENSE",
+    "CITATION.cff",
+)
+"""Pages, and what else they link to."""
+
+
+def on_files(files: Files, *, config: MkDocsConfig) -> Files:
+    """All pages and what they link to, under their paths in the repository; the README is the front page."""
+    root = Path(config.config_file_path).parent
+    found = {path: None for pattern in PAGES + BESIDE for path in sorted(root.glob(pattern)) if path.is_file()}
+    made = [File.generated(config, path.relative_to(root).as_posix(), abs_src_path=str(path)) for path in found]
+    api = [File.generated(config, f"docs/api/{name}.md", content=text) for name, text in api_pages(root)]
+    theme = [file for file in files if not Path(file.abs_src_path or "/").is_relative_to(config.docs_dir)]
+    return Files(theme + made + api)
+
+
+def api_pages(root: Path) -> Iterator[tuple[str, str]]:
+    """A page for each section of the public names: name of the page, and its text for mkdocstrings."""
+    names = (root / "docs" / "public.md").read_text(encoding="utf-8").split("## Modules")[0]
+    for section in names.split("\n### ")[1:]:
+        title, _, table = section.partition("\n")
+        entries = [f"::: casacal.{name}\n" for name in re.findall(r"^\| `(\w+)` \|", table, re.M)]
+        yield title.lower().replace(",", "").replace(" ", "_"), f"# {title}\n\n" + "\n".join(entries)

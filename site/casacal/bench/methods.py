@@ -1,0 +1,147 @@
+"""Ways to calibrate that the benchmark compares: each a function of a problem, rows to fit and rows it may not see.
+
+A method returns the residuals (N, m) that it leaves of the unseen rows, in the unit of the instrument, alone or with
+the verdict that it gives of its own result (`Told`). It may look at the joint values of these rows, as whoever corrects
+a target does, and not at what was read there, but for what stands elsewhere anew: a socket at another place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.marginal import bind_further, extended
+from casacal.calibration.calibrate import calibrate
+from casacal.calibration.verdict import verdict_of
+from casacal.discrepancy import LinkSag, TransmissionError
+from casacal.errors import CasacalError
+from casacal.estimators import lm
+from casacal.estimators.scipy_least_squares import scipy_least_squares
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+MOST_OF_A_PROCESS = 1500  # rows that a Gaussian process is made of; of more, some
+
+
+@dataclass(frozen=True)
+class Told:
+    """Residuals (N, m) of the unseen rows, and the verdict that the method itself gave of its result."""
+
+    residuals: Array
+    verdict: str
+
+
+def drawn(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
+    """The arm as drawn; only what belongs to the instrument is fitted: tool, faces, stations."""
+    arm = problem.without_effects
+    bound = bind(arm.fix(*(key for key, unknown in arm.robot.parameters.items() if unknown.size)), fitted)
+    return left(bound, lm(bound).x, unseen)
+
+
+def offsets(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
+    """Zero offsets of the joints alone, as makers' own masterings find them."""
+    arm = problem.without_effects
+    if "theta" not in arm.robot.parameters:
+        raise CasacalError("This arm has no 'theta', the zero offsets of its joints", "Leave this method out")
+    held = [key for key, unknown in arm.robot.parameters.items() if key != "theta" and unknown.size]
+    bound = bind(arm.fix(*held), fitted)
+    return left(bound, lm(bound).x, unseen)
+
+
+def geometry(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
+    """Lengths, twists and offsets by SciPy's least squares, as most papers do; priors as the set declares them."""
+    bound = bind(problem.without_effects, fitted)
+    return left(bound, scipy_least_squares(bound).x, unseen)
+
+
+def casacal_geometry(problem: Problem, fitted: Samples, unseen: Samples) -> Told:
+    """`calibrate` with geometry as all there is: noise as found, gross rows set aside."""
+    found = calibrate(problem, fitted, reference=False, discrepancy="none")
+    return Told(left(found.fit, found.result.x, unseen), verdict_of(found).level)
+
+
+def casacal_whole(problem: Problem, fitted: Samples, unseen: Samples) -> Told:
+    """`calibrate` as it comes: effects beside the geometry, corrected where they won by transfer on the fitted rows."""
+    found = calibrate(problem, fitted, reference=False)
+    return Told(left(found.fit, found.used_x, unseen), verdict_of(found).level)
+
+
+def casacal_layers(problem: Problem, fitted: Samples, unseen: Samples) -> Told:
+    """Geometry, the weight of every link and two low harmonics of every joint, corrected whatever the rows say of them.
+
+    And with the set's own effects, such as measured torque.
+    """
+    layers = (TransmissionError(order=1), TransmissionError(order=2), LinkSag())
+    own = tuple(effect for effect in problem.effects if effect.key not in {each.key for each in layers})
+    found = calibrate(problem.with_effects(*layers, *own), fitted, reference=False)
+    return Told(left(found.fit, found.result.x, unseen), verdict_of(found).level)
+
+
+def geometry_and_process(problem: Problem, fitted: Samples, unseen: Samples) -> Array:
+    """Geometry, and a Gaussian process over the joint values on what it leaves: leaks where rows have neighbours."""
+    bound = bind(problem.without_effects, fitted)
+    x = lm(bound).x
+    known, rest = bound.plain_residual(x).reshape(len(fitted), -1), left(bound, x, unseen)
+    some = np.unique(np.linspace(0, len(fitted) - 1, min(len(fitted), MOST_OF_A_PROCESS)).astype(int))
+    return rest - _process(fitted.joints[some], known[some], unseen.joints)
+
+
+def left(bound: BoundProblem, x: Array, unseen: Samples) -> Array:
+    """Residuals (N, m) of unseen rows at x (n,); unknowns of labels that were not fitted are fitted to their rows."""
+    further = bind_further(bound, unseen)
+    return further.plain_residual(extended(further, x)).reshape(len(unseen), -1)
+
+
+def _process(joints: Array, values: Array, elsewhere: Array) -> Array:
+    """What values (N, m) at joints (N, n) say of other joints (M, n): squared exponential, sizes by likelihood."""
+    spread = np.maximum(joints.std(axis=0), 1e-9)
+    here, there = joints / spread, elsewhere / spread
+    apart = ((here[:, None] - here) ** 2).sum(axis=2)
+
+    def covariance(log: Array) -> Array:
+        size, reach, noise = np.exp(log)
+        return np.asarray(size**2 * np.exp(-apart / (2 * reach**2)) + (noise**2 + 1e-9 * size**2) * np.eye(len(here)))
+
+    def unlikely(log: Array) -> float:
+        try:
+            factor = cho_factor(covariance(log), lower=True)
+        except np.linalg.LinAlgError:
+            return 1e12
+        half = float(np.log(np.diagonal(factor[0])).sum()) * values.shape[1]
+        return float(half + float((values * cho_solve(factor, values)).sum()) / 2)
+
+    scale = max(float(np.sqrt((values**2).mean())), 1e-9)
+    start = np.log([scale, 1.0, scale / 2])
+    best = minimize(unlikely, start, method="Nelder-Mead", options={"maxiter": 60}).x
+    size, reach, _ = np.exp(best)
+    across = size**2 * np.exp(-((there[:, None] - here) ** 2).sum(axis=2) / (2 * reach**2))
+    return np.asarray(across @ cho_solve(cho_factor(covariance(best), lower=True), values))
+
+
+Way = Callable[[Problem, Samples, Samples], Array | Told]
+
+WAYS: Mapping[str, Way] = {
+    "as drawn": drawn,
+    "joint offsets": offsets,
+    "geometry (SciPy)": geometry,
+    "geometry + Gaussian process": geometry_and_process,
+    "casacal, geometry": casacal_geometry,
+    "casacal": casacal_whole,
+    "casacal, all layers": casacal_layers,
+}
+"""What `casacal bench` compares unless told otherwise."""
+
+
+def squares_of(residuals: Array, metric: str) -> Array:
+    """Square (N,) of what is left of each unseen row (N, m), by the set's metric; CasacalError where they are none."""
+    if residuals.ndim != 2 or not np.isfinite(residuals).all():
+        raise CasacalError(f"Residuals came in the shape {residuals.shape}, or not finite", "Return (N, m) of them")
+    if metric == "rms":
+        return np.asarray((residuals**2).mean(axis=1))
+    return np.asarray((residuals[:, : 3 if metric == "position" else None] ** 2).sum(axis=1))

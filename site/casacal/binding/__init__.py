@@ -1,0 +1,1 @@
+"""Binding: a problem and its samples become one least-squares problem."""

@@ -1,0 +1,125 @@
+"""A bound problem in the unknowns of arm and touches alone, or of faces held out of a fit: others taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.slots import make_slots
+from casacal.estimators import lm
+from casacal.least_squares.elimination import GroupRows, taken_out, triangle
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import Normal
+from casacal.least_squares.restricted import Restricted
+from casacal.samples.samples import Samples
+
+
+class Marginal(Restricted):
+    """Some unknowns (s,) of a bound problem: not those of single labels where these are many, and not all of effects.
+
+    The others stand at a given x and move freely with these: information is what is left after they are taken out.
+    Positions in x are not those of the slots. Of effects beside the geometry none is among them, or those that move the
+    tip (`motion`).
+    """
+
+    whole: BoundProblem
+
+    def __init__(self, whole: BoundProblem, at: Array, *, motion: bool = False) -> None:
+        shared = np.arange(whole.unknowns) if whole.groups is None else whole.groups.shared
+        kept = {effect.key for effect in whole.problem.effects if effect.moves} if motion else set()
+        self._effects = np.array([bool(whole.beside[j]) and whole.beside[j] not in kept for j in shared], dtype=bool)
+        self._with_effects = shared
+        super().__init__(whole, np.isin(np.arange(whole.unknowns), shared[~self._effects]), at)
+        self.shared = self.free
+        self.problem, self.blocks, self.slots = whole.problem, whole.blocks, whole.slots
+
+    def __eq__(self, other: object) -> bool:
+        if self is other or not isinstance(other, Marginal):
+            return self is other
+        same = np.array_equal(self.free, other.free) and np.array_equal(self.held_at, other.held_at)
+        return same and self.whole == other.whole
+
+    def __hash__(self) -> int:
+        return hash((self.whole, self.names))
+
+    def jacobian(self, x: Array) -> Array:
+        """As many rows as are needed for its J'J: rows of samples mix where unknowns are taken out."""
+        return self.compact_jacobian(x)
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, s) with the J'J that is left of the shared unknowns."""
+        prior, full = self.whole.prior_information, self.expand(x)
+        if self.whole.groups is None:
+            rows = self.whole.compact_jacobian(full)
+        else:
+            parts = (taken_out(part.held(prior[part.members])).rows for part in self.whole.group_rows(full))
+            rows = triangle(parts, self._with_effects.size)
+        if not self._effects.any():
+            return rows
+        members, among = np.flatnonzero(self._effects), np.flatnonzero(~self._effects)
+        part = GroupRows(np.arange(len(rows)), members, among, rows[:, members], rows[:, among])
+        return triangle([taken_out(part.held(prior[self._with_effects[members]])).rows], among.size)
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Cost and gradient (s,) where the others stand, information (s, s) with them taken out."""
+        there, rows = self.whole.normal(self.expand(x), loss), self.compact_jacobian(x)
+        return Normal(there.cost, there.gradient[self.free], rows.T @ rows)
+
+    def parameters(self) -> Iterator[tuple[str, str, float, int | None]]:
+        """Every number of every parameter: name, unit, nominal, and its position in x (None when held)."""
+        places = {name: j for j, name in enumerate(self.names)}
+        return ((name, unit, nominal, places.get(name)) for name, unit, nominal, _ in self.whole.parameters())
+
+    def tips(self, x: Array, joints: Array, instrument: int = 0) -> Array:
+        """Tips (N, 3; mm) at joint values (N, n; rad, mm) and reading zero."""
+        return self.whole.tips(self.expand(x), joints, instrument)
+
+    def tip_jacobian(self, x: Array, joints: Array, instrument: int = 0, *, usual: bool = True) -> Array:
+        """Derivative (3 N, s) of those tips by x, in units of mm per unit of x; `usual` as for `Block.posture`."""
+        return self.whole.tip_jacobian(self.expand(x), joints, instrument, self.free, usual=usual)
+
+
+Seen: TypeAlias = BoundProblem | Marginal
+"""What figures of the arm are worked out from."""
+
+
+def seen(bound: BoundProblem, x: Array, *, motion: bool = False) -> tuple[Seen, Array]:
+    """What figures of the arm need at x (n,), and the part of x that it has: all, where that is all there is."""
+    if bound.groups is None and not any(bound.beside):
+        return bound, x
+    found = Marginal(bound, x, motion=motion)
+    return found, x[found.free]
+
+
+def moving(bound: BoundProblem, x: Array) -> tuple[Seen, Array]:
+    """All that moves the tip at x (n,), geometry and effects beside it, and the part of x that it has."""
+    return seen(bound, x, motion=True)
+
+
+def bind_further(bound: BoundProblem, *samples: Samples) -> BoundProblem:
+    """Bind the same unknowns to other rows, and after them those of labels that are new; one set per instrument.
+
+    Raises ProblemError as `bind` does.
+    """
+    seen = {slot.name: slot.nominal for slot in bound.slots}
+    slots = list(bound.slots)
+    for slot in make_slots(bound.problem, samples, seen):
+        if slot.name not in seen:
+            slots.append(replace(slot, first=slots[-1].first + slots[-1].unknown.size))
+    if len(slots) == len(seen):
+        return bound.on(*samples)
+    return BoundProblem(bound.problem, slots, samples, bound.backend, scale=bound.scale, surveys=bound.surveys)
+
+
+def extended(further: BoundProblem, x: Array) -> Array:
+    """All unknowns (n + k,) of such rows at x (n,): those of new labels are fitted to their rows, nothing else is."""
+    new = np.arange(further.unknowns) >= x.size
+    if not new.any():
+        return x
+    part = Restricted(further, new, np.concatenate([x, np.zeros(int(new.sum()))]))
+    return np.asarray(part.expand(lm(part).x))

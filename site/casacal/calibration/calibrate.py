@@ -1,0 +1,211 @@
+"""The main job: fit, hold out, compare with before, and cross-check with the reference."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.marginal import bind_further
+from casacal.calibration.calibrated import Calibrated
+from casacal.calibration.given import RANDOM, Method, Progress, Reference, chosen, estimate, problem_from, samples_from
+from casacal.calibration.motion import tried_corrections
+from casacal.checks import Finding
+from casacal.checks.check import labels_alike
+from casacal.checks.set_aside import gross
+from casacal.errors import CasacalError, ProblemError, SamplesError, came
+from casacal.estimators import lm, nlpsol, plane_only
+from casacal.estimators.ipopt import check_solver
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.holdout import split_each
+from casacal.samples.measurements import Measurements
+from casacal.samples.repeats import without_copies
+from casacal.samples.samples import Samples
+from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.noise import found_noise
+
+_LOG = logging.getLogger("casacal")
+
+
+def calibrate(
+    problem: Problem | ProblemFile | str | Path,
+    samples: Samples | Mapping[str, Any] | str | Path | Any = None,
+    *,
+    method: str | Method | None = None,
+    holdout: float = 0.0,
+    holdout_by: str = "rows",
+    seed: int = 0,
+    reference: bool | str = True,
+    noise: Literal["found", "stated"] = "found",
+    outliers: Literal["set aside", "keep"] = "set aside",
+    discrepancy: Literal["kit", "none"] = "kit",
+    loss: Loss | None = None,
+    backend: str | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Calibrated:
+    """Fit the unknowns of a problem to its samples.
+
+    Args:
+        problem: robot and instruments: a `Problem`, what `load_problem` returns, or the path of a problem.
+        samples: rows of the instrument: `Samples`, a file, a pandas DataFrame, or arrays by column; by default the
+            samples.csv beside a problem file. Of several instruments these by name, such as {"dial": "a.csv",
+            "tracker": "b.csv"}; by default samples-dial.csv and so on.
+        method: a name of `METHODS`, or a function of the least-squares problem that returns a `Result`, or x (n,); by
+            default "sckf-lm", and "lm" with a loss.
+        holdout: fraction of the rows (0 to below 1) that is not fitted but judged.
+        holdout_by: what is held out together: "rows" of each face one by one, "region" (on each face the nearest
+            postures to one), "face" (whole faces, whose places are then fitted to their own rows), or a column of the
+            samples, such as one of sessions: all rows of some of its values.
+        seed: of the choice of those rows, and of methods that draw random numbers.
+        reference: whether an independent solver checks the minimum, or which of CasADi's nlpsol plug-ins does, such as
+            "fatrop"; by default "ipopt". It minimises the same cost, with the loss where there is one.
+        noise: "found" takes what was stated for the least and what the rows show on top of it into every weight and
+            interval; "stated" trusts what was stated.
+        outliers: "set aside" fits without the rows that chance does not explain, where they are few, and names them;
+            "keep" fits all. With a robust loss all are kept. Copies of a row always count once.
+        discrepancy: "kit" takes into account what arm and cell do beside their geometry: the problem's own effects, or
+            those to expect of any arm; "none" takes geometry for all there is, as a robust loss, methods that search
+            a box, and thousands of faces do.
+        loss: a robust loss, such as `huber()`, for methods that minimise: all but filters and "plane-only".
+        backend, threads: what evaluates the rows, as for `bind`.
+        progress: called with (step, cost) now and then.
+
+    Returns:
+        The calibration as a value: estimate `x` (n,) in mm and rad, figures in mm, tables, pictures, predictions,
+        files.
+
+    Raises CasacalError for what is none of these, UnknownNameError for the method, SamplesError when samples do not fit
+    the problem or too few remain, ProblemError as `bind` does.
+
+    """
+    source = problem_from(problem)
+    rows = samples_from(samples, source)
+    run, name = chosen(method, loss)
+    _check_word(noise, "as the noise", "found", "stated")
+    _check_word(outliers, "for the outliers", "set aside", "keep")
+    _check_word(discrepancy, "for the discrepancy", "kit", "none")
+    solver = _reference(reference)
+    began = time.perf_counter()
+    single = Measurements.of(rows).map(without_copies)
+    groups = [instrument.groups for instrument in source.problem.instruments]
+    fitted, held = split_each(single, holdout, seed, holdout_by, groups)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a status says what is not finite
+        chosen_rows = single.take(fitted) if held.size else single
+        how = _Bound(source.problem, noise == "found", outliers == "set aside", loss, backend, threads)
+        bare, aside = how.geometry(chosen_rows)
+        fit = bare
+        if discrepancy == "kit" and loss is None and name not in (*RANDOM, "plane-only"):
+            fit = with_effects(bare, source.problem, find_noise=how.found)
+            if how.aside and fit is not bare:
+                fit, bare, aside = how.second_look(fit, bare, aside, chosen_rows)
+        heldout = bind_further(fit, *single.take(held).sets) if held.size else None
+        built = time.perf_counter()
+        _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)
+        result = estimate(run, name, fit, seed, loss, progress)
+        solved = time.perf_counter()
+        _LOG.info("%s: %s Cost %.10g after %d steps", name, result.message, result.cost, result.steps)
+        before, tried = plane_only(fit), tried_corrections(fit, result)
+        checked = _check(fit, name, result, solver) if solver else None
+    seconds = {"build": built - began, "solve": solved - built, "total": time.perf_counter() - began}
+    return Calibrated(
+        name, seed, rows, fit, heldout, result, before, checked, seconds, source, aside, holdout_by, tried, bare
+    )
+
+
+def _check_word(given: str, what: str, one: str, other: str) -> None:
+    if given not in (one, other):
+        raise CasacalError(f"Got {came(given)} {what}", f"Give '{one}' or '{other}'")
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """How rows are bound: with noise as found or as stated, without the rows that are gross or with all."""
+
+    problem: Problem
+    found: bool
+    aside: bool
+    loss: Loss | None
+    backend: str | None
+    threads: int | None
+
+    def geometry(self, rows: Measurements) -> tuple[BoundProblem, tuple[Finding, ...]]:
+        """The rows under the geometry alone, and what is wrong with those that were set aside."""
+        try:
+            bare = bind(self.problem.without_effects, *rows.sets, backend=self.backend, threads=self.threads)
+        except CasacalError as error:
+            for slip in labels_alike(self.problem, rows)[:1]:
+                raise ProblemError(f"{error.what}; {slip.cause}", f"{slip.fix}. {error.fix}") from None
+            raise
+        aside: tuple[Finding, ...] = ()
+        _refuse_too_few(bare)
+        if self.aside and self.loss is None:
+            bad, aside = gross(bare)
+            if bad.any():
+                kept = rows.take(np.flatnonzero(~bad))
+                bare = bind(bare.problem, *kept.sets, backend=self.backend, threads=self.threads)
+        return self._settled(bare), aside
+
+    def second_look(
+        self, fit: BoundProblem, bare: BoundProblem, aside: tuple[Finding, ...], rows: Measurements
+    ) -> tuple[BoundProblem, BoundProblem, tuple[Finding, ...]]:
+        """The same with other rows set aside, where those look gross once effects and noise are known.
+
+        Geometry alone takes smooth errors for noise, in which single rows hide, and calls rows gross that err together.
+        """
+        try:
+            whole = _same(rows, fit.measured)
+            bad, found = gross(fit if whole else fit.on(*rows.sets), drawn=bare if whole else bare.on(*rows.sets))
+        except ProblemError:  # a face all of whose rows were set aside
+            return fit, bare, aside
+        kept = rows.take(np.flatnonzero(~bad)) if bad.any() else rows
+        if _same(kept, bare.measured):
+            return fit, bare, aside
+        bare = self._settled(bind(bare.problem, *kept.sets, backend=bare.backend, threads=self.threads))
+        return with_effects(bare, self.problem, find_noise=self.found), bare, found
+
+    def _settled(self, bare: BoundProblem) -> BoundProblem:
+        scale = found_noise(bare, self.loss).scale if self.found else {}
+        return bare.with_noise(scale) if scale else bare
+
+
+def _same(one: Measurements, two: Measurements) -> bool:
+    """Whether these are the same rows."""
+    return all(a.lines == b.lines for a, b in zip(one.sets, two.sets, strict=True))
+
+
+def _refuse_too_few(fit: BoundProblem) -> None:
+    """Raise SamplesError where there are fewer rows than unknowns."""
+    if fit.rows >= fit.unknowns:
+        return
+    samples = fit.measured
+    least = -(-fit.unknowns * len(samples) // fit.rows)
+    fix = f"Take at least {least} samples, better twice as many, hold fewer out, or hold parameters with --fix"
+    raise SamplesError(samples.file, f"{fit.rows} rows are fitted for {fit.unknowns} unknowns", fix)
+
+
+def _reference(given: bool | str) -> str:
+    """The plug-in that is to check the minimum; empty where none is."""
+    if given is False:
+        return ""
+    solver = "ipopt" if given is True else given
+    check_solver(solver)
+    return solver
+
+
+def _check(fit: BoundProblem, method: str, result: Result, solver: str) -> Reference:
+    """Solve again by other means, with the same loss: an nlpsol plug-in or, when that is the method, LM."""
+    solver, loss = "lm" if method == solver else solver, result.loss
+    other = lm(fit, loss=loss) if solver == "lm" else nlpsol(fit, solver=solver, loss=loss)
+    own = other.trace.get("cost", np.zeros(0))
+    cost = float(own[-1]) if own.size else other.cost
+    return Reference(solver, other, cost, (result.cost - cost) / max(cost, 1e-300))

@@ -1,0 +1,216 @@
+"""A calibration as one wants it at a prompt: figures as attributes, tables as frames, pictures on axes."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import Motion
+from casacal.calibration.pictures import plot_convergence, plot_residuals, plot_tip_std
+from casacal.calibration.result_json import calibration_document, write_calibration
+from casacal.calibration.result_parts import parameter_rows, without_motion, without_predictions, without_tips
+from casacal.calibration.saved import AsArm, parameter_table
+from casacal.calibration.sensitivity import Sensitivity
+from casacal.calibration.summary import summary
+from casacal.calibration.verdict import verdict_of
+from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError
+from casacal.files import jsonable, write_text
+from casacal.planning.cures import Cure
+from casacal.uncertainty.expectation import Box
+from casacal.uncertainty.identifiability import Identifiability
+from casacal.uncertainty.prior_moves import PriorMoves
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.transfer import LeftOut
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def _governed(left: Callable[[Any], Any]) -> Any:
+    """A figure of `unjudged` that the verdict governs: where it denies the result, what is `left` of the figure."""
+
+    class Governed:
+        def __set_name__(self, _: type, name: str) -> None:
+            self.name = name
+
+        def __get__(self, made: Calibrated | None, _: type) -> Any:
+            if made is None:
+                return self
+            found = getattr(made.unjudged, self.name)
+            return left(found) if made.denied else found
+
+    return Governed()
+
+
+class Calibrated(Calibration, AsArm):
+    """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures.
+
+    Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`
+    is the estimator's own, and no verdict governs it; `unjudged` has the figures all the same.
+    """
+
+    @cached_property
+    def unjudged(self) -> Calibration:
+        """The same calibration with its figures whatever the verdict: what the verdict itself is made of."""
+        bare = Calibration(**{field.name: getattr(self, field.name) for field in fields(Calibration)})
+        vars(bare).update(vars(self))  # what was worked out already goes with it
+        return bare
+
+    @cached_property
+    def denied(self) -> bool:
+        """Whether the verdict is not to use this result; it may take the whole data check to know."""
+        return verdict_of(self).level == "do not use"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the method converged, the reference agrees where there must be a minimum, and nothing denies it."""
+        return self.unjudged.passed and not self.denied
+
+    tip_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
+    flange_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """The same of the flange's origin, whatever tool it carries."""
+    tip_std_without_prior: tuple[float, int] = _governed(lambda found: (math.nan, found[1]))
+    """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
+    tip_from_minimum: float = _governed(lambda _: math.nan)
+    """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
+    covariance: Array = _governed(lambda known: np.full_like(known, math.nan))
+    """Covariance (s, s) of the unknowns of `seen`, mm and rad."""
+    motion: Motion = _governed(lambda known: replace(known, covariance=np.full_like(known.covariance, math.nan)))
+    """All that moves the tip, and its covariance."""
+    cures: tuple[Cure, ...] = _governed(lambda _: ())
+    """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
+    advice: tuple[str, ...] = _governed(lambda words: words)
+    """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
+    prior_moves: PriorMoves = _governed(lambda found: found)
+    """How far arm and tool moved beyond what their priors allow, all together."""
+    identifiability: Identifiability = _governed(without_tips)
+    """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
+    left_out: tuple[LeftOut, ...] = _governed(without_predictions)
+    """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
+    sensitivity: Sensitivity = _governed(Sensitivity.without_tips)
+    """How the estimate follows readings and priors; what they do to the tip is NaN where the verdict denies figures."""
+    score_tests: tuple[ScoreTest, ...] = _governed(without_motion)
+    """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
+
+    @property
+    def x(self) -> Array:
+        """Estimate (n,) of `fit.names`, deviations from nominal, mm and rad; `predict` uses `used_x`."""
+        return self.result.x
+
+    @property
+    def cost(self) -> float:
+        """The objective at x: half the sum of squares of whitened residuals and of the prior's."""
+        return self.result.cost
+
+    @property
+    def success(self) -> bool:
+        """Whether the method did all it promises, the reference agrees, and the verdict is not "do not use"."""
+        return self.passed
+
+    @property
+    def message(self) -> str:
+        """The verdict, unless it is simply "calibrated", and how the method ended: sentences that say what to do."""
+        said = verdict_of(self)
+        return self.result.message if said.level == "calibrated" else f"{said.words} {self.result.message}"
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of all residuals."""
+        return self.result.nfev
+
+    @property
+    def njev(self) -> int:
+        """Evaluations of the whole Jacobian."""
+        return self.result.njev
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """One row per number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
+
+        Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
+        """
+        return parameter_table(parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied))
+
+    @cached_property
+    def arm(self) -> CalibratedArm:
+        """The calibrated arm: the problem, and all that result.json holds."""
+        return CalibratedArm("this calibration", self.source, jsonable(calibration_document(self)))
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
+
+        `casacal.load(folder)` reads it back, here or elsewhere.
+
+        Returns:
+            The paths of the files that were written.
+
+        """
+        return write_calibration(self, Path(folder))
+
+    def report(self, path: str | Path, *, box: Box | None = None) -> Path:
+        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
+
+        Returns:
+            The path of the page.
+
+        """
+        from casacal.calibration.page import report_page
+
+        write_text(path, report_page(self.unjudged, calibration_document(self), box=box))
+        return Path(path)
+
+    def summary(self) -> str:
+        """What `casacal calibrate --verbose` prints: verdict, residuals, accuracy, parameters, blind spots."""
+        return summary(self, self.source.name)
+
+    def plot_residuals(self, ax: Any = None) -> Any:
+        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
+
+        Returns:
+            The axes.
+
+        """
+        return self._drawn(plot_residuals, ax, (10.0, 4.0))
+
+    def plot_convergence(self, ax: Any = None) -> Any:
+        """Draw the objective step by step; axes as for `plot_residuals`."""
+        return self._drawn(plot_convergence, ax, (6.0, 4.0))
+
+    def plot_tip_std(self, ax: Any = None) -> Any:
+        """Draw how uncertain the tip is over the workspace; axes as for `plot_residuals`.
+
+        Raises CasacalError where the verdict is not to use this result.
+        """
+        if self.denied:
+            what = f"{verdict_of(self).words.removesuffix('.')}; so nothing is known of how uncertain the tip is"
+            raise CasacalError(what, "Mend what the verdict names, and calibrate again")
+        return self._drawn(plot_tip_std, ax, (6.0, 5.0))
+
+    def __repr__(self) -> str:
+        (before, now), level = self.tip_std, verdict_of(self).level
+        shown = "" if self.denied else f"expected tip error {before:.3g} to {now:.3g} mm RMS, "
+        name = self.fit.problem.robot.name
+        return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
+
+    def _repr_html_(self) -> str:
+        table = self.parameters.drop(columns="note").to_html(float_format=lambda value: f"{value:.5g}")
+        return f"<p>{html.escape(repr(self).strip('<>'))}. {html.escape(self.message)}</p>{table}"
+
+    def _drawn(self, draw: Any, ax: Any, size: tuple[float, float]) -> Any:
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            _, ax = plt.subplots(figsize=size, layout="constrained")
+        draw(self, ax)
+        return ax

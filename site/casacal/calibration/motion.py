@@ -1,0 +1,232 @@
+"""All that moves the tip: the geometry, and effects beside it, corrected where that helps or only counted as errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Marginal, Seen, moving
+from casacal.discrepancy.effect import Site
+from casacal.estimators import lm
+from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.result import Result
+from casacal.uncertainty.discrepancy import at_most
+from casacal.uncertainty.expectation import expected_accuracy
+from casacal.uncertainty.transfer import MOST_ROWS, gains, in_sample_gains
+from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joints
+from casacal.values import FrozenMapping, Value
+from casacal.wording import listed
+
+SMALLEST = 1e-3
+"""Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The tip of a fitted arm as it is used, and what is known of it.
+
+    arm: with s unknowns. x: those of the arm as used (s,). off: by how much the estimate is elsewhere (s,), which is an
+    error of the tip; None where it is nowhere else. covariance: of the estimate (s, s).
+    """
+
+    arm: Seen
+    x: Array
+    off: Array | None
+    covariance: Array
+
+    @staticmethod
+    def of(fit: BoundProblem, result: Result, used: Array, *, sure: Array | None = None) -> Motion:
+        """Of a fit, and of the arm as used (n,); `sure` is what it would be without corrections that are in doubt.
+
+        These are counted as errors by all that they do.
+        """
+        arm, estimate = moving(fit, result.x)
+        x, less = (
+            each[arm.shared] if isinstance(arm, Marginal) else each for each in (used, used if sure is None else sure)
+        )
+        off = estimate - less
+        return Motion(arm, x, off if off.any() else None, among(result, arm))
+
+
+def used_arm(fit: BoundProblem, result: Result, corrected: Collection[str]) -> Array:
+    """Unknowns (n,) of the arm as it is used: effects that are not corrected at zero, geometry in their place.
+
+    What an effect does to the tip over the workspace is expected of the arm as much as anything else. Where nobody
+    corrects it, parameters take over what they can mimic of it, in the least squares of the tip; faces follow. Rows
+    that saw the tip itself count as much as the workspace: they are where the arm works.
+    """
+    left = np.array([bool(key) and key not in corrected for key in fit.beside], dtype=bool)
+    if not left.any():
+        return result.x
+    arm, x = moving(fit, result.x)
+    assert isinstance(arm, Marginal)
+    field = np.vstack([_over_workspace(fit, arm, x), _where_seen(fit, result.x)[:, arm.shared]])
+    geometry = ~np.array([bool(key) for key in besides(arm)], dtype=bool) & ~arm.datum
+    lost = field[:, left[arm.shared]] @ x[left[arm.shared]]
+    moves = np.linalg.lstsq(field[:, geometry] * arm.start_std[geometry], lost, rcond=SMALLEST)[0]
+    used = np.where(left, 0.0, result.x)
+    used[arm.shared[geometry]] += moves * arm.start_std[geometry]
+    faces = Restricted(fit, fit.datum, used)
+    return np.asarray(faces.expand(lm(faces, start=used[fit.datum]).x))
+
+
+def doubtful(fit: BoundProblem, corrected: Collection[str]) -> set[str]:
+    """Corrected effects of the largest size that is believed: something else may stand behind them.
+
+    None where rows see the tip itself, which such a correction brings nearer whatever it is.
+    """
+    return set() if sees_the_tip(fit) else {effect.key for effect in at_most(fit)} & set(corrected)
+
+
+def sees_the_tip(fit: BoundProblem) -> bool:
+    """Whether every row says where the tip itself is, all three axes."""
+    return all(instrument.words.accuracy for instrument in fit.problem.instruments)
+
+
+def _over_workspace(fit: BoundProblem, arm: Marginal, x: Array) -> Array:
+    """Moves of the tip (3 M, s) by each unknown, apart from the position of the base; squares add up to the mean's.
+
+    Where nobody knows the columns that rows tell: what an effect does of them there, no geometry can stand for.
+    """
+    joints, everything = workspace_joints(fit.problem.robot), arm.expand(x)
+    tips = fit.blocks[0].posture("tip", everything, joints, usual=False)[0]
+    field = without_rigid(fit.tip_jacobian(everything, joints, 0, arm.free, usual=False), np.asarray(tips))
+    return np.asarray(field / math.sqrt(len(joints)))
+
+
+def _where_seen(fit: BoundProblem, x: Array) -> Array:
+    """The same (k, n) at the rows, apart from where stations and the like stand; none where they see no tip."""
+    if not sees_the_tip(fit):
+        return np.zeros((0, fit.unknowns))
+    some = fit.thinned(MOST_ROWS)
+    slopes = some.jacobian(x) * float(np.median(some.noise[some.leading]))
+    stands = slopes[:, fit.datum]
+    slopes -= stands @ np.linalg.lstsq(stands, slopes, rcond=None)[0]
+    return np.asarray(slopes / math.sqrt(len(some.measured)))
+
+
+def besides(arm: Seen) -> tuple[str, ...]:
+    """For each unknown the effect that it belongs to, empty for those of the geometry."""
+    return tuple(arm.whole.beside[j] for j in arm.shared) if isinstance(arm, Marginal) else arm.beside
+
+
+def among(result: Result, arm: Seen) -> Array:
+    """Covariance (s, s) of some unknowns of a fit."""
+    found = result.spread[0]
+    if isinstance(arm, Marginal) and len(found) == result.problem.unknowns:
+        return np.asarray(found[np.ix_(arm.shared, arm.shared)])
+    return found
+
+
+def tip_extremes(motion: Motion, workspace: tuple[Array, Array, Array]) -> tuple[float, float]:
+    """Largest move of the tip from nominal, and its largest predicted standard deviation, over the workspace, mm.
+
+    Both apart from the position of the base; the three axes together. Of joint values, tips and slopes there.
+    """
+    joints, tips, slopes = workspace
+    moved = without_rigid((tips - motion.arm.tips(motion.arm.x0, joints)).ravel(), tips).reshape(-1, 3)
+    stds = tip_stds(motion.covariance, without_rigid(slopes, tips), motion.off)
+    return float(np.linalg.norm(moved, axis=1).max()), float(np.linalg.norm(stds, axis=1).max())
+
+
+VERY_STRONG = 5.0
+"""Logarithm of a ratio of densities from which evidence is called very strong (Kass and Raftery, Journal of the
+American Statistical Association 90, 1995, section 3.2: 2 ln B above 10)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried(Value):
+    """An effect that could be corrected, and what became of it.
+
+    evidence: by how much the logarithm of the rows' likelihood is larger with it. unseen: the same of rows that were
+    left out, by what was left out together; empty where the first was too little to ask. helps: whether the tip error
+    to expect is smaller with it; None where that was not asked. further: columns of a file that tell it.
+    """
+
+    key: str
+    words: str
+    evidence: float
+    unseen: Mapping[str, float]
+    helps: bool | None
+    further: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unseen", FrozenMapping(self.unseen))
+
+    @property
+    def corrected(self) -> bool:
+        """Whether `predict` and all that follows it make up for it whatever their rows hold."""
+        return bool(self.helps) and not self.further
+
+    @property
+    def told(self) -> bool:
+        """Whether they do so where their rows have the columns that tell it."""
+        return bool(self.helps) and bool(self.further)
+
+    @property
+    def became(self) -> str:
+        """What became of an effect that the rows speak for, and why, as a clause."""
+        splits = ", ".join(f"{name} {gain:+.1f}" for name, gain in self.unseen.items())
+        became = "corrected" if self.corrected else "not corrected"
+        if self.told:
+            became = f"corrected where rows have {listed(self.further)}"
+        least = f"at least {VERY_STRONG:+g} each required"
+        told = f"{self.words}, {became}: log likelihood of held-out rows {splits} ({least})"
+        return told if self.helps or self.helps is None else f"{told}, but no gain at the tip"
+
+
+def tried_corrections(fit: BoundProblem, result: Result) -> tuple[Tried, ...]:
+    """Every effect of a fit that moves the tip alike whenever it comes to a posture, the most telling first.
+
+    After them those that columns of the rows tell, on top of what is corrected: they can be where rows have these.
+
+    One is corrected where all splits of the rows, by faces, regions of postures and further columns, say with very
+    strong evidence that it tells of rows it has not seen, and where the tip is then expected to be nearer. Corrections
+    that stand already count. A gear that would have to be broken to be so bad is none: something else errs. Where rows
+    see the tip itself, what tells of unseen ones corrects it, whatever it is.
+    """
+    sites = [Site(fit.problem.robot, instrument) for instrument in fit.problem.instruments]
+    known = {
+        effect.key: effect
+        for effect in fit.problem.effects
+        if effect.moves
+        and effect.key in fit.beside
+        and (effect.further or not any(effect.columns(site) for site in sites))
+    }
+    if not known or not result.converged:
+        return ()
+    told = in_sample_gains(fit, result.x, known)
+    likely = [key for key in known if told[key] > VERY_STRONG]
+    unseen = gains(fit, result.x, likely) if likely else {}
+    doubted = () if not likely or sees_the_tip(fit) else at_most(fit)
+    doubtful = {effect.key for effect in doubted if not effect.elastic}
+    stands: list[str] = []
+    found = []
+    for key in sorted(known, key=lambda key: (bool(known[key].further), -told[key])):
+        elsewhere = unseen.get(key, {})
+        wins = bool(elsewhere) and min(elsewhere.values()) > VERY_STRONG and key not in doubtful
+        error = whole_tip_error if known[key].further else tip_error
+        helps = error(fit, result, [*stands, key]) < error(fit, result, stands) if wins else None
+        stands += [key] if helps else []
+        found.append(Tried(key, known[key].words, told[key], elsewhere, helps, known[key].further))
+    return tuple(found)
+
+
+def tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+    """Tip error (mm RMS) to expect over the workspace where these effects are corrected.
+
+    Apart from what effects do of columns that rows tell, which is no matter of postures.
+    """
+    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
+    return expected_accuracy(motion.arm, motion.x, motion.off, usual=False)[1]
+
+
+def whole_tip_error(fit: BoundProblem, result: Result, corrected: Collection[str]) -> float:
+    """The same with all that effects do where such columns are as large as in the fitted rows."""
+    motion = Motion.of(fit, result, used_arm(fit, result, corrected))
+    return expected_accuracy(motion.arm, motion.x, motion.off)[1]

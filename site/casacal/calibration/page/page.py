@@ -1,0 +1,146 @@
+"""The report of a calibration: what its template shows, section by section."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from markupsafe import Markup
+
+from casacal.calibration import tables
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.motion import VERY_STRONG
+from casacal.calibration.page.expected import expected_error
+from casacal.calibration.page.measured import measured, worst_rows
+from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
+from casacal.calibration.page.touches import Touches
+from casacal.calibration.verdict import Level
+from casacal.pages.render import count, fixed, left_out_rows, mm, rendered
+from casacal.uncertainty.expectation import Box
+from casacal.uncertainty.identifiability import KNOWN_FROM
+from casacal.wording import capital, numbered_lines, sized
+
+LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
+"""How the page paints each level."""
+
+LINES = 60  # line numbers that are named
+
+
+def report_page(
+    calibration: Calibration, document: Mapping[str, Any], *, command: str | None = None, box: Box | None = None
+) -> str:
+    """HTML of the report: one page that needs no other file, no network and no script.
+
+    document: its result.json, whose numbers the page shows (`calibration_document`). command: the command line that
+    reproduces it, as typed, if there was one. box: where the arm will work, mm in the base frame.
+    """
+    each, problem, data = Touches.of_each(calibration), calibration.fit.problem, document["data"]
+    denied = document["verdict"]["level"] == "do not use"
+    aside = left_out_rows(data)
+    parameters, held = tables.parameters(calibration, denied=denied)
+    costly, harmless = tables.directions(calibration, denied=denied)
+    context = {
+        "title": f"Calibration of {problem.robot.name} ({document['problem']['name']})",
+        "document": document,
+        "robot": problem.robot.name,
+        "said": problem.words,
+        "assumed": calibration.assumed,
+        "noise_of": calibration.noise_words,
+        "loss": calibration.result.loss,
+        "reference": calibration.reference,
+        "command": command,
+        "code": lambda value: Markup("<code>{}</code>").format(value),
+        "numbered": lambda lines: numbered_lines(lines, LINES),
+        "counts": [f"{data['fitted']:,} fitted", f"{data['heldout']:,} held out", *aside],
+        "unknowns": f"{calibration.fit.unknowns:,}",
+        "look": LOOKS[document["verdict"]["level"]],
+        "figures": _figures(calibration, document),
+        "aside": aside,
+        "together": "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}",
+        "measured": [measured(touches, document) for touches in each],
+        "residuals": tables.residuals(calibration),
+        "left_out": tables.left_out(calibration, denied=denied),
+        "noise": document["noise"],
+        "noise_words": _noise(calibration, document["noise"]),
+        "pictures": [
+            {"name": t.name, "histograms": histograms(t), "rows": row_plots(t), "faces": face_maps(t)} for t in each
+        ],
+        "expected": None if denied else expected_error(each, document, box),
+        "parameters": parameters if denied else replace(parameters, rows=[_marked(row) for row in parameters.rows]),
+        "held": held,
+        "correlations": None if denied else tables.correlations(calibration),
+        "cures": None if denied else tables.next_steps(calibration),
+        "directions": costly,
+        "harmless": harmless,
+        "effects": tables.effects(calibration, denied=denied),
+        "tried": _tried(document["discrepancy"]),
+        "very_strong": f"{VERY_STRONG:g}",
+        "worst": worst_rows(each),
+        "lines_aside": calibration.aside_lines,
+        "versions": ", ".join(f"{name} {version}" for name, version in document["versions"].items()),
+        "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items()),
+    }
+    return rendered("report.html", context)
+
+
+def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What stands in the boxes under the verdict: title, value, words."""
+    before, after, tip = document["metrics"]["before"], document["metrics"]["after"], document["tip"]
+    part, where = ("fit", "fitted rows") if after["heldout"] is None else ("heldout", "held-out rows")
+    free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
+    known = sum(row["identifiable"] == "data" for row in free)
+    found, reference = document["identifiability"], calibration.reference
+    expected = ("Expected tip error", "not stated", "the result must not be used")
+    if document["verdict"]["level"] != "do not use":
+        words = f"RMS over the workspace, apart from the position of the base; before {mm(tip['prior_rms_mm'])}"
+        expected = ("Expected tip error", mm(tip["expected_rms_mm"]), words)
+    residual = f"RMS of the {where}; before {mm(before[part]['rmse_mm'], 4)}"
+    agreement, checked = "not run", "nothing checked"
+    if reference is not None:
+        checked, agreement = "on", f"{reference.solver.upper()} {'agrees' if reference.agrees else 'differs'}"
+    minimum = f"{checked} the minimum; rank {found['rank']} of {count(found['unknowns'], 'unknown')}"
+    return [
+        expected,
+        ("Residual: not accuracy", mm(after[part]["rmse_mm"], 4), residual),
+        ("Known from samples", f"{known} of {len(free)}", "parameters; the others depend on the prior"),
+        ("Second solver", agreement, minimum),
+    ]
+
+
+def _marked(row: Sequence[str]) -> list[str]:
+    """A parameter's row with the mark of who determined it."""
+    key = next(key for key, words in KNOWN_FROM.items() if words == row[-1])
+    return [*row[:-1], Markup('<span class="known {}">{}</span>').format(key, row[-1])]
+
+
+def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
+    faces = [face for face in noise["by_face"].values() if "unit" not in face]
+    if not calibration.noise.scale or not faces:
+        return "Every figure uses the noise as stated."
+    used, stated = (
+        " to ".join(dict.fromkeys(fixed(edge([face[key] for face in faces])) for edge in (min, max)))
+        for key in ("used_mm", "stated_mm")
+    )
+    joints = noise["joints_rad"]
+    more = f" The pattern fits a joint repeatability of {sized(joints, 'rad')}." if joints else ""
+    return f"Every figure uses the noise as found: {used} mm, stated {stated} mm.{more}"
+
+
+def _tried(part: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Which effects could be corrected, and which are."""
+    tried = [] if part is None else part["tried"]
+    splits = list(dict.fromkeys(name for each in tried for name in each["unseen"]))
+    yes = {None: "–", True: "yes", False: "no"}
+    rows = [
+        [
+            capital(each["words"]),
+            "where rows have its columns" if each["further"] and each["helps"] else yes[each["corrected"]],
+            f"{each['evidence']:.1f}",
+            *(f"{each['unseen'][name]:.1f}" if name in each["unseen"] else "–" for name in splits),
+            yes[each["helps"]],
+        ]
+        for each in tried
+    ]
+    gains = [f"#Gain, {name} left out" for name in splits]
+    return {"columns": ["Effect", "Corrected", "#Gain, all rows", *gains, "Tip error smaller"], "rows": rows}

@@ -1,0 +1,205 @@
+"""Pictures of the residuals: histograms against the noise, row by row in file order, and over each face."""
+
+from __future__ import annotations
+
+import numpy as np
+from markupsafe import Markup
+
+from casacal.array_types import Array
+from casacal.calibration.page.touches import TITLES, Part, Places, Touches, When, spread, thinned
+from casacal.pages.drawing import Panel, Ticks, axes, bars, cells, dots, figure, line, nice_ceiling, picture, steps
+from casacal.pages.maps import Scale, Squares, in_squares
+from casacal.pages.render import shortened
+
+BINS = (15, 41)  # fewest and most bars, odd, so that one stands about zero
+BARS_REACH = 4.5  # robust standard deviations to which the axis goes
+NOISE_OF = 1500  # rows whose noise is looked at
+DRAWN = 1500  # points of one picture at most, but for the largest of each series
+LARGEST = 10  # rows of each series that thinning must not hide
+REACH = 8.0
+"""Robust standard deviations beyond which a residual stands at the edge, so that it does not flatten all others."""
+NAMED = 6  # series with their names under the axis
+MOST_SERIES = 200  # series that are drawn; of more, some are, evenly spread
+LINED = 30  # series with lines between them
+MOST_POINTS = 150  # touches of a face beyond which means over small squares are drawn in place of points
+FACE_SQUARES = 14  # squares along the longer side of a face
+MOST_MAPS = 12
+
+
+def histograms(touches: Touches) -> Markup:
+    """Before and after, each on a scale of its own."""
+    held = (
+        " The orange outline is held-out rows, which the fit did not see; it should look like the bars."
+        if len(touches.parts) > 1
+        else ""
+    )
+    caption = (
+        "Histogram of the residuals, before (left or above) and after, each on its own scale; values beyond the axis "
+        f"stand in the outermost bars.{held} The dark line is what the {touches.calibration.noise_words} predicts; "
+        "fitted rows lie a little inside it."
+    )
+    return figure(caption, *(_histogram(touches, when) for when in TITLES))
+
+
+def _histogram(touches: Touches, when: When) -> Markup:
+    """Shares of fitted rows as bars, of held-out rows as an outline; after, what the noise predicts."""
+    found = [part.residuals(when).ravel() for part in touches.parts]
+    everything = np.concatenate(found)
+    half = nice_ceiling(min(float(np.abs(everything).max()), BARS_REACH * spread(everything)))
+    count = 2 * round(min(max(len(everything) ** (1 / 3), BINS[0] / 2), BINS[1] / 2) - 0.5) + 1
+    edges = np.linspace(-half, half, count + 1)
+    shares = [100 * np.histogram(np.clip(values, -half, half), edges)[0] / len(values) for values in found]
+    curve = _expected(touches, edges) if when == "after" else np.zeros(0)
+    top = 1.08 * max(float(np.concatenate([*shares, curve]).max()), 1.0)
+    panel = Panel((-half, half), (0.0, top))
+    beyond = int((np.abs(everything) > half).sum())
+    return picture(
+        touches.named(f"histogram-{when}"),
+        f"{TITLES[when]}: share of rows by residual",
+        f"Histogram of {len(everything):,} residuals from {-half:g} to {half:g} mm, {beyond:,} of them beyond; "
+        f"median size {np.median(np.abs(everything)):.4f} mm.",
+        panel.height,
+        axes(panel, "residual, mm", f"{TITLES[when]}: % of rows"),
+        bars(panel, edges, shares[0], f"bar {when}"),
+        steps(panel, edges, shares[1], "outline held") if len(shares) > 1 else None,
+        line(panel, (edges[:-1] + edges[1:]) / 2, curve, "expected") if len(curve) else None,
+    )
+
+
+def _expected(touches: Touches, edges: Array) -> Array:
+    """Shares (bins,) that the noise of the rows, as used, predicts, percent."""
+    from scipy.stats import norm
+
+    stds = np.concatenate([thinned(np.sort(part.noise.ravel()), NOISE_OF) for part in touches.parts])
+    return np.asarray(100 * np.diff(norm.cdf(edges[:, None] / stds).mean(axis=1)))
+
+
+def row_plots(touches: Touches) -> Markup:
+    """Before and after, each on a scale of its own."""
+    total = sum(part.after.size for part in touches.parts)
+    some = f" Some of {total:,} points are drawn: evenly spread ones and the largest." if total > DRAWN else ""
+    if len(touches.series) > MOST_SERIES:
+        some = f" Of {len(touches.series):,} series {MOST_SERIES} are drawn."
+    held = " Blue and grey dots are fitted rows, orange squares held-out ones." if len(touches.parts) > 1 else ""
+    group = touches.instrument.words.group
+    kind = group if touches.has_faces and len(touches.series) > 1 else "series"
+    caption = (
+        f"Residual of each row in file order, {kind} by {kind}, before and after on scales of their own: a slope is "
+        f"drift, a lone point an outlier. Large black dots at the edge lie beyond it.{held}{some}"
+    )
+    return figure(caption, *(_by_row(touches, when) for when in TITLES))
+
+
+def _by_row(touches: Touches, when: When) -> Markup:
+    count = len(touches.series)
+    everything = np.concatenate([part.residuals(when).ravel() for part in touches.parts])
+    largest = float(np.abs(everything).max())
+    top = nice_ceiling(min(largest, REACH * spread(everything)))
+    panel = Panel((0.0, float(count)), (-top, top))
+    drawn, beyond = [], []
+    for part in touches.parts:
+        x, y = _points(touches, part, when)
+        inside = np.abs(y) <= top
+        drawn.append(dots(panel, x[inside], y[inside], "dot held" if part.held else f"dot {when}"))
+        beyond.append(dots(panel, x[~inside], top * np.sign(y[~inside]), "dot beyond"))
+    order = "rows in file order" if touches.has_faces else "rows in file order, coordinate by coordinate"
+    between = range(1, count) if count <= LINED else ()
+    return picture(
+        touches.named(f"rows-{when}"),
+        f"{TITLES[when]}: residual of each row",
+        f"Residuals row by row in file order for {count} series; the largest is {largest:.4f} mm.",
+        panel.height,
+        axes(panel, order, f"{TITLES[when]}: residual, mm", x_ticks=_names(touches)),
+        *(line(panel, np.array([k, k], float), np.array([-top, top]), "grid") for k in between),
+        line(panel, np.array([0.0, count]), np.zeros(2), "zero"),
+        *drawn,
+        *beyond,
+    )
+
+
+def _points(touches: Touches, part: Part, when: When) -> tuple[Array, Array]:
+    """Places along the axis, one unit per series, and residuals of the rows that are drawn."""
+    count, values = len(touches.series), part.residuals(when)
+    most = max(DRAWN // (count * len(touches.parts)), 2)
+    across, up = [np.zeros(0)], [np.zeros(0)]
+    for k in np.unique(np.linspace(0, count - 1, MOST_SERIES).astype(int)).tolist():
+        rows, component = touches.of_series(part, k)
+        if len(rows):
+            own = values[rows, component]
+            largest = np.argsort(-np.abs(own), kind="stable")[:LARGEST]
+            kept = np.union1d(thinned(np.arange(len(rows)), most), largest)
+            across.append(k + 0.06 + 0.88 * (kept + 0.5) / len(rows))
+            up.append(own[kept])
+    return np.concatenate(across), np.concatenate(up)
+
+
+def _names(touches: Touches) -> Ticks:
+    count = len(touches.series)
+    longest = max(3, 48 // count)
+    return [(k + 0.5, shortened(name, longest)) for k, name in enumerate(touches.series)] if count <= NAMED else []
+
+
+def face_maps(touches: Touches) -> Markup | None:
+    """One map per face, all on one scale; None where rows touch no face."""
+    if not touches.has_faces or touches.instrument.probe is None:
+        return None
+    found = [(label, touches.places(label)) for label in touches.faces[:MOST_MAPS]]
+    maps = [(label, places, _means(places)) for label, places in found if places is not None]
+    if not maps:
+        return None
+    scale = Scale.of_signs(np.concatenate([p.residuals if m is None else m.values for _, p, m in maps]))
+    pictures = [
+        _map(touches.named(f"face-{k}"), label, places, means, scale) for k, (label, places, means) in enumerate(maps)
+    ]
+    some, pointed = any(means for *_, means in maps), any(means is None for *_, means in maps)
+    words = ["Residual after the fit over each face; u and v are seen from the tool."]
+    if pointed and len(touches.parts) > 1:
+        words.append("Square points are held-out rows.")
+    if some:
+        words.append("Where touches are many, each square is their mean.")
+    words.append(
+        "Patches of one colour: a face that is not flat or moved, or an effect that the model does not describe."
+    )
+    if len(touches.faces) > len(maps):
+        words.append(f"{len(touches.faces) - len(maps)} more are not drawn.")
+    key = scale.key(touches.named("face-key"), "residual after, mm")
+    return figure(" ".join(words), *pictures, key=key)
+
+
+def _means(places: Places) -> Squares | None:
+    return in_squares(places.uv, places.residuals, FACE_SQUARES) if len(places.uv) > MOST_POINTS else None
+
+
+def _map(name: str, label: str, places: Places, means: Squares | None, scale: Scale) -> Markup:
+    low, high = places.uv.min(axis=0), places.uv.max(axis=0)
+    edge = 0.08 * float((high - low).max())
+    panel = Panel.square((low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge), tallest=250.0)
+    size = np.abs(places.residuals)
+    return picture(
+        name,
+        f"Residual over face {label}",
+        f"{len(size):,} touches; the largest residual is {size.max():.4f} mm.",
+        panel.height,
+        axes(
+            panel,
+            "u, mm (level)" if places.upright else "u, mm (along the base's x)",
+            f"{shortened(label, 28)}: v, mm" + (" (up)" if places.upright else ""),
+            upright=True,
+        ),
+        *(_touched(panel, places, scale) if means is None else _squares(panel, means, scale)),
+    )
+
+
+def _touched(panel: Panel, places: Places, scale: Scale) -> list[Markup | None]:
+    drawn = []
+    for colour, rows in scale.parts(places.residuals):
+        for held, look in ((False, "spot"), (True, "spot square")):
+            here = rows[places.held[rows] == held]
+            drawn.append(dots(panel, places.uv[here, 0], places.uv[here, 1], look, colour=colour))
+    return drawn
+
+
+def _squares(panel: Panel, means: Squares, scale: Scale) -> list[Markup | None]:
+    return [
+        cells(panel, means.x[rows], means.y[rows], means.side, colour) for colour, rows in scale.parts(means.values)
+    ]

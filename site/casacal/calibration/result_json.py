@@ -1,0 +1,206 @@
+"""result.json and its parts: what other tools read of a calibration or of a simulated truth."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.marginal import seen
+from casacal.calibration import result_parts as parts
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.told import told_part
+from casacal.calibration.verdict import verdict_of
+from casacal.calibration.warnings import warnings
+from casacal.compensation.result_file import sealed
+from casacal.errors import CasacalError
+from casacal.files import side_by_side, together, write_json, write_text
+from casacal.least_squares.result import Result, Status
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.measurements import Measurements
+from casacal.samples.repeats import listing
+from casacal.samples.write import write_samples
+from casacal.simulation.simulate import Simulation
+from casacal.uncertainty.expectation import Box
+from casacal.uncertainty.identifiability import correlated_pairs
+from casacal.version import __version__
+
+FILES = ("report.html", "result.json", "parameters.csv", "residuals.png", "convergence.png")
+"""What a calibration writes, most read first."""
+PLACED = (*(name for name in FILES if name != "result.json"), "result.json")
+"""The same in the order of their placing: where result.json stands, all stand."""
+
+
+def calibration_document(
+    calibration: Calibration, source: ProblemFile | None = None, *, folder: Path | None = None
+) -> dict[str, Any]:
+    """The whole of result.json for a calibration; paths are relative to the folder that it will stand in, if any."""
+    calibration = calibration.unjudged
+    result, fit = calibration.result, calibration.fit
+    verdict = verdict_of(calibration)
+    denied = verdict.level == "do not use"
+    pairs = [] if denied else correlated_pairs(calibration.covariance, calibration.seen.names)
+    left_out = parts.without_predictions(calibration.left_out) if denied else calibration.left_out
+    tests = parts.without_motion(calibration.score_tests) if denied else calibration.score_tests
+    document = {
+        **parts.head_of(source or calibration.source, result, calibration.seed, fit.backend, folder),
+        "verdict": asdict(verdict),
+        "data": {
+            "file": parts.seen_from(folder, calibration.samples.file),
+            "sha256": calibration.samples.sha256,
+            "samples": len(calibration.samples),
+            "heldout": 0 if calibration.heldout is None else len(calibration.heldout.measured),
+            "heldout_by": calibration.heldout_by,
+            "fitted": len(fit.measured),
+            **_fitted_rows(fit, Measurements.of(calibration.samples), folder),
+            "set_aside": len(calibration.aside_lines),
+            "copies": calibration.copies,
+        },
+        "cost": result.cost,
+        "parameters": parts.parameter_rows(fit, calibration.used_x, result.std, denied=denied),
+        **parts.geometry(fit, calibration.used_x),
+        "metrics": calibration.metrics,
+        **({"metrics_by_instrument": by} if (by := calibration.metrics_by_instrument) else {}),
+        "leave_one_face_out": [{**asdict(face), "ratio": face.ratio} for face in left_out],
+        "tip": None if denied else _tip(calibration),
+        "noise": parts.noise_part(calibration),
+        "discrepancy": _discrepancy(calibration, denied=denied),
+        "identifiability": parts.what_is_seen(calibration, denied=denied),
+        "cures": [] if denied else parts.cures_part(calibration),
+        "score_tests": [asdict(test) | {"shown": test.shown} for test in tests],
+        "correlations": [{"names": [one, two], "value": value} for one, two, value in pairs],
+        **parts.spreads(None if denied else calibration.covariance, calibration.seen.names, fit),
+        "warnings": warnings(calibration),
+        "prior_moves": asdict(calibration.prior_moves),
+        "set_aside": [asdict(finding) for finding in calibration.aside],
+        "down_weighted_lines": calibration.down_weighted,
+        "reference": parts.reference_part(calibration.reference),
+        **parts.closing(result, calibration.seconds),
+    }
+    return sealed(document)
+
+
+def _discrepancy(calibration: Calibration, *, denied: bool) -> dict[str, Any] | None:
+    """What errs beside the geometry, and the arm where columns tell some of it; None where nothing was looked for."""
+    part = parts.discrepancy_part(calibration, denied=denied)
+    return None if part is None else {**part, **told_part(calibration, denied=denied)}
+
+
+def _tip(calibration: Calibration) -> dict[str, Any]:
+    """The tip error to expect: after, before, and from the samples alone; and that of the flange's origin."""
+    (before, now), (alone, unseen) = calibration.tip_std, calibration.tip_std_without_prior
+    drawn, flange = calibration.flange_std
+    tip = {"expected_rms_mm": now, "prior_rms_mm": before, "without_prior_rms_mm": alone, "unseen": unseen}
+    return {**tip, "flange_expected_rms_mm": flange, "flange_prior_rms_mm": drawn}
+
+
+def _fitted_rows(fit: BoundProblem, given: Measurements, folder: Path | None) -> dict[str, Any]:
+    """The rows that were fitted, to know them again; of several instruments by name, each with its file."""
+    if len(given.sets) == 1:
+        return {"fitted_rows": listing(fit.samples[0], fit.problem.layout())}
+    sets = {
+        name: {
+            "file": parts.seen_from(folder, some.file),
+            "sha256": some.sha256,
+            "samples": len(some),
+            "fitted": len(fit.samples[i]),
+            "fitted_rows": listing(fit.samples[i], fit.problem.layout(i)),
+        }
+        for i, (name, some) in enumerate(zip(given.names, given.sets, strict=True))
+    }
+    return {"instruments": sets}
+
+
+def write_calibration(
+    calibration: Calibration, folder: Path, *, command: str | None = None, box: Box | None = None
+) -> list[Path]:
+    """Write report.html, result.json, parameters.csv and pictures into a folder.
+
+    folder: made where it does not exist. command: the command line that reproduces it, for the report, if there was
+    one. box: where the arm will work, mm in the base frame, for the report. Returns their paths.
+    """
+    from casacal.calibration.page import report_page
+    from casacal.calibration.pictures import save_plots
+
+    calibration = calibration.unjudged
+    document = calibration_document(calibration, folder=folder)
+    with together(folder, PLACED) as place:
+        write_text(place / "report.html", report_page(calibration, document, command=command, box=box))
+        write_json(place / "result.json", document)
+        write_text(place / "parameters.csv", _table(document["parameters"]))
+        save_plots(calibration, place)
+        made = [name for name in FILES if (place / name).exists()]
+    return [folder / name for name in made]
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Parameters as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "identifiable", "note"))
+    for row in rows:
+        change = row["estimate"] - row["nominal"]
+        numbers = (
+            f"{row['nominal']:.12g}",
+            f"{row['estimate']:.12g}",
+            f"{change:.6g}",
+            "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
+        )
+        writer.writerow((row["name"], row["unit"], *numbers, row["identifiable"], row["note"]))
+    return text.getvalue()
+
+
+def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
+    """Write simulated samples, and the truth as x.truth.json beside x.csv, both or neither; returns both paths."""
+    measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
+    targets = sample_paths(path, source.problem.names)
+    if path.exists() and not path.is_file():
+        raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
+    comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
+    with side_by_side([*targets, truth_path]) as (*places, answer):
+        written = []
+        for i, (place, some) in enumerate(zip(places, measured.sets, strict=True)):
+            write_samples(place, source.problem.layout(i), some, comments)
+            written.append(replace(source.problem.read(place, i), file=str(targets[i])))
+        document = truth_document(simulation, source, bind(source.problem, *written), path.parent)
+        document["data"]["file"] = " and ".join(target.name for target in targets)
+        write_json(answer, sealed(document))
+    return [*targets, truth_path]
+
+
+def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:
+    """Where the samples of each instrument go: x.csv of an only one, x-dial.csv and so on of several."""
+    return [path] if len(names) == 1 else [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in names]
+
+
+def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProblem, folder: Path) -> dict[str, Any]:
+    """The truth behind simulated samples, in the shape of result.json, but for a verdict, fitted rows and the seal."""
+    x, samples = simulation.truth(bound), bound.measured
+    truth = Result("truth", bound, x, Status.TRUTH, {}, steps=0, residual_rows=0, jacobian_rows=0)
+    rows = parts.parameter_rows(bound, x, np.zeros(bound.unknowns))
+    names = seen(bound, x)[0].names
+    data = {
+        "file": parts.seen_from(folder, samples.file),
+        "sha256": samples.sha256,
+        "samples": len(samples),
+        "heldout": 0,
+    }
+    return {
+        **parts.head_of(source, truth, simulation.seed, bound.backend, folder),
+        "data": data,
+        "cost": truth.cost,
+        "parameters": [{**row, "note": "true value of the simulated arm"} for row in rows],
+        **parts.geometry(bound, x),
+        "metrics": None,
+        "identifiability": None,
+        **parts.spreads(np.zeros((len(names), len(names))), names, bound),
+        "reference": None,
+        **parts.closing(truth, {"build": 0.0, "solve": 0.0, "total": 0.0}),
+    }

@@ -1,0 +1,249 @@
+"""The parts of result.json: where all came from, parameters, what the samples see, geometry, spreads, versions."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import REPEATABILITY, without_joints
+from casacal.binding.slots import Slot
+from casacal.calibration.calibration import Calibration
+from casacal.calibration.given import Reference
+from casacal.calibration.metrics import parts_of
+from casacal.calibration.motion import besides, whole_tip_error
+from casacal.compensation.result_file import SCHEMA
+from casacal.errors import CasacalError
+from casacal.least_squares.result import Result
+from casacal.problem.as_data import problem_data
+from casacal.problem.problem_file import ProblemFile
+from casacal.uncertainty.discrepancy import times_found
+from casacal.uncertainty.identifiability import Identifiability, verdict
+from casacal.uncertainty.scores import ScoreTest
+from casacal.uncertainty.transfer import LeftOut
+from casacal.version import __version__
+
+_LOG = logging.getLogger("casacal")
+
+NOTES = {
+    "data": "determined by the samples",
+    "prior": "partly determined by the samples, partly by the prior",
+    "no": "not determined: the prior's value and spread stand",
+    "held": "held at nominal",
+}
+
+
+def without_tips(found: Identifiability) -> Identifiability:
+    """The same directions, without what they do to the tip: NaN."""
+    null = tuple(replace(each, tip_mm=math.nan) for each in found.null)
+    weak = tuple(replace(each, tip_mm=math.nan) for each in found.weak)
+    return replace(found, null=null, weak=weak)
+
+
+def without_predictions(faces: Sequence[LeftOut]) -> tuple[LeftOut, ...]:
+    """The same faces, without what the others predict of them: NaN, and so their ratio."""
+    return tuple(replace(each, predicted_mm=math.nan) for each in faces)
+
+
+def without_motion(tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """The same tests, without what the effects do to the tip: NaN."""
+    return tuple(replace(each, tip_mm=math.nan) for each in tests)
+
+
+def head_of(source: ProblemFile, result: Result, seed: int, backend: str, folder: Path | None) -> dict[str, Any]:
+    """The head of result.json in a folder; of a document that stays in memory where there is none."""
+    files = [{**asdict(file), "path": seen_from(folder, file.path)} for file in source.files]
+    try:
+        arm = problem_data(source.problem)
+    except CasacalError as error:
+        arm = None
+        _LOG.warning("casacal: the result needs its problem file, for it cannot hold the arm: %s", error)
+    return {
+        "schema": SCHEMA,
+        "problem": {
+            "name": source.name,
+            "path": seen_from(folder, source.path),
+            "sha256": source.sha256,
+            "files": files,
+        },
+        "arm": arm,
+        "method": result.method,
+        "status": result.message,
+        "converged": result.converged,
+        "seed": seed,
+        "backend": backend,
+    }
+
+
+def seen_from(folder: Path | None, file: str) -> str:
+    """A path as a file in a folder names it; as it is where there is no folder, no such file, or no way between."""
+    if folder is None or not file or not Path(file).exists():
+        return file
+    try:
+        return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return Path(file).resolve().as_posix()
+
+
+def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool = False) -> list[dict[str, Any]]:
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note.
+
+    Where the verdict denies the result, a standard deviation would be worth nothing: NaN.
+    """
+    rows = []
+    for name, unit, nominal, j in bound.parameters():
+        if j is None:
+            row = {"estimate": nominal, "std": 0.0, "identifiable": "no", "note": NOTES["held"]}
+        else:
+            std = float(stds[j])
+            word = verdict(std, float(bound.prior_std[j]))
+            row = {
+                "estimate": nominal + float(x[j]),
+                "std": math.nan if denied else std,
+                "identifiable": word,
+                "note": NOTES[word],
+            }
+        rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
+    return rows
+
+
+def noise_part(calibration: Calibration) -> dict[str, Any]:
+    """Found over stated noise with its 95 % interval, and noise as stated and as used, a row's median, by face.
+
+    `without_joints_mm` is of what was used without that which the joints do not repeat, where that was told apart.
+    """
+    found, fit = calibration.noise, calibration.fit
+    scales = {"stated_mm": {}, "used_mm": fit.scale, "without_joints_mm": without_joints(fit.scale)}
+    noise = {key: fit.with_noise(scale).noise for key, scale in scales.items()}
+    faces = {name: fit.residuals_of(rows) for name, rows in fit.faces.rows().items()}
+    units = parts_of(fit)
+    if any(instrument.blocks for instrument in fit.problem.instruments):  # each in a unit of its own
+        faces = fit.noise_labels.rows()
+    return {
+        "ratio": found.ratio,
+        "low": found.low,
+        "high": found.high,
+        "repeats": None if found.repeats is None else asdict(found.repeats),
+        "joints_rad": fit.scale.get(REPEATABILITY, 0.0),
+        "by_face": {
+            name: {key: float(np.median(each[rows])) for key, each in noise.items()}
+            | ({} if units.get(name, "mm") == "mm" else {"unit": units[name]})  # of what is no length
+            for name, rows in faces.items()
+        },
+    }
+
+
+def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[str, Any] | None:
+    """What arm and cell do beside their geometry: sizes, and how well all that moves the tip is known.
+
+    None where geometry was taken for all there is.
+    """
+    fit, motion = calibration.fit, calibration.motion
+    if not any(fit.beside):
+        return None
+    effects, found = [], times_found(fit)
+    for effect in fit.problem.effects:
+        if (times := found.get(effect.key)) is not None:
+            unit = effect.unit or fit.units[fit.beside.index(effect.key)]
+            size = {"unit": unit, "expected_size": effect.size, "size": effect.size * times, "times": times}
+            effects.append({"key": effect.key, "words": effect.words, "moves": effect.moves, **size})
+    places = {name: j for j, name in enumerate(fit.names)}
+    unknowns = [
+        {"name": name, "effect": beside, "value": float(calibration.result.x[places[name]])}
+        for name, beside in zip(motion.arm.names, besides(motion.arm), strict=True)
+        if beside
+    ]
+    names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
+    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
+    tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
+    parts: dict[str, Any] = {
+        "effects": effects,
+        "tried": tried,
+        "corrected": list(calibration.corrected),
+        "unknowns": unknowns,
+    }
+    if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
+        alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
+        parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
+        error = math.nan if denied else whole_tip_error(fit, calibration.result, ())
+        parts["expected_rms_mm_without_corrections"] = error
+    return {**parts, **known}
+
+
+def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:
+    """Rank, null and weak directions, each with its cure; without tip errors where the verdict denies them."""
+    found, cures = calibration.identifiability, iter(calibration.advice)
+    found = without_tips(found) if denied else found
+    return {
+        **_parts(found, "unknowns", "rank", "condition", "singular_values"),
+        "null": [{**_parts(d, "kind", "words", "tip_mm", "structural"), "cure": next(cures)} for d in found.null],
+        "weak": [{**_parts(d, "words", "singular_value", "tip_mm"), "cure": next(cures)} for d in found.weak],
+    }
+
+
+def cures_part(calibration: Calibration) -> list[dict[str, Any]]:
+    """What to do next, best first, with the tip error to expect after it."""
+    return [_parts(cure, "words", "touches", "expected_rms_mm", "recommended") for cure in calibration.cures]
+
+
+def _parts(of: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names}
+
+
+def reference_part(reference: Reference | None) -> dict[str, Any] | None:
+    """What the independent solver found; None where none was asked."""
+    if reference is None:
+        return None
+    found = _parts(reference, "solver", "cost", "relative_gap")
+    return {**found, "kkt": reference.result.kkt, "iterations": reference.result.steps}
+
+
+def geometry(bound: BoundProblem, x: Array) -> dict[str, Any]:
+    """Planes, directions and frames at the estimate, x itself, and what x counts from where the samples proposed it."""
+    found: dict[str, dict[str, Any]] = {"planes": {}, "directions": {}, "frames": {}}
+    for slot in bound.slots:
+        kind, shown = slot.unknown.shown(slot.nominal, x[slot.first : slot.first + slot.unknown.size])
+        if kind in found:
+            name = slot.name if kind != "planes" else _face_of(bound, slot)
+            found[kind][name] = shown
+    rows = zip(bound.names, bound.units, x, bound.beside, strict=True)
+    unknowns = [{"name": name, "unit": unit, "value": value} for name, unit, value, beside in rows if not beside]
+    proposed = {slot.name: slot.nominal for slot in bound.slots if slot.unknown.nominal is None}
+    return {**found, "unknowns": unknowns, "proposed": proposed}
+
+
+def _face_of(bound: BoundProblem, slot: Slot) -> str:
+    """A plane by the label of its face, after the name of its instrument where there are several."""
+    of, _, key = slot.key.rpartition(".")
+    face = slot.label if slot.label is not None else "" if of else key
+    return f"{of} {face}".strip() if len(bound.samples) > 1 else face
+
+
+def closing(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Effort, time and versions."""
+    return {
+        "evaluations": {"residual_rows": result.residual_rows, "jacobian_rows": result.jacobian_rows},
+        "seconds": dict(seconds),
+        "versions": {
+            "casacal": __version__,
+            "casadi": metadata.version("casadi"),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def spreads(covariance: Array | None, names: Sequence[str], bound: BoundProblem) -> dict[str, Any]:
+    """The covariance, with the names of its rows where unknowns of single labels have none in it."""
+    some = {} if len(names) == bound.unknowns else {"covariance_of": list(names)}
+    return {**some, "covariance": covariance}

@@ -1,0 +1,246 @@
+"""A result that was saved, and a calibration as the arm that it is about."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import casadi as ca
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import read_result
+from casacal.errors import CasacalError, came
+from casacal.problem.problem import Problem
+from casacal.values import Value
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from casacal.compensation.predict import Prediction
+    from casacal.compensation.targets import Compensation
+
+
+class AsArm(ABC):
+    """A calibration, fresh or read back, as the arm that it found."""
+
+    @property
+    @abstractmethod
+    def arm(self) -> CalibratedArm:
+        """The problem and the estimate."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that result.json holds, in JSON's own types."""
+        return dict(self.arm.document)
+
+    def predict(
+        self, q: Any, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False, std: bool = False
+    ) -> Prediction:
+        """Where the calibrated arm is.
+
+        Args:
+            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
+            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
+            nominal: the arm as drawn in place of the calibrated one.
+            std: whether to add standard deviations, apart from the position of the base.
+
+        Returns:
+            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
+            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
+
+        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+
+        """
+        from casacal.compensation.predict import predict
+
+        return predict(self.arm, q, frame=frame, nominal=nominal, std=std)
+
+    def compensate(
+        self,
+        targets: Any,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float | None = None,
+        force: bool = False,
+    ) -> Compensation:
+        """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
+
+        Args:
+            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+                `casacal compensate` reads.
+            frame: what poses are of.
+            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+            force: take a result whose verdict is not to use it.
+
+        Returns:
+            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+            there in mm and rad, and the standard deviation of its position, mm.
+
+        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
+
+        """
+        return self._compensated(targets, frame, largest, force)
+
+    def _compensated(
+        self, targets: Any, frame: Literal["flange", "tip"], largest: float | None, force: bool, form: str = "csv"
+    ) -> Compensation:
+        from casacal.compensation.compensate import LARGEST, compensate
+        from casacal.compensation.programs import rounding_of
+
+        most, rounding = LARGEST if largest is None else largest, rounding_of(form, self.arm.source.problem.robot)
+        return compensate(self.arm, targets, frame=frame, largest=most, rounding=rounding, force=force)
+
+    def program(
+        self,
+        targets: Any,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        frame: Literal["flange", "tip"] = "flange",
+        largest: float | None = None,
+        force: bool = False,
+    ) -> str:
+        """Compensated targets as text, "csv", "rapid", "krl" or "urscript"; written to `path` where one is given.
+
+        targets, frame, largest, force, errors: as for `compensate`. The proof is about joint values as written.
+        """
+        from casacal.compensation.programs import text_of
+        from casacal.files import write_text
+
+        text = text_of(self._compensated(targets, frame, largest, force, form), form, self.arm)
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def export(
+        self,
+        form: str,
+        path: str | Path | None = None,
+        *,
+        source: str | Path | None = None,
+        prefix: str | None = None,
+        force: bool = False,
+    ) -> str:
+        """The arm as "dh", "urdf", "zeros", "ur", "c" or "casadi": the text, written to `path` where one is given.
+
+        source, prefix, force, errors: as for `casacal.export.forms.export`.
+        """
+        from casacal.export.forms import export
+
+        return export(self.arm, form, path, source=source, prefix=prefix, force=force)
+
+    def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
+
+        Args:
+            nominal: the arm as drawn in place of the calibrated one.
+            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
+
+        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
+
+        """
+        from casacal.export.functions import pose_function
+
+        return pose_function(self.arm, nominal=nominal, free=free)
+
+    def tip_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
+        """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero.
+
+        nominal, free, errors: as for `pose_function`; free also what the tip depends on of instrument and columns.
+        Raises ProblemError where there are several instruments.
+        """
+        from casacal.export.functions import tip_function
+
+        return tip_function(self.arm, nominal=nominal, free=free)
+
+    def values(self, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False) -> dict[str, Array]:
+        """Values of the parameters by name, mm and rad, as functions with free parameters take them.
+
+        frame: "flange" for `pose_function`, "tip" for `tip_function`. nominal: as drawn.
+        """
+        from casacal.export.functions import values_of
+
+        return values_of(self.arm, frame=frame, nominal=nominal)
+
+
+def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Parameters of result.json as a frame, with the change of each."""
+    import pandas as pd
+
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS)).set_index("name")
+    table.insert(3, "change", table["estimate"] - table["nominal"])
+    return table.rename(columns={"identifiable": "known_from"})
+
+
+COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")  # of a parameter in result.json
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SavedCalibration(Value, AsArm):
+    """What `load` returns: the arm of a result.json or a truth, without the samples it came from."""
+
+    found: CalibratedArm
+
+    @property
+    def arm(self) -> CalibratedArm:
+        """The problem and the estimate."""
+        return self.found
+
+    @property
+    def success(self) -> bool:
+        """Whether the method did all it promises, as the result says, and its verdict is not "do not use"."""
+        return self.found.denial is None and bool(self.found.document.get("converged", False))
+
+    @property
+    def message(self) -> str:
+        """The verdict, unless it is simply "calibrated", and how the method ended."""
+        said, ended = self.found.document.get("verdict") or {}, str(self.found.document.get("status", ""))
+        return ended if said.get("level", "calibrated") == "calibrated" else f"{said.get('words', '')} {ended}"
+
+    @property
+    def cost(self) -> float:
+        """The objective at the estimate; NaN where the file does not say."""
+        cost = self.found.document.get("cost")
+        return math.nan if cost is None else float(cost)
+
+    @property
+    def metrics(self) -> Any:
+        """Residuals before and after, on fitted and held-out rows, as in result.json; None for a truth."""
+        return self.found.document.get("metrics")
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """One row per number of the arm and the instrument, as `Calibrated.parameters`."""
+        return parameter_table(self.found.document["parameters"])
+
+    def __repr__(self) -> str:
+        document = self.found.document
+        tip = (document.get("tip") or {}).get("expected_rms_mm")
+        expected = "" if tip is None else f", expected tip error {tip:.3g} mm RMS"
+        return (
+            f"<casacal calibration of {self.found.source.problem.robot.name} by {document.get('method')}, read from "
+            f"{self.found.file}{expected}>"
+        )
+
+
+def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibration:
+    """Read back what `save`, `casacal calibrate --out` or `casacal simulate` wrote.
+
+    Args:
+        path: the folder, its result.json, or a truth.json.
+        problem: what it answers; by default what the result itself holds, and no code is run. A result from before
+            results held their arm runs the problem.py that it names, where that is what it was.
+
+    Returns:
+        The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
+
+    Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
+
+    """
+    if not isinstance(path, (str, Path)):
+        raise CasacalError(f"Got {came(path)} as the path of a result", "Give a path")
+    return SavedCalibration(read_result(path, problem=problem))

@@ -1,0 +1,125 @@
+"""How the estimate follows its data: its derivative by every reading and every prior, by the implicit function theorem.
+
+At the minimum the gradient of the objective is zero, g(x, y) = 0, so that dx/dy = -H^-1 dg/dy, with H the exact Hessian
+in x (Nocedal and Wright, Numerical Optimization, 2006, theorem A.2). Weights, effects' sizes and nominal values that
+the samples propose stay as they stand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.errors import CasacalError
+from casacal.instruments import Instrument
+from casacal.least_squares.result import Result
+from casacal.problem.compile import RowModel
+from casacal.values import Value, read_only
+
+FLAT = 1e-3  # largest component of the gradient, by prior standard deviations, that counts as zero
+MOST_ROWS = 5_000  # whose exact Hessian takes a few seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(Value):
+    """Derivatives of the estimate x (n), mm and rad, and what they do to the tip over the workspace.
+
+    names: of the unknowns. readings: line and column of each number (k) of a row beside the joint values. by_reading:
+    dx/dy (n, k), by the columns' units. by_prior: dx/dx0 (n, n), column j by the prior's mean of unknown j. rows: line
+    of each row (N). tip_by_row (N), tip_by_prior (n): how far the tip moves, mm RMS over the workspace apart from the
+    base's position, where all of a row, or a prior's mean, errs by one standard deviation.
+    """
+
+    names: tuple[str, ...]
+    readings: tuple[tuple[int | str, str], ...]
+    by_reading: Array
+    by_prior: Array
+    rows: tuple[int | str, ...]
+    tip_by_row: Array
+    tip_by_prior: Array
+
+    def __post_init__(self) -> None:
+        for name in ("by_reading", "by_prior", "tip_by_row", "tip_by_prior"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def without_tips(self) -> Sensitivity:
+        """The same where nothing is known of the tip."""
+        nothing = {name: np.full_like(getattr(self, name), np.nan) for name in ("tip_by_row", "tip_by_prior")}
+        return replace(self, **nothing)
+
+    def most(self, count: int = 5) -> tuple[list[tuple[int | str, float]], list[tuple[str, float]]]:
+        """The rows, by line, and the priors, by name, that move the tip most, each with mm RMS; none that move none."""
+        pairs = ((self.rows, self.tip_by_row), (self.names, self.tip_by_prior))
+        rows, priors = (
+            [(names[j], float(tips[j])) for j in np.argsort(-tips, kind="stable")[:count] if tips[j] > 0]
+            for names, tips in pairs
+        )
+        return rows, priors
+
+
+def sensitivity(fit: BoundProblem, result: Result, tip: Array) -> Sensitivity:
+    """Of a minimum; tip: derivative (3 M, n) of M tips by the unknowns, mm.
+
+    Raises CasacalError where the estimate is no minimum of the plain objective, or rows are too many.
+    """
+    if result.loss is not None or not result.converged or not result.kkt < FLAT:
+        raise CasacalError("This estimate is no minimum of the plain objective", "Use lm or sckf-lm without a loss")
+    if fit.rows > MOST_ROWS or fit.groups is not None:
+        what = f"{fit.rows:,} rows with {fit.unknowns:,} unknowns are too many for the sensitivity"
+        raise CasacalError(what, f"Take fewer faces, and at most {MOST_ROWS:,} rows")
+    kinds, starts = fit.symbolic.kinds, fit.measured.starts
+    models = [_row_function(*each) for each in zip(fit.problem.models, fit.problem.instruments, strict=True)]
+    hessian, found = np.diag(fit.prior_information), []
+    for kind in kinds:
+        given, of_row = (result.x[kind.columns], kind.constants), models[kind.instrument][0]
+        rows = [[each.full() for each in of_row(*given, *row)] for row in zip(kind.data, kind.noise, strict=True)]
+        hessian[np.ix_(kind.columns, kind.columns)] += np.sum([row[2] for row in rows], axis=0)
+        found.append((np.array([row[0] for row in rows]), np.concatenate([row[1] for row in rows], axis=1)))
+    inverse = _inverse(hessian, fit.start_std)
+    squares = inverse @ (tip.T @ tip) @ inverse / (len(tip) / 3)  # of the tip by gradients
+    readings, by_reading = list[tuple[int | str, str]](), []
+    tips = np.zeros(len(fit.measured))
+    for kind, (slopes, changes) in zip(kinds, found, strict=True):
+        places = int(starts[kind.instrument]) + kind.samples
+        seen = squares[np.ix_(kind.columns, kind.columns)]
+        tips[places] = np.sqrt(np.maximum(np.einsum("kmi,ij,kmj->k", slopes, seen, slopes), 0.0))
+        readings += [(fit.measured.place(int(k)), name) for k in places for name in models[kind.instrument][1]]
+        by_reading.append(-inverse[:, kind.columns] @ changes)
+    prior = np.sqrt(fit.prior_information)
+    return Sensitivity(
+        fit.names,
+        tuple(readings),
+        np.concatenate(by_reading, axis=1),
+        inverse * fit.prior_information,
+        tuple(fit.measured.place(k) for k in range(len(fit.measured))),
+        tips,
+        prior * np.sqrt(np.maximum(np.diagonal(squares), 0.0)),
+    )
+
+
+def _inverse(hessian: Array, scale: Array) -> Array:
+    """Inverse of a Hessian; what nothing holds does not move."""
+    values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
+    held = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
+    root = scale[:, None] * vectors[:, held]
+    return np.asarray((root / values[held]) @ root.T)
+
+
+def _row_function(model: RowModel, instrument: Instrument) -> tuple[ca.Function, list[str]]:
+    """(z, c, d, w) -> whitened slopes (m, nz) of a row, its gradient's change by columns (nz, k), its Hessian (nz, nz).
+
+    And these columns: what the instrument reads.
+    """
+    z, c, d = (ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate("zcd"))
+    w = ca.SX.sym("w", model.components)
+    e = model.residual(z, c, d) / w
+    slopes = ca.jacobian(e, z)
+    hessian, gradient = ca.hessian(ca.sumsqr(e) / 2, z)
+    first, names = d.numel() - len(model.names), [name for name in model.names if name in instrument.columns]
+    columns = [first + model.names.index(name) for name in names]
+    outputs = [slopes, ca.jacobian(gradient, d[columns]), hessian]
+    return ca.Function("row", [z, c, d, w], [ca.densify(each) for each in outputs]), names

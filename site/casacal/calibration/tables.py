@@ -1,0 +1,173 @@
+"""The tables about a calibration, made once: the terminal prints them, the report sets them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal import wording
+from casacal.calibration.calibration import NOT_NEEDED, Calibration
+from casacal.calibration.metrics import parts_of
+from casacal.calibration.motion import whole_tip_error
+from casacal.calibration.result_parts import parameter_rows, without_predictions
+from casacal.pages.render import fixed, mm, shortened, shown_unit
+from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
+from casacal.uncertainty.scores import ScoreTest
+from casacal.wording import capital, listed, sized
+
+LONGEST = 60  # characters of a face's name
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under titles; a title that begins with # heads a column of numbers."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def text(self) -> str:
+        """Lines in columns as wide as they must be, in characters that every terminal has."""
+        titles = [title.removeprefix("#") for title in self.columns]
+        wide = [max(map(len, column)) for column in zip(titles, *self.rows, strict=True)]
+        numbers = [title.startswith("#") for title in self.columns]
+        return "\n".join(
+            "  ".join(
+                f"{cell:>{width}}" if number else f"{cell:<{width}}"
+                for cell, width, number in zip(row, wide, numbers, strict=True)
+            ).rstrip()
+            for row in (titles, *self.rows)
+        ).replace("–", "-")
+
+
+def residuals(calibration: Calibration) -> Table:
+    """RMSE, MAE, STD and MAX before and after, of fitted and held-out rows, of each of several instruments."""
+    words, units = calibration.fit.problem.words, parts_of(calibration.fit)
+    rows = []
+    for name, metrics in (calibration.metrics_by_instrument or {"": calibration.metrics}).items():
+        other = "" if not name or units[name] == words.unit else f" ({units[name]}, not {words.unit})"
+        for when, parts in metrics.items():
+            for part, of_rows in (("fit", "fitted rows"), ("heldout", "held-out rows")):
+                if (found := parts[part]) is not None:
+                    label = f"{name}{other}: {when}" if name else capital(when)
+                    figures = (fixed(found[key]) for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm"))
+                    rows.append([f"{label}, {of_rows}", *figures])
+    figures_of = [f"#{figure}, {words.unit}" for figure in ("RMSE", "MAE", "STD", "MAX")]
+    return Table([capital(words.residual), *figures_of], rows)
+
+
+def left_out(calibration: Calibration, *, denied: bool) -> Table:
+    """Each face as the arm predicts it that the others give; no prediction where the verdict denies it."""
+    faces = without_predictions(calibration.left_out) if denied else calibration.left_out
+    predicted = [] if denied else ["#Predicted, mm RMS", "#Found over predicted"]
+    rows = [
+        [
+            shortened(face.face, LONGEST),
+            f"{face.rows:,}",
+            fixed(face.actual_mm),
+            *([] if denied else [fixed(face.predicted_mm), fixed(face.ratio, 2)]),
+            f"{face.p:.2g}",
+        ]
+        for face in faces
+    ]
+    group = capital(calibration.fit.problem.words.group)
+    return Table([group, "#Rows", "#Found, mm RMS", *predicted, "#p"], rows)
+
+
+def parameters(calibration: Calibration, *, denied: bool) -> tuple[Table, list[str]]:
+    """Every free parameter, nominal and calibrated, angles in degrees; and the names of those that are held."""
+    priors = dict(zip(calibration.fit.names, calibration.fit.prior_std.tolist(), strict=True))
+    held, rows = [], []
+    for row in parameter_rows(calibration.fit, calibration.used_x, calibration.result.std, denied=denied):
+        if row["note"] == "held at nominal":
+            held.append(row["name"])
+            continue
+        unit, factor = shown_unit(row["unit"])
+        nominal, estimate, std = (factor * row[key] for key in ("nominal", "estimate", "std"))
+        prior = priors.get(row["name"], math.inf)
+        share = f"{100 * row['std'] / prior:.0f} %" if math.isfinite(prior) and math.isfinite(std) else "no prior"
+        spread = ["–", "–"] if math.isnan(std) else [fixed(std), share]
+        change = fixed(estimate - nominal, signed=True)
+        rows.append(
+            [row["name"], unit, fixed(nominal), fixed(estimate), change, *spread, KNOWN_FROM[row["identifiable"]]]
+        )
+    titles = ("Parameter", "Unit", "#Nominal", "#Calibrated", "#Change", "#Std. dev.", "#Of prior", "Known from")
+    return Table(titles, rows), held
+
+
+def correlations(calibration: Calibration) -> Table:
+    """Pairs of the arm's own unknowns: planes are always correlated with each other and with the base."""
+    arm = np.flatnonzero(~calibration.seen.datum)
+    names = [calibration.seen.names[j] for j in arm]
+    pairs = correlated_pairs(calibration.covariance[np.ix_(arm, arm)], names)
+    rows = [[one, two, fixed(value, 3, signed=True)] for one, two, value in pairs]
+    return Table(["Parameter", "With", "#Correlation"], rows)
+
+
+def next_steps(calibration: Calibration) -> Table:
+    """What to do next, best first, with the tip error to expect after it."""
+    cures = [[cure.words, mm(cure.expected_rms_mm), "yes" if cure.recommended else "no"] for cure in calibration.cures]
+    rows = [*cures, ["As it is", mm(calibration.tip_std[1]), "–"]] if cures else []
+    return Table(["Next step", "#Tip error, RMS", "Recommended"], rows)
+
+
+def directions(calibration: Calibration, *, denied: bool) -> tuple[Table, list[str]]:
+    """Null and weak directions with what lowers each, the costly ones first; and those that move no tip."""
+    found = calibration.identifiability
+    every: tuple[NullDirection | WeakDirection, ...] = (*found.null, *found.weak)
+    costly, harmless = [], []
+    for each, advice in sorted(zip(every, calibration.advice, strict=True), key=lambda pair: -pair[0].tip_mm):
+        kind = each.kind if isinstance(each, NullDirection) else "weak"
+        if advice == NOT_NEEDED:
+            harmless.append(f"{each.words} ({kind})")
+        else:
+            costly.append([each.words, kind, "–" if denied else f"{each.tip_mm:.2g}", capital(advice)])
+    return Table(["What changes unseen", "Kind", "#At the tip, mm", "Cure"], costly), harmless
+
+
+def effects(calibration: Calibration, *, denied: bool) -> Table:
+    """A line for each effect beside the geometry, the likeliest first."""
+    rows = []
+    for test in calibration.score_tests:
+        size, at_tip = size_words(calibration.unjudged, test)
+        tip = "–" if denied or at_tip == "-" else at_tip
+        rows.append([capital(test.words), test.shown, f"{test.p_holm:.2g}", size, test.shown_expected, tip])
+    titles = ("Effect", "Shown by the samples", "#p", "#Most likely size", "#Usual size", "#At the tip, RMS")
+    return Table(titles, rows)
+
+
+def size_words(calibration: Calibration, test: ScoreTest) -> tuple[str, str]:
+    """Size of an effect and its tip error as people read them; no number where it is larger than can be believed.
+
+    Each is worked out as if the effect were the only one. Where the geometry takes up most of it, that says nothing:
+    what moves the arm is then shown as beyond the most that is accepted, what does not as beyond the residuals.
+    """
+    drawn = calibration.metrics["before"]["fit"]
+    assert drawn is not None
+    effect = next((each for each in calibration.fit.problem.effects if each.key == test.key and each.moves), None)
+    most = effect.most * effect.size if effect is not None else drawn["rmse_mm"] if test.unit == "mm" else math.inf
+    if test.size > most:
+        return f"over {sized(most, test.unit)}", "-"
+    return test.shown_size, wording.mm(test.tip_mm) if test.tip_mm < calibration.tip_std[0] else "-"
+
+
+def tried_words(calibration: Calibration) -> list[str]:
+    """One line for each effect that could be corrected and that the rows speak for."""
+    asked = [each for each in calibration.tried if each.unseen]
+    if not asked:
+        return ["None of them is corrected."] if calibration.tried else []
+    return [each.became for each in asked]
+
+
+def corrected_words(calibration: Calibration) -> list[str]:
+    """What is corrected, and what is to be expected where nobody can; nothing where nothing is."""
+    named = listed([each.words for each in calibration.tried if each.corrected])
+    if not named:
+        return []
+    alone = whole_tip_error(calibration.fit, calibration.result, ())
+    return [
+        f"The result corrects {named}; predict, compensate and the C export apply it. Tables of lengths",
+        f"and angles cannot: with those alone expect a tip error of {wording.mm(alone)} RMS.",
+    ]

@@ -1,0 +1,193 @@
+"""The verdict: how far a result may be used. Terminal, report, result.json and exit code all take it from here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration
+from casacal.calibration.fitted import MINIMISERS
+from casacal.calibration.told import told_words
+from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
+from casacal.checks import Finding
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.wording import listed, mm, sentence, times
+
+Level = Literal["calibrated", "use with care", "do not use"]
+
+GAIN = 0.9  # expected tip error over the one before, above which little was gained
+WORSE = 1.1  # residual after over before, on the very rows that were fitted, above which calibrating made the arm worse
+EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
+BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
+
+TOO_LOOSE = 1e-3
+"""Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
+
+SHOWN = 0.01  # millimetres below which nobody asks how little a tip errs
+
+LEFT_TO_PRIORS = 0.5
+"""Expected tip error over the one before, above which the priors decide more of it than the samples."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far a result may be used: a level, one sentence, and the reasons when it is not simply calibrated."""
+
+    level: Level
+    words: str
+    reasons: tuple[str, ...] = ()
+
+
+def verdict_of(calibration: Calibration) -> Verdict:
+    """Whether to use a result; what speaks against it decides, the weightiest first."""
+    calibration = calibration.unjudged
+    against = _against(calibration)
+    if against:
+        return Verdict(
+            "do not use", f"Do not use this result: {against[0][0]}.", tuple(reason for _, reason in against)
+        )
+    if not calibration.fit.unknowns:
+        said = "every unknown is held, so nothing was estimated"
+        words = f"Use with care: {said}; the residuals are those of the arm as drawn."
+        return Verdict("use with care", words, (sentence(said),))
+    found, expected = [*doubts(calibration), *_further_doubts(calibration)], _expected(calibration)
+    unchecked = " No second solver checked that this is the minimum."
+    if calibration.reference is not None or calibration.method not in MINIMISERS:  # or a doubt of its own says it
+        unchecked = ""
+    if found:
+        words = f"Use with care: {expected} But {' and '.join(doubt.clause for doubt in found[:2])}."
+        return Verdict("use with care", f"{words}{unchecked}", tuple(doubt.sentence for doubt in found))
+    return Verdict("calibrated", f"Calibrated: {expected}{unchecked}")
+
+
+def _expected(calibration: Calibration) -> str:
+    """The error to expect, of flange and tip; what matters first."""
+    (before, now), (drawn, flange) = calibration.tip_std, calibration.flange_std
+    least = "at least " if calibration.noise.low > NOISE_BAND[1] and not calibration.noise.scale else ""
+    alone = "" if any(calibration.fit.beside) else " and nothing errs beside the geometry"
+    trusted = f"apart from the base's position, if {calibration.assumed} are right{alone}"
+    tool = calibration.hidden_tool
+    if tool is not None:
+        return (
+            f"expect a flange error of {least}{mm(flange)} RMS over the workspace (before: {mm(drawn)}), {trusted}. "
+            f"The tip error of {mm(now)} is mostly the tool's: these samples hardly show {listed(tool.names)} "
+            f"(standard deviation {mm(tool.std_mm)}). Measure it; once it is known, expect {mm(tool.tip_mm)}."
+        )
+    names = calibration.fit.problem.names
+    whose = f" ({names[0]})" if len(names) > 1 else ""
+    at_flange = f" and {mm(flange)} at the flange" if math.isfinite(flange) else ""
+    return (
+        f"expect a tip error{whose} of {least}{mm(now)} RMS over the workspace (before: {mm(before)})"
+        f"{at_flange}, {trusted}."
+    )
+
+
+def _against(calibration: Calibration) -> list[tuple[str, str]]:
+    """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
+    found = [
+        (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
+        for error in wrong_with_samples(calibration)
+    ]
+    if not calibration.result.converged:
+        found.append(("the method did not finish", calibration.result.message))
+    found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
+    for look in (_unexplained, _priors_contradicted):
+        told = told_words(calibration, denied=True) if look is _unexplained else []
+        found += [] if found else [(clause, " ".join([sentence(clause), *told])) for clause in look(calibration)]
+    if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
+        clause = "these samples do not bound the tip error"
+        found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))
+    return found
+
+
+def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
+    """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
+    found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
+    return tuple(error for error in found if error.about != "misfit")
+
+
+def _missed_minimum(calibration: Calibration) -> list[str]:
+    """Why the estimate is not the minimum, or nothing.
+
+    A method that promises the minimum must meet the reference; any other may miss it by what the estimate's own spread
+    explains: twice the cost above the minimum is then about chi-square with as many degrees of freedom as unknowns.
+    """
+    reference = calibration.reference
+    if reference is None or reference.agrees or not calibration.result.converged:
+        return []
+    if not reference.result.converged:
+        return [f"{reference.solver} did not finish, so nothing confirms the minimum; another --reference may"]
+    if calibration.method in MINIMISERS:
+        return [f"the costs of {calibration.method} and {reference.solver} differ, so one of them missed the minimum"]
+    if 2 * (calibration.result.cost - reference.cost) <= calibration.fit.unknowns:
+        return []
+    return [
+        f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
+        f"that {reference.solver} found"
+    ]
+
+
+def _unexplained(calibration: Calibration) -> list[str]:
+    """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
+    ratio, low = calibration.noise.ratio, calibration.noise.low
+    before, after = (calibration.metrics[when]["fit"] for when in ("before", "after"))
+    assert before is not None
+    assert after is not None
+    # where faces are held, what is not corrected may stand as a shift of the base, which no figure counts
+    if calibration.fit.datum.any() and after["rmse_mm"] > WORSE * before["rmse_mm"]:
+        else_found = larger_than_any(calibration)  # it cannot be corrected, and then decides more than the geometry
+        also = f", and {else_found.clause}" if else_found else ""
+        return [f"the calibrated arm fits its own rows worse than the arm as drawn{also}"]
+    if low <= LACK_OF_FIT:
+        return []
+    moved = float(calibration.moves.max(initial=0.0))
+    said = f"the residuals are {times(ratio)} times what the stated noise explains"
+    if after["rmse_mm"] > EXPLAINED * before["rmse_mm"]:
+        return [f"{said}, and calibrating hardly lowered them"]
+    if moved > FAR:
+        return [f"{said}, even though parameters moved by up to {moved:.0f} prior standard deviations"]
+    return []
+
+
+def _priors_contradicted(calibration: Calibration) -> list[str]:
+    """Priors that the samples contradict, and that yet decide most of where the tip is."""
+    if not calibration.fit.unknowns:
+        return []
+    (before, now), far = calibration.tip_std, float(calibration.moves.max(initial=0.0))
+    if far > BENT:
+        worst = calibration.fit.names[int(np.argmax(calibration.moves))]
+        return [
+            f"{worst} moved by {times(far)} prior standard deviations. If the arm really is so far from its drawing, "
+            "state wider priors (--accuracy, --prior)"
+        ]
+    drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
+    assert drawn is not None
+    # were all priors so much narrower as the drawn arm contradicts them, this is what it would err by
+    as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
+    if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
+        return [
+            f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its touches "
+            f"suggest {mm(max(as_drawn, SHOWN))} or less, and with these priors the calibrated tip may be off by "
+            f"{mm(now)} (--accuracy, --prior)"
+        ]
+    if far <= FAR or now <= LEFT_TO_PRIORS * before:
+        return []
+    return [
+        f"the samples move parameters by up to {far:.0f} prior standard deviations, so these priors do not fit this "
+        "arm, and yet most of the tip error depends on them"
+    ]
+
+
+def _further_doubts(calibration: Calibration) -> list[Doubt]:
+    before, now = calibration.tip_std
+    found = []
+    if calibration.reference is None and calibration.method not in MINIMISERS:
+        clause = "no second solver checked that this is the minimum"
+        found.append(Doubt(clause, f"{sentence(clause)} Run it again without --no-reference."))
+    if now > GAIN * before:
+        words = "Little was gained: these samples say almost nothing about the tip beyond the priors."
+        found.append(Doubt("little was gained", words))
+    return found

@@ -1,0 +1,142 @@
+"""Has the arm changed since it was calibrated? Fresh rows, the earlier posterior, and what explains them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.calibration.saved import AsArm
+from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
+from casacal.changes.explain import SURE, Explanation, contenders, explanations, telling
+from casacal.changes.look import Look
+from casacal.changes.posterior import with_drift, with_memory
+from casacal.compensation.arm import CalibratedArm
+from casacal.errors import CasacalError, SamplesError, came
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile
+from casacal.samples.samples import Samples
+from casacal.values import is_real
+from casacal.verification.opened import Opened, opened
+
+MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
+FEWEST = 3  # rows that may be off, of few; of many one in twenty
+UNEXPLAINED = 0.01  # chance of what a cause leaves below which it is not the whole of it
+
+
+def changed(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None = None,
+    instrument: str | None = None,
+    standing: Collection[str] = (),
+    drift: Mapping[str, float] | None = None,
+    alarm: float = 0.01,
+    touches: int = 0,
+    seed: int = 0,
+) -> Change:
+    """Look whether an arm has changed since it was calibrated, what, and by how much.
+
+    The residuals of fresh rows are compared with what the calibration promises, as in `verify`. Beside it each joint's
+    zero, the tool, the base and whatever was said to stand may have changed: generalised likelihood ratios, the
+    smallest chance of which is judged so that an arm that has not changed is called changed at the rate that was asked
+    for. A row that is off explains a misfit as well, and is named in place of the arm where it does so better.
+
+    Args:
+        result: a calibration, what `load` or `read_result` returns, or the path of a result.json or its folder.
+        samples: fresh rows: `Samples`, a file, a pandas DataFrame, or arrays by column.
+        problem, instrument, standing: as for `verify`. Where the base stands shows only against what stands.
+        drift: standard deviations (mm, rad) by which unknowns may have drifted since, by name or key.
+        alarm: rate of false alarms, 0.001 to 0.5.
+        touches: how many touches to propose where causes cannot be told apart; none by default.
+        seed: of everything that is drawn.
+
+    Returns:
+        What was found; shifts in rad and mm.
+
+    Raises CasacalError, UnknownNameError and SamplesError as `verify` does, and for numbers that mean nothing.
+
+    """
+    given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
+    return looked(given, standing, drift or {}, alarm=alarm, touches=touches, seed=seed)[0]
+
+
+def looked(
+    given: Opened, standing: Collection[str], drift: Mapping[str, float], *, alarm: float, touches: int, seed: int
+) -> tuple[Change, Look]:
+    """The same of rows that were opened, and the last look: without rows that are off."""
+    if not (is_real(alarm) and 0.001 <= alarm <= 0.5):
+        raise CasacalError(f"Got {came(alarm)}, {alarm!r}, as the false alarm rate", "Give 0.001 to 0.5")
+    for what, value, most in (("touches", touches, 100), ("seed", seed, 2**63)):
+        if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value <= most:
+            raise CasacalError(f"Got {came(value)} as the {what}", f"Give a whole number from 0 to {most}")
+    if len(given.rows) > MOST:
+        fix = f"Give up to {MOST:,} of them"
+        raise SamplesError(given.rows.file, f"{len(given.rows):,} rows are too many to look at one by one", fix)
+    fresh = with_drift(with_memory(given.fresh(standing), given.arm), drift)
+    first = Look.at(fresh, given.noise_freedom, float(alarm), int(seed))
+    look, best, places = _without_bad(first, len(given.rows), float(alarm), int(seed))
+    bad = sorted(set(range(len(given.rows))) - set(places.tolist()))
+    ended = _ended(look, best, bad)
+    proposed, tells = None, 0.0
+    if ended == UNDECIDED:
+        proposed, tells = telling(given.source.problem, look, best, int(touches), int(seed))
+    whitened = first.tests.fresh
+    joints = [k for k, cause in enumerate(look.causes) if cause.kind == "joint"]
+    found_from = {k: look.found_from(k) for k in joints}
+    seen = [math.isfinite(found_from[k]) if k in found_from else look.seen(k) for k in range(len(look.causes))]
+    change = Change(
+        **given.about(fresh, tuple(standing)),
+        drift=tuple(sorted(drift.items())),
+        alarm=float(alarm),
+        p=first.smallest,
+        level=first.level,
+        chi_square=whitened.chi_square,
+        freedom=whitened.freedom,
+        p_all=first.tests.p[2],
+        ended=ended,
+        causes=tuple(_cause(each, look, given.rows, places) for each in best),
+        bad_lines=tuple(int(given.rows.lines[k]) for k in bad),
+        joints=tuple(Shown(look.causes[k].name, look.causes[k].units[0], found_from[k]) for k in joints),
+        unseen=tuple(cause.name for cause, shows in zip(look.causes, seen, strict=True) if not shows),
+        touches=proposed,
+        tells=tells,
+    )
+    return change, look
+
+
+def _without_bad(look: Look, count: int, alarm: float, seed: int) -> tuple[Look, list[Explanation], NDArray[np.intp]]:
+    """The last look, what explains it, and the numbers of the rows that remain: single ones that are off go first."""
+    places, most = np.arange(count), max(FEWEST, count // 20)
+    while look.alarm:
+        best = contenders(explanations(look))
+        if len(best) != 1 or best[0].cause is not None or count - len(places) == most:
+            return look, best, places
+        look = look.without(best[0].row, alarm, seed)
+        places = np.delete(places, best[0].row)
+    return look, [], places
+
+
+def _ended(look: Look, best: list[Explanation], bad: list[int]) -> str:
+    """How it ended: one cause must be surer than all others together, and leave nothing that is hardly chance."""
+    if not look.alarm:
+        return ROWS if bad else NOTHING
+    only = best[0] if len(best) == 1 else None
+    if only is None or only.cause is None or only.share < SURE or only.left < UNEXPLAINED:
+        return UNDECIDED
+    return CHANGED
+
+
+def _cause(found: Explanation, look: Look, rows: Samples, places: NDArray[np.intp]) -> CauseFound:
+    cause, fitted, figures = found.cause, found.fitted, (found.p, found.share, found.left)
+    if cause is None or fitted is None:
+        line, none = int(rows.lines[int(places[found.row])]), np.zeros(0)
+        return CauseFound(f"line {line}", "row", line, (), (), none, none, *figures)
+    probe = look.fresh.bound.problem.instrument.probe
+    dial = cause.kind == "tool" and probe is not None and probe.column is not None
+    return CauseFound(cause.name, cause.kind, 0, cause.labels, cause.units, fitted.shift, fitted.std, *figures, dial)

@@ -1,0 +1,228 @@
+"""Which cause explains the rows, and which touches would tell causes apart.
+
+Each cause is fitted with the earlier posterior as the prior. Its evidence is the likelihood at its best, less what its
+freedom costs (Occam's factor, with changes of a usual size, so that six numbers must explain more than one). A row that
+is off is a cause like any other, and which of N rows it is costs the logarithm of N.
+
+Two causes that explain the rows equally well leave the arm in two places. At new touches these differ by D, of which
+each cause knows its part with a covariance S; half of D' S^-1 D is the logarithm of the odds to expect of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.changes.causes import Cause
+from casacal.changes.change import Change
+from casacal.changes.look import Look, alone
+from casacal.changes.posterior import Posterior, Prior
+from casacal.errors import CasacalError
+from casacal.files import write_text
+from casacal.planning.choice import drawn_touch, pool_of
+from casacal.planning.route import FIT, postures_text, shortest_way
+from casacal.problem.cell import Cell, Face
+from casacal.problem.problem import Problem
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.uncertainty.fresh_rows import chance, likelihood, occam
+from casacal.verification.fresh import Fresh
+
+OFF = 100.0
+"""Times its noise by which a row that is off usually is: a turn of a pointer that was not counted, 1 mm of 0.01 mm."""
+
+SURE = 0.95  # part of the evidence from which on one cause is the one
+STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
+NAMED = 0.02  # part of the evidence below which a cause is none of those that remain
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A cause at its best: its unknowns (k,) with standard deviations, everything, and the ways (n, v) to that."""
+
+    shift: Array
+    std: Array
+    posterior: Posterior
+    ways: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A cause, or a row that is off.
+
+    share: part of the evidence. left: chance of what it leaves unexplained. p: chance of as much explained where
+    nothing changed. fitted: of a cause, but to first order.
+    """
+
+    cause: Cause | None
+    row: int
+    p: float
+    left: float
+    evidence: float
+    share: float = 0.0
+    fitted: Fitted | None = None
+
+
+def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
+    """All causes that show in the rows, and single rows, the likeliest first.
+
+    linear: causes to first order, which says nothing of where they leave the arm.
+    """
+    tests, prior = look.tests, None if linear else Prior.of(look.fresh, look.shifted.unknowns)
+    by_cause, by_row, nothing = tests.found
+    p_cause, p_row, _ = tests.p
+    found = []
+    for k, cause in enumerate(look.causes):
+        if not look.seen(k):
+            continue
+        n, cost = int(tests.freedoms[k]), occam(look.slopes[k], cause.sizes)
+        if prior is None:
+            left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
+            found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
+            continue
+        used = _shown(look, k)
+        ways = np.zeros((look.shifted.unknowns, n))
+        ways[cause.columns] = used
+        wider = prior.with_ways(ways, np.ones(n))
+        posterior = wider.given(look.shifted, most=STEPS, strict=False)
+        covariance = posterior.covariance[-n:, -n:]
+        std = np.sqrt(np.maximum(np.diagonal(used @ covariance @ used.T), 0.0))
+        left, evidence = _judged(look, posterior.chi_square, n, cost)
+        p = chance(max(nothing - posterior.chi_square, 0.0), n, tests.noise)
+        fitted = Fitted(used @ posterior.v[-n:], std, posterior, wider.ways)
+        found.append(Explanation(cause, -1, p, left, evidence, fitted=fitted))
+    per_row = tests.rows.shape[2]
+    for k in np.flatnonzero(tests.row_freedoms > 0).tolist():
+        cost = occam(alone(tests.fresh, k, per_row), np.full(per_row, OFF)) + math.log(tests.judged)
+        left, evidence = _judged(look, nothing - float(by_row[k]), int(tests.row_freedoms[k]), cost)
+        found.append(Explanation(None, k, float(p_row[k]), left, evidence))
+    best = max((each.evidence for each in found), default=0.0)
+    weights = [math.exp(each.evidence - best) for each in found]
+    shared = [replace(each, share=weight / sum(weights)) for each, weight in zip(found, weights, strict=True)]
+    return sorted(shared, key=lambda each: -each.share)
+
+
+def contenders(found: list[Explanation]) -> list[Explanation]:
+    """The likeliest ones that together are sure, and whatever is nearly as likely as the last of them."""
+    chosen, total = list[Explanation](), 0.0
+    for each in found:
+        if total >= SURE or (chosen and each.share < NAMED):
+            break
+        chosen.append(each)
+        total += each.share
+    return chosen
+
+
+def _judged(look: Look, chi_square: float, freedom: int, cost: float) -> tuple[float, float]:
+    """Chance of the chi-square that is left, and the evidence, after so many directions of such a cost were fitted."""
+    tests = look.tests
+    whole = tests.fresh.freedom
+    return chance(chi_square, whole - freedom, tests.noise), likelihood(chi_square, whole, tests.noise) - cost
+
+
+def _shown(look: Look, k: int) -> Array:
+    """Directions (k, r) in a cause's own unknowns along which it shows."""
+    sizes = look.causes[k].sizes
+    _, _, rows = np.linalg.svd(look.slopes[k] * sizes, full_matrices=False)
+    return np.asarray(sizes[:, None] * rows[: int(look.tests.freedoms[k])].T)
+
+
+POOL = 400  # touches among which is chosen
+WIDER = 1.5
+"""Size of a face over the way between its touches: where somebody touched, one can touch again, and a little beside."""
+
+LEAST = 20.0  # side of a face, mm, that has hardly been touched
+
+
+_Expected = tuple[Array, Array]
+"""What a cause expects of each touch of a pool: whitened residuals (N, m), slopes (N, m, k) by its doubt."""
+
+
+def telling(
+    problem: Problem, look: Look, found: list[Explanation], count: int, seed: int
+) -> tuple[Samples | None, float]:
+    """Touches that would tell causes apart, in the order of a short way, and the log-odds to expect of the worst pair.
+
+    None where none are asked for, where there is but one cause beside rows that are off, where no touch is in reach.
+    """
+    causes = [each.fitted for each in found if each.fitted is not None]
+    if not count or len(causes) < 2:
+        return None, 0.0
+    try:
+        pool = pool_of(problem, _faces_of(problem, look.fresh), POOL, seed)
+        there = look.shifted.on(replace(pool, sha256="pool"))
+    except CasacalError:  # out of reach, or of faces that these rows do not know
+        return None, 0.0
+    told = [_expected(each, there) for each in causes]
+    pairs = list(combinations(range(len(causes)), 2))
+    chosen, odds = list[int](), 0.0
+    for _ in range(min(count, len(pool))):
+        gains = [
+            -np.inf if k in chosen else min(_odds(told[a], told[b], [*chosen, k]) for a, b in pairs)
+            for k in range(len(pool))
+        ]
+        chosen.append(int(np.argmax(gains)))
+        odds = float(max(gains))
+    order = shortest_way(problem.robot, pool.joints[chosen])
+    best = pool.take([chosen[k] for k in order])
+    return replace(best, lines=tuple(range(1, len(chosen) + 1)), file="planned touches"), odds
+
+
+def _expected(fitted: Fitted, there: BoundProblem) -> _Expected:
+    """Of an explanation: where it puts the arm, and what it leaves open."""
+    posterior, count = fitted.posterior, len(there.block.samples)
+    half = np.linalg.cholesky(posterior.covariance + 1e-18 * np.eye(len(posterior.covariance)))
+    slopes = there.jacobian(posterior.x) @ fitted.ways @ half
+    return there.residual(posterior.x).reshape(count, -1), slopes.reshape(count, -1, slopes.shape[1])
+
+
+def _odds(one: _Expected, two: _Expected, rows: list[int]) -> float:
+    """Logarithm of the odds to expect of some touches between two causes."""
+    apart = (one[0][rows] - two[0][rows]).ravel()
+    spread = np.eye(apart.size)
+    for _, slopes in (one, two):
+        part = slopes[rows].reshape(apart.size, -1)
+        spread += part @ part.T / 2
+    return float(apart @ np.linalg.solve(spread, apart)) / 2
+
+
+def _faces_of(problem: Problem, fresh: Fresh) -> Cell | None:
+    """The faces where fresh rows found them, as large as they were touched; None where none is touched."""
+    probe, bound = problem.instrument.probe, fresh.bound
+    if probe is None:
+        return None
+    samples = bound.block.samples
+    _, _, tips, directions = drawn_touch(problem, probe, samples)
+    rows_of, faces = samples.faces(problem.instrument.groups).rows(), list[Face]()
+    for slot in bound.slots:
+        kind, shown = slot.unknown.shown(slot.nominal, fresh.x[slot.columns.start : slot.columns.stop])
+        label = slot.label if slot.label is not None else next(iter(rows_of))
+        if kind != "planes" or label not in rows_of:
+            continue
+        rows, normal = rows_of[label], np.asarray(shown["normal"])
+        normal = -normal if float((directions[rows] @ normal).mean()) > 0 else normal
+        middle = tips[rows].mean(axis=0)
+        middle -= normal * float(normal @ (middle - np.asarray(shown["point_mm"])))
+        way = 2 * float(np.linalg.norm(tips[rows] - middle, axis=1).max()) / np.sqrt(2)
+        side = max(WIDER * way, LEAST)
+        faces.append(Face(label, tuple(middle.tolist()), tuple(normal.tolist()), (side, side)))
+    return Cell(faces=tuple(faces)) if faces else None
+
+
+def write_touches(path: str | Path, found: Change, layout: Layout, name: str) -> None:
+    """Write the touches of a `Change` in the form of a plan, whole or not at all; nothing where it has none."""
+    if found.touches is None:
+        return
+    notes = [
+        f"touches that would settle what changed, by casacal for {name}: not a measurement",
+        f"between {' and '.join(cause.name for cause in found.causes)}",
+        "bring the arm to each posture, then along the plunger until the instrument reads; write down the joint values "
+        "that the controller shows and the reading that there is, not the expected one; give them with the other rows",
+    ]
+    write_text(path, postures_text(found.touches, [FIT] * len(found.touches), layout, notes))

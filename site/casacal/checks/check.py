@@ -1,0 +1,225 @@
+"""All the doctor's checks in order: the rows, the set-up, systematic faults, single rows, the noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.binding.all_rows import each_alone
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.checks.beside_geometry import beside_geometry
+from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
+from casacal.checks.faults import flips
+from casacal.checks.finding import Finding, misfit
+from casacal.checks.fitted_faults import tool_moved
+from casacal.checks.numbers import wrong_number
+from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
+from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded
+from casacal.checks.set_aside import strays
+from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
+from casacal.errors import CasacalError, came
+from casacal.estimators import lm
+from casacal.problem.problem import Problem
+from casacal.samples.measurements import Measurements
+from casacal.samples.samples import Samples
+from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.wording import times
+
+MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
+OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
+SPREAD = 20_000  # rows that tell of the set-up and of what the prior explains; more add memory, not insight
+
+OF_TWO = 3.0
+"""Times what prior errors explain by which the drawn arm must miss before two mistakes at once are looked for."""
+
+ORDER = {"error": 0, "warning": 1, "remark": 2}
+
+
+def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, ...]:
+    """What is wrong, weak or worth knowing about samples; worst first.
+
+    Of several instruments each is looked at by itself, and then whether all agree about one arm.
+
+    Before any fit: repeats, ranges, rounding, set-up, labels, dial sign. With a quick robust fit: systematic faults,
+    each found by undoing it, then outliers and noise, then effects beside the geometry. What one cause explains is not
+    reported again. Deterministic.
+    Raises CasacalError for what is no problem or no samples.
+    """
+    if not isinstance(problem, Problem):
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
+    if not isinstance(samples, (Samples, Measurements)):
+        raise CasacalError(f"Got {came(samples)} as samples", "Give Samples; problem.read(path) returns them")
+    if len(problem.instruments) > 1:
+        if not isinstance(samples, Measurements) or samples.names != problem.names:
+            fix = f"Give Measurements of {', '.join(problem.names)}"
+            raise CasacalError("The samples are not those of the problem's instruments", fix)
+        return _in_order(_of_several(problem, samples))
+    samples = Measurements.of(samples).sets[0]
+    findings = [*repeated(samples), *outside(problem, samples)]
+    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples)]
+    try:
+        bound = bind(problem, samples)
+    except CasacalError as error:
+        return (Finding("error", UNBOUND, error.what, error.fix), *_in_order(findings))
+    some = bound if len(samples) <= SPREAD else bound.on(samples.take(_evenly(len(samples), SPREAD)))
+    scatter = prior_scatter(some, flat_counts=True).rms
+    if steps := upside_down(some, scatter):
+        return _in_order([*steps, *findings])
+    bad, stray = strays(problem, samples, scatter)
+    good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
+    few = _few_of_each_face(problem, good)
+    base = misfit(problem, few)
+    gross = float(np.sqrt((some.plain_residual(some.x0) ** 2).mean())) > OF_TWO * scatter
+    cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
+    if cause is not None:  # it also explains single rows that lie off
+        return _in_order(_with_cause(findings, cause, some, few))
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
+    if base > SUSPICIOUS:
+        return _in_order([_unexplained(problem, samples, base, findings), *findings])
+    findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
+    if all(finding.severity != "error" for finding in findings):
+        findings += beside_geometry(problem, few)
+    return _in_order(findings)
+
+
+def labels_alike(problem: Problem, measured: Measurements) -> tuple[Finding, ...]:
+    """Warnings of labels that may be slips of others, such as Floor beside floor."""
+    alone = each_alone(problem, measured.sets)
+    found = (finding for each in alone for finding in odd_labels(each.problem, each.samples))
+    return tuple(finding for finding in found if finding.about == LABELS_ALIKE)
+
+
+def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem, few: Samples) -> list[Finding]:
+    """A cause, with what readings say of the sign before any fit, and what is wrong with the rows apart from it."""
+    undone = cause.undone
+    told = {finding.about for finding in outside(undone.problem, undone.samples)}
+    explained_too = {finding.about for finding in outside(bound.problem, few)} - told
+    kept = [finding for finding in findings if finding.about not in explained_too]
+    found = cause.finding
+    if found.about == WRONG_SIGN and OUTSIDE in explained_too:
+        found = replace(found, cause=f"the readings have a minus and should not: {found.cause.partition(': ')[2]}",
+                        fix="Write the readings without the minus")  # fmt: skip
+    elif found.about == WRONG_SIGN:
+        found = replace(found, cause="; ".join([found.cause, *(each.cause for each in sign_before_fit(bound))]))
+    faces = few if "something moved" in found.about else undone.samples  # which calls those touched later by new names
+    weak = setup_findings(bind(undone.problem, replace(undone.samples, labels=faces.labels)))
+    return [found, *kept, *(finding for finding in weak if finding.about != "few rows")]
+
+
+def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
+    return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
+
+
+def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:
+    """About `MOST_ROWS` rows, evenly over their faces, or of some faces where these are many."""
+    if len(samples) <= MOST_ROWS:
+        return samples
+    faces = samples.faces(problem.instrument.groups)
+    rows = [some for some in faces.rows().values() if some.size]
+    chosen = [rows[k] for k in _evenly(len(rows), MOST_ROWS // OF_A_FACE)]
+    kept = [some[_evenly(some.size, MOST_ROWS // len(chosen))] for some in chosen]
+    return samples.take(np.sort(np.concatenate(kept)))
+
+
+def _evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Places of so many of `count` things, evenly over all; all where there are fewer."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
+
+
+def _unexplained(problem: Problem, samples: Samples, base: float, findings: list[Finding]) -> Finding:
+    known = [finding.about for finding in findings if finding.severity == "error"]
+    cause = f"the residuals of a robust fit are {times(base)} times the stated noise"
+    column, what = problem.instrument.groups, problem.instrument.words.group
+    if column is not None and samples.faces(column).names == (column,) and base > EXPLAINED:
+        cause = f"there is no column '{column}', so all rows count as of one {what}; with that, {cause}"
+        fix = f"Add the column '{column}' with the {what} of each row; if there is only one, check signs and units"
+        return Finding("error", "labels absent", cause, fix)
+    if known:
+        return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
+    cause = f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it"
+    fix = (
+        "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
+        "be the cause"
+    )
+    if base > EXPLAINED:  # more than any arm errs
+        fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+    return Finding("error", "misfit", cause, fix)
+
+
+def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:
+    """Remarks on flips that these samples would not notice."""
+    undone = {fault.about: fault.undo(problem, samples) for fault in flips(problem)}
+    unseen = [about for about, each in undone.items() if misfit(each.problem, each.samples) <= ALIKE * base]
+    cause = "these samples would look the same, so they cannot show it"
+    return [Finding("remark", f"{about}?", cause, "Check it by hand") for about in unseen]
+
+
+def _rows(bound: BoundProblem) -> list[Finding]:
+    """Outliers, else a noise that is not as stated."""
+    fitted = robust_fit(bound)
+    outliers = [] if fitted is None else single_rows(*fitted, studentised_outliers(*fitted))
+    if outliers:
+        return outliers
+    if wrong := wrong_number(bound):
+        return wrong
+    plain = lm(bound)
+    ratio, low, high = noise_interval(plain)
+    if low <= 1.1 and high >= 0.9:
+        return []
+    cause = f"the residuals are {ratio:.2f} times the stated noise (95 % {low:.2f} to {high:.2f})"
+    fix = "Correct noise_std in the problem" if ratio < 1 else "Raise noise_std, or find what the model leaves out"
+    return [Finding("warning", "noise", cause, fix)]
+
+
+UNBOUND = "cannot be bound"
+
+APART = 1.5
+"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
+
+OF_ALL = ("few rows", NO_LENGTH)
+"""What is asked of the rows of all instruments together, not of each; what faces do not tell, another may."""
+
+
+def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
+    """What is wrong with each instrument's samples, and with all together.
+
+    An instrument whose rows cannot be fitted without the others is looked at row by row alone.
+    """
+    found = list[Finding]()
+    for alone in each_alone(problem, measured.sets):
+        of_it = [each for each in check(alone.problem, alone.samples) if each.about not in OF_ALL]
+        fixes = [each.fix.replace("--set ", f"--set {alone.name}.") for each in of_it]
+        found += [replace(each, instrument=alone.name, fix=fix) for each, fix in zip(of_it, fixes, strict=True)]
+    try:
+        bound = bind(problem, *measured.sets)
+    except CasacalError as error:
+        if any(finding.about == UNBOUND for finding in found):  # said already of the instrument that it is about
+            return found
+        return [Finding("error", UNBOUND, error.what, error.fix), *found]
+    found += enough_rows(bound)
+    if all(finding.severity != "error" for finding in found):
+        found += _contradict(problem, measured)
+    return found
+
+
+def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:
+    """An error where each instrument fits by itself and all together do not."""
+    together = misfit(problem, measured)
+    sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
+    worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
+    if together <= max(APART * worst, SUSPICIOUS):
+        return []
+    shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
+    cause = (
+        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
+        f"({times(together)} times){shared}"
+    )
+    fix = (
+        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
+        "same; too small a stated noise of one instrument can also be the cause"
+    )
+    return [Finding("error", "instruments contradict each other", cause, fix)]

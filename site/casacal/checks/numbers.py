@@ -1,0 +1,135 @@
+"""One number of the arm that is another than the problem says: a zero that was lost, a misprint in the table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.noise_scale import times
+from casacal.checks.finding import Fault, Finding, Undone, quick_fit
+from casacal.estimators import lm
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.effect_sizes import evidence, told
+from casacal.uncertainty.figures import noise_interval
+from casacal.uncertainty.noise import found_noise
+from casacal.uncertainty.prior_moves import DULL
+from casacal.unknowns import Parameter
+
+WIDE = {"rad": "0.1", "mm": "20"}  # prior under which `calibrate` tries another number, by unit
+WRONG = 5.0  # prior standard deviations from the drawing at which a number is another, not an error of manufacture
+SURE = 3.0  # standard deviations, with the noise as found, by which it must lie beyond
+
+ALONE = 16.0
+"""Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+
+TRIED = 2  # numbers that are freed one by one, those first that gain most
+
+
+def numbers(problem: Problem) -> Iterator[Fault]:
+    """Each number of the arm that has a prior, as a fault to be undone.
+
+    Of more freedom than a tool elsewhere, which is commoner: among so many, one or the other may fit by chance.
+    """
+    for name, _, _, unit in _priors(problem):
+        cause = f"{name} seems to differ from the problem file"
+        yield Fault(f"{name} elsewhere", cause, _fix(name, unit), partial(_freed, name=name), 4, common=False)
+
+
+def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
+    """An error where one number of the arm, and no other, contradicts its prior.
+
+    A prior that holds a number back from where it is leaves residuals that look like noise, and once they count as
+    noise, nothing contradicts the prior any more. So this looks at the fit with the noise as stated. Where the rows are
+    likelier with the number as drawn and larger effects beside the geometry, it is not said to be another, unless
+    geometry is to stand `alone`.
+    """
+    if bound.groups is not None:
+        return []
+    stated = bound.with_noise() if bound.scale else bound
+    result = lm(stated)
+    if not result.converged:
+        return []
+    for name, key, unit in _promising(stated, result.x, np.diagonal(result.covariance)):
+        freed = bind(bound.problem.with_prior({name: math.inf}), *bound.samples)
+        found = lm(freed)
+        j, noise = freed.names.index(name), max(noise_interval(found)[0], 1.0)
+        by, std = float(found.x[j]), math.sqrt(found.covariance[j, j]) * noise
+        prior = float(bound.prior_std[j])
+        if found.converged and abs(by) > WRONG * prior + SURE * std:
+            wide = bind(bound.problem.with_prior({name: abs(by)}), *bound.samples)
+            if not alone and _likelihood(wide) < _likelihood(stated):
+                return []  # errors that rows share pull a number far as well
+            cause = (
+                f"{name} seems to differ from the problem file{_by(bound.problem, key, name, by)}, which is "
+                f"{abs(by) / prior:.2g} prior standard deviations; no other parameter is so far off"
+            )
+            return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit))]
+    return []
+
+
+def _likelihood(bound: BoundProblem) -> float:
+    """Logarithm of the marginal likelihood of rows where effects beside the geometry are as large as they show."""
+    fit = with_effects(bound.with_noise(found_noise(bound).scale), bound.problem)
+    found = lm(fit)
+    fit = fit.with_noise(times(fit.scale, noise_interval(found)[0]))
+    return evidence(told(fit, found.x), fit.prior_information) - float(np.log(fit.noise).sum())
+
+
+def _promising(bound: BoundProblem, x: Array, variances: Array) -> list[tuple[str, str, str]]:
+    """Names, keys and units of the numbers whose prior costs far more than that of any other.
+
+    Without it twice the cost falls by x^2 / (s^2 - C), the square of a standard normal number where the prior is right;
+    where all priors are too tight, or the noise is, all of these grow.
+    """
+    gains = {}
+    for name, key, std, unit in _priors(bound.problem):
+        j = bound.names.index(name)
+        told = std**2 - variances[j]
+        gains[name, key, unit] = float(x[j] ** 2 / told) if told > DULL * std**2 else 0.0
+    order, total = sorted(gains, key=lambda each: -gains[each]), sum(gains.values())
+    others = max(len(gains) - 1, 1)
+    return [each for each in order[:TRIED] if gains[each] > ALONE * max((total - gains[each]) / others, 1.0)]
+
+
+def _priors(problem: Problem) -> Iterator[tuple[str, str, float, str]]:
+    """Name, key, prior and unit of every free number of the arm that has a finite one."""
+    for key, unknown in problem.robot.parameters.items():
+        if isinstance(unknown, Parameter):
+            for name, std, unit in zip(unknown.names(key), unknown.prior_stds, unknown.units, strict=True):
+                if math.isfinite(std):
+                    yield name, key, float(std), unit
+
+
+def _freed(problem: Problem, samples: Samples, *, name: str) -> Undone:
+    """The number free of its prior, and where the samples put it, so that further fits begin there."""
+    key = next(key for each, key, _, _ in _priors(problem) if each == name)
+    freed = problem.with_prior({name: math.inf})
+    fitted = quick_fit(freed, samples)
+    if fitted is None:
+        return Undone(problem, samples)
+    bound, result = fitted
+    by = float(result.x[bound.names.index(name)])
+    return Undone(freed, samples, _by(problem, key, name, by), result.x)
+
+
+def _by(problem: Problem, key: str, name: str, by: float) -> str:
+    unknown = problem.robot.parameters[key]
+    assert isinstance(unknown, Parameter)
+    drawn = unknown.nominal
+    assert drawn is not None
+    at = float(drawn[unknown.component_names(key).index(name)])
+    if unknown.unit == "rad":
+        return f", by {math.degrees(by):+.3g} degrees from {math.degrees(at):.6g}"
+    return f", by {by:+.4g} {unknown.unit} from {at:.6g}"
+
+
+def _fix(name: str, unit: str) -> str:
+    tried = f" (--prior {name}={WIDE[unit]} tries it)" if unit in WIDE else ""
+    return f"Correct {name} in the problem file, or re-master that joint{tried}"

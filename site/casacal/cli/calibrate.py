@@ -1,0 +1,182 @@
+"""`casacal calibrate`: calibrate the arm from samples, and say how far to trust them."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.cli.adjust import add_adjustments, adjusted, adjustments
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    JSON,
+    PROBLEM,
+    add,
+    add_samples,
+    box_of,
+    check_folder,
+    read_samples,
+    sample_files,
+    spare,
+    whole_number,
+)
+from casacal.cli.terminal import on_stderr, say, say_json, say_lines, width, wrapped, write_progress
+from casacal.errors import CasacalError
+from casacal.wording import mm
+
+if TYPE_CHECKING:
+    from casacal.calibration.calibration import Calibration
+    from casacal.problem.problem_file import ProblemFile
+    from casacal.uncertainty.expectation import Box
+
+HELP = "calibrate the arm from samples"
+METHOD_NAMES = ("lm", "sckf", "sckf-lm", "ekf", "annealing", "swarm", "evolution", "ipopt", "plane-only")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal calibrate` takes."""
+    parser.description = (
+        "Fit the arm's parameters to samples, cross-check the minimum with another solver, and say how far the "
+        "result can be trusted. Exit 1 if it must not be used."
+    )
+    add(parser, *PROBLEM)
+    add_samples(parser)
+    add(parser, "--method", "default: sckf-lm; with --loss, lm", choices=METHOD_NAMES)
+    add(parser, "--holdout F", "fraction of the rows to hold out", kind=float, default=0.0)
+    words = "rows (default: some of each face), region (neighbouring postures), face, or a column, such as session"
+    add(parser, "--holdout-by WHAT", words)
+    add(parser, "--seed K", "for held-out rows and random methods", kind=whole_number, default=0)
+    add_adjustments(parser)
+    words = "keep gross rows from pulling the fit; not with sckf, ekf, plane-only"
+    add(parser, "--loss", words, choices=("huber", "tukey"))
+    add(parser, "--box X0:X1,Y0:Y1,Z0:Z1", "also give the tip error expected inside this box, mm, base frame")
+    add(parser, "--noise", "found (default): from the rows, but at least as stated", choices=("found", "stated"))
+    add(parser, "--keep-outliers", "fit all rows, including outliers")
+    words = (
+        "kit (default): allow for errors beside the geometry, such as gravity sag and backlash, and correct "
+        "those that improve held-out rows; none: geometry alone"
+    )
+    add(parser, "--discrepancy", words, default="kit", choices=("kit", "none"))
+    words = "solver of the cross-check: ipopt (default), fatrop, sqpmethod or another nlpsol plug-in of CasADi"
+    add(parser, "--reference NAME", words)
+    add(parser, "--no-reference", "skip the cross-check")
+    words = "what evaluates the rows; default: CASACAL_BACKEND, or auto"
+    add(parser, "--backend", words, choices=("auto", "c", "blocks"))
+    add(parser, "--out DIR", "write report.html, result.json, parameters.csv and pictures there")
+    add(parser, "--verbose", "print parameters, weak directions and the reference as well")
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate as the options say; returns 0, or 1 when the result must not be used."""
+    from casacal.calibration.calibrate import calibrate
+    from casacal.calibration.result_json import FILES
+    from casacal.least_squares.losses import huber, tukey
+    from casacal.problem.problem_file import load_problem
+
+    if options.out is not None:
+        check_folder("--out", options.out)
+    if options.holdout_by is not None and not options.holdout_by.strip():
+        raise CasacalError("--holdout-by is empty", "Give rows, region, face or a column, or leave it out")
+    if options.holdout_by is not None and not options.holdout:
+        raise CasacalError(f"Got --holdout-by {options.holdout_by} without --holdout", "Say which part: --holdout 0.3")
+    if options.reference is not None and options.no_reference:
+        raise CasacalError(f"Got --reference {options.reference} with --no-reference", "Leave one of them out")
+    source = load_problem(options.problem)
+    problem = adjusted(source.problem, options)
+    given = sample_files(source, options)
+    if options.out is not None:
+        places = [Path(options.out) / name for name in FILES]
+        spare(places, *given.values(), options.readings, *(file.path for file in source.files))
+    samples = read_samples(source, options)
+    box = None if options.box is None else box_of(options.box)
+    method = options.method or ("sckf-lm" if options.loss is None else "lm")
+    with _Progress(method) as progress, nullcontext() if options.reference is None else on_stderr():
+        calibration = calibrate(
+            replace(source, problem=problem),
+            samples,
+            method=method,
+            holdout=options.holdout,
+            holdout_by=options.holdout_by or "rows",
+            seed=options.seed,
+            reference=False if options.no_reference else options.reference or True,
+            noise=options.noise or "found",
+            outliers="keep" if options.keep_outliers else "set aside",
+            discrepancy=options.discrepancy,
+            loss={"huber": huber(), "tukey": tukey()}.get(options.loss),
+            backend=options.backend,
+            progress=progress,
+        )
+    return _told(calibration, source, box, options)
+
+
+def _told(calibration: Calibration, source: ProblemFile, box: Box | None, options: argparse.Namespace) -> int:
+    """Say what was found, in the form that is asked for, and write the files; returns 0 or 1."""
+    from casacal.calibration.brief import MOST_LINES, brief
+    from casacal.calibration.result_json import calibration_document, write_calibration
+    from casacal.calibration.summary import summary
+    from casacal.calibration.tables import corrected_words
+    from casacal.calibration.told import told_words
+    from casacal.calibration.verdict import verdict_of
+    from casacal.uncertainty.expectation import accuracy_in_box
+
+    verdict = verdict_of(calibration)
+    denied = verdict.level == "do not use"
+    inside = None
+    if box is not None and not denied:
+        motion = calibration.motion
+        inside = accuracy_in_box(motion.arm, motion.x, box, motion.off)
+    expected = []
+    if inside is not None:
+        expected = [f"Inside {options.box} mm: a tip error of {mm(inside[0])} RMS, {mm(inside[1])} at worst."]
+    if not denied:
+        expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
+        expected += told_words(calibration, denied=False)
+    folder = None if options.out is None else Path(options.out).as_posix()
+    last = "Parameters and what the samples do not show: --verbose"
+    if folder is not None:
+        last = f"Written: {folder}/report.html and result.json"
+    if options.json:
+        found = (
+            {} if inside is None else {"box": {"range_mm": box, "expected_rms_mm": inside[0], "worst_mm": inside[1]}}
+        )
+        say_json({**calibration_document(calibration, source), **found})
+    elif options.verbose:
+        say_lines("\n\n".join([summary(calibration, source.name).rstrip(), *expected]))
+    else:
+        sets = [word for each in options.sets for word in ("--samples", each)]
+        rows = [options.samples] if options.samples else []
+        about = shlex.join([options.problem, *rows, *sets, *adjustments(options)])
+        room = MOST_LINES - len(wrapped(last))
+        say_lines(brief(calibration, verdict, about=about, out=folder, expected=expected, width=width(), room=room))
+    if folder is not None:
+        write_calibration(calibration, Path(folder), command=options.typed, box=box)
+    if not options.json and (folder is not None or not options.verbose):
+        say("\n".join(wrapped(last)))
+    return FAILED if denied else DONE
+
+
+class _Progress:
+    """A line on standard error, after the first second, and only on a terminal."""
+
+    def __init__(self, method: str) -> None:
+        self.method, self.began, self.shown = method, time.monotonic(), 0.0
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, step: int, value: float) -> None:
+        now = time.monotonic()
+        if now - self.began > 1.0 and now - self.shown > 0.5 and sys.stderr.isatty():
+            self.shown = now
+            write_progress(f"\r{self.method}: step {step}, {value:.6g}   ")
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown:
+            write_progress("\n")

@@ -1,0 +1,89 @@
+"""`casacal changed`: whether the robot has changed since it was calibrated, what, and by how much."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from casacal.cli.adjust import names_of, numbers_of
+from casacal.cli.common import (
+    DONE,
+    FAILED,
+    JSON,
+    add,
+    add_fresh_rows,
+    check_folder,
+    fresh_rows,
+    made_from,
+    spare,
+    whole_number,
+)
+from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.errors import CasacalError
+
+HELP = "tell whether the robot has changed since, what, and by how much"
+
+TOUCHES = 6  # how many touches are proposed where causes cannot be told apart
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal changed` takes."""
+    parser.description = (
+        "Tell from fresh rows whether an encoder zero, the tool, the base or a face has changed since the "
+        "calibration, which one and by how much. Where the rows cannot tell, plan the touches that would. Exit 1 if "
+        "something changed or is undecided."
+    )
+    add_fresh_rows(parser, "faces that have not been moved since the calibration")
+    add(parser, "--alarm RATE", "rate of false alarms, 0.001 to 0.5; default: 0.01", kind=float, default=0.01)
+    add(parser, "--drift NAME=STD ...", "allowed drift since, a standard deviation in mm or rad, such as theta=2e-5")
+    add(parser, "--update DIR", "write an updated result from the old one and these rows")
+    add(parser, "--touches FILE", f"write {TOUCHES} touches that would settle the cause, where needed")
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Look as the options say; returns 0, or 1 when something changed or cannot be told."""
+    from casacal.changes.changed import looked
+    from casacal.changes.explain import write_touches
+    from casacal.changes.update import after
+    from casacal.verification.opened import opened
+
+    result, other, named, rows = fresh_rows(options)
+    _spare(options, made_from(result))
+    standing = names_of("--standing", options.standing)
+    given = opened(result, rows, problem=other, instrument=named, standing=standing)
+    drift = numbers_of("--drift", options.drift, "NAME=STD", "mm or rad, such as theta=2e-5")
+    touches = 0 if options.touches is None else TOUCHES
+    found, look = looked(given, standing, drift, alarm=options.alarm, touches=touches, seed=options.seed)
+    written, refused = list[str](), ""
+    if options.update is not None:
+        try:
+            after(given, found, look, Path(options.update))
+            written.append((Path(options.update) / "result.json").as_posix())
+        except CasacalError as error:
+            if found.changed is not None:
+                raise
+            refused = str(error)
+    if options.touches is not None and found.touches is not None:
+        write_touches(options.touches, found, given.source.problem.layout(), given.source.name)
+        written.append(Path(options.touches).as_posix())
+    if options.json:
+        say_json({**found.to_dict(), "written": written, "refused": refused})
+    else:
+        say_paragraphs(*found.summary().split("\n"))
+        say_paragraphs(*filter(None, [refused]), *(f"Written: {place}" for place in written))
+        if options.touches is not None and found.touches is None:
+            say_paragraphs(f"{options.touches} was not written: no touches are needed, or no useful ones are in reach.")
+    return DONE if found.changed is False else FAILED
+
+
+def _spare(options: argparse.Namespace, inputs: list[Path]) -> None:
+    """Raise CasacalError where an answer would be written over what is read, or into what is no folder."""
+    outs = [] if options.touches is None else [options.touches]
+    if options.update is not None:
+        check_folder("--update", options.update)
+        outs.append(Path(options.update) / "result.json")
+    result = Path(options.result)
+    place = result / "result.json" if result.is_dir() else result
+    spare(outs, options.samples, options.readings, place, *inputs)

@@ -1,0 +1,40 @@
+"""`casacal check`: find mistakes in samples before fitting."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from casacal.cli.adjust import add_adjustments, adjusted
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add, add_samples, read_samples
+from casacal.cli.terminal import say_json, say_paragraphs
+
+HELP = "find mistakes in samples before fitting"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal check` takes."""
+    parser.description = "Find mistakes and weaknesses in samples. Exit 1 if a result from them would be wrong."
+    add(parser, *PROBLEM)
+    add_samples(parser)
+    add_adjustments(parser)
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check as the options say; returns 0, or 1 when a result would be wrong."""
+    from casacal.checks import check
+    from casacal.problem.problem_file import load_problem
+
+    source = load_problem(options.problem)
+    samples = read_samples(source, options, absurd=True)
+    findings = check(adjusted(source.problem, options), samples)
+    counts = {word: sum(f.severity == word for f in findings) for word in ("error", "warning", "remark")}
+    if options.json:
+        data = {"file": samples.file, "sha256": samples.sha256, "samples": len(samples)}
+        say_json({"problem": source.name, "data": data, "counts": counts, "findings": [asdict(f) for f in findings]})
+    else:
+        say_paragraphs(*map(str, findings))
+        said = ", ".join(f"{count} {word}{'s' if count != 1 else ''}" for word, count in counts.items())
+        say_paragraphs(f"{len(samples)} samples of {samples.file}: {said}")
+    return FAILED if counts["error"] else DONE

@@ -1,0 +1,236 @@
+"""What several commands share: how problems, samples and results are named, and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.compensation.arm import CalibratedArm
+    from casacal.problem.problem_file import ProblemFile
+    from casacal.samples.measurements import Measurements
+    from casacal.samples.samples import Samples
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def add(
+    parser: argparse._ActionsContainer,
+    spelled: str,
+    words: str,
+    *,
+    kind: Callable[[str], Any] = str,
+    default: Any = None,
+    choices: Sequence[str] | None = None,
+    required: bool = False,
+    dest: str | None = None,
+) -> None:
+    """An argument, spelled as in a usage line.
+
+    "PROBLEM" and "[SAMPLES]" have a place; "--json" is said or not; "--seed K" takes a value, "--merge DIR+" one or
+    more, and "--prior NAME=STD ..." may come several times, which makes a list.
+    """
+    name, _, value = spelled.partition(" ")
+    if not name.startswith("-"):
+        place = name.strip("[]")
+        nargs = "?" if name.startswith("[") else None
+        parser.add_argument(place.lower(), metavar=None if choices else place, nargs=nargs, choices=choices, help=words)
+    elif not value and choices is None:
+        parser.add_argument(name, action="store_true", help=words)
+    else:
+        several, often = value.endswith("+"), value.endswith(" ...")
+        parser.add_argument(
+            name,
+            metavar=value.removesuffix(" ...").removesuffix("+") or None,
+            action="append" if often else "store",
+            nargs="+" if several else None,
+            type=kind,
+            default=[] if often else default,
+            choices=choices,
+            required=required,
+            dest=dest or name.lstrip("-").replace("-", "_"),
+            help=words,
+        )
+
+
+PROBLEM = "PROBLEM", "a folder with a problem.py, or such a file"
+RESULT = "RESULT", "result.json of casacal calibrate, or the .truth.json of casacal simulate"
+INSTRUMENT = (
+    "--instrument NAME",
+    "instrument whose tip is meant; default: the first, where a problem has several instruments",
+)
+FORCE = "--force", "accept a result that must not be used; the file says so"
+JSON = "--json", "print the answer as JSON, and nothing else"  # arguments of several commands, as `add` takes them
+
+
+def add_frame(parser: argparse.ArgumentParser, words: str) -> None:
+    """What poses are of."""
+    add(parser, "--frame", f"{words}; default: flange", default="flange", choices=("flange", "tip"))
+
+
+def of_instrument(source: ProblemFile, name: str | None) -> ProblemFile:
+    """The same arm measured by one of its instruments; CasacalError where there are several and none is named."""
+    problem = source.problem
+    if name is None and len(problem.instruments) > 1:
+        fix = f"Name it: --instrument {problem.names[0]}"
+        raise CasacalError(f"This is for one instrument, and there are {', '.join(problem.names)}", fix)
+    return source if name is None else replace(source, problem=problem.measured_by(name))
+
+
+def _add_readings(parser: argparse.ArgumentParser) -> None:
+    """Readings that come apart from their joint values."""
+    add(parser, "--readings FILE", "CSV or .xlsx with the readings, when SAMPLES has none")
+    add(parser, "--id COLUMN", "column that joins readings to their poses; default: pose", default="pose")
+
+
+def add_fresh_rows(parser: argparse.ArgumentParser, standing: str) -> None:
+    """A result and rows that it has not seen, of its own instrument or another; what faces that stand are to it."""
+    add(parser, *RESULT)
+    words = (
+        "instrument that took these rows; default: the one with these columns, where a problem has several instruments"
+    )
+    add(parser, "--instrument NAME", words)
+    add(parser, "SAMPLES", "fresh rows: CSV, .xlsx, .npy or .npz")
+    _add_readings(parser)
+    words = "the same arm with the instrument of these rows, such as a tracker; default: that of the calibration"
+    add(parser, "--problem PROBLEM", words)
+    add(parser, "--standing NAMES ...", f"{standing}: floor,wall,...")
+
+
+def fresh_rows(options: argparse.Namespace) -> tuple[CalibratedArm, ProblemFile | None, str | None, Samples]:
+    """The result that `add_fresh_rows` names, a problem of another instrument, which instrument it is, and its rows."""
+    from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
+    from casacal.problem.problem_file import load_problem
+    from casacal.verification.opened import measured_by
+
+    if not options.samples.strip():
+        raise CasacalError("SAMPLES is empty", "Name a file of fresh rows")
+    result = read_result(options.result)
+    other = None if options.problem is None else load_problem(options.problem)
+    named = options.instrument if other is not None else measured_by(result, options.samples, options.instrument)
+    problem = seen_by(result, named).source.problem if other is None else other.problem
+    return result, other, named, problem.read(options.samples, readings=options.readings, key=options.id)
+
+
+def spare(outs: Iterable[str | Path], *inputs: str | Path | None, option: str = "--out") -> None:
+    """Raise CasacalError where a command would write over what it reads."""
+    for out in outs:
+        for given in inputs:
+            if given is not None and Path(given).is_file() and Path(out).exists() and Path(out).samefile(given):
+                fix = f"Name another {option}"
+                raise CasacalError(f"'{out}' is to be written, and it is what the command reads", fix)
+
+
+def read_arm(options: argparse.Namespace, *inputs: str | None) -> CalibratedArm:
+    """RESULT as --instrument sees it; CasacalError where --out would overwrite it, these, or what it is made from."""
+    from casacal.compensation.result_file import read_result
+    from casacal.compensation.seen_by import seen_by
+
+    spare([options.out], options.result, *inputs)
+    result = seen_by(read_result(options.result), options.instrument)
+    spare([options.out], *made_from(result))
+    return result
+
+
+def check_folder(option: str, place: str) -> None:
+    """Raise CasacalError for what cannot be a folder that is written to."""
+    if not place.strip() or (Path(place).exists() and not Path(place).is_dir()):
+        raise CasacalError(f"{option} '{place}' is no folder", "Name a folder, or one that does not exist yet")
+
+
+def made_from(result: CalibratedArm) -> list[Path]:
+    """The files that a result's arm and samples came from, where they may still stand."""
+    place = Path(result.file).parent
+    data = result.document.get("data") or {}
+    sets = (data.get("instruments") or {}).values()
+    named = [file.path for file in result.source.files] + [data.get("file"), *(each.get("file") for each in sets)]
+    return [place / name for name in named if isinstance(name, str) and name]
+
+
+def whole_number(text: str) -> int:
+    """A seed, as argparse reads it: zero or a positive whole number."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from zero on")
+    return int(text)
+
+
+def box_of(text: str, *, option: str = "--box") -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+    """Ranges of x, y, z, mm, as --box says them; raises CasacalError."""
+    try:
+        ranges = [tuple(float(value) for value in part.split(":")) for part in text.split(",")]
+        (x0, x1), (y0, y1), (z0, z1) = ranges
+    except ValueError:
+        raise CasacalError(f"{option} {text} is not X0:X1,Y0:Y1,Z0:Z1", "Give three ranges in mm") from None
+    return (x0, x1), (y0, y1), (z0, z1)
+
+
+def add_samples(parser: argparse.ArgumentParser) -> None:
+    """The samples a command reads, and readings that come apart from them."""
+    add(parser, "[SAMPLES]", "CSV (-: standard input), .xlsx, .npy or .npz; default: samples.csv beside the problem")
+    words = (
+        "samples of each of several instruments, such as --samples dial=a.csv --samples tracker=b.csv; default: "
+        "samples-dial.csv and so on beside the problem"
+    )
+    add(parser, "--samples NAME=FILE ...", words, dest="sets")
+    _add_readings(parser)
+
+
+def sample_files(source: ProblemFile, options: argparse.Namespace) -> dict[str, str]:
+    """The samples file of each instrument, by its name: those that were named, or those beside the problem.
+
+    Raises CasacalError where there is none, and for an instrument that there is not.
+    """
+    names = source.problem.names
+    if len(names) == 1:
+        if options.sets:
+            raise CasacalError("--samples NAME=FILE is for several instruments", "Name the file alone, as SAMPLES")
+        return {names[0]: _only_file(source, options.samples)}
+    if options.samples is not None:
+        wanted = " ".join(f"--samples {name}=FILE" for name in names)
+        raise CasacalError(f"Got one file for {len(names)} instruments", f"Name one for each: {wanted}")
+    if options.readings is not None:
+        raise CasacalError("--readings is for one instrument", "Join readings and poses in one file for each")
+    given = dict[str, str]()
+    for each in options.sets:
+        name, equals, file = each.partition("=")
+        if not equals or not file.strip():
+            raise CasacalError(f"--samples {each} is not NAME=FILE", f"Give one such as {names[0]}=samples.csv")
+        if source.problem.number(name.strip()) >= 0 and name.strip() in given:
+            raise CasacalError(f"--samples gives '{name.strip()}' twice", "Give it once")
+        given[name.strip()] = file
+    for i, name in enumerate(names):
+        beside = source.samples_of(i)
+        if name not in given and not options.sets and beside is not None and beside.is_file():
+            given[name] = beside.as_posix()
+        elif name not in given:
+            raise CasacalError(f"There are no samples of the {name}", f"Name them: --samples {name}=FILE")
+    return {name: given[name] for name in names}
+
+
+def read_samples(source: ProblemFile, options: argparse.Namespace, *, absurd: bool = False) -> Samples | Measurements:
+    """The samples of the only instrument, or of all; raises CasacalError as `sample_files` and `Problem.read` do."""
+    from casacal.samples.measurements import Measurements
+
+    problem, files = source.problem, sample_files(source, options)
+    if len(files) == 1:
+        (only,) = files.values()
+        return problem.read(only, readings=options.readings, key=options.id, absurd=absurd)
+    sets = (problem.read(file, i, absurd=absurd) for i, file in enumerate(files.values()))
+    return Measurements(problem.names, tuple(sets))
+
+
+def _only_file(source: ProblemFile, given: str | None) -> str:
+    """The samples file that was named, or the one beside the problem; raises CasacalError when there is none."""
+    if given is not None:
+        if not given.strip():
+            raise CasacalError("SAMPLES is empty", "Name a file, or leave it out for samples.csv beside the problem")
+        return given
+    if source.samples is None or not source.samples.is_file():
+        raise CasacalError(f"{source.path} has no samples.csv beside it", "Name a samples file")
+    return source.samples.as_posix()

@@ -1,0 +1,101 @@
+"""`casacal doctor`: find a controller's conventions from poses on its pendant."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from casacal.cli.common import DONE, FAILED, JSON, PROBLEM, add
+from casacal.cli.terminal import say, say_json
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from casacal.doctor.diagnosis import Diagnosis
+
+
+HELP = "find a controller's conventions from poses on its pendant"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal doctor` takes."""
+    parser.description = (
+        "Find joint signs, quarter-turn offsets, coupled joints, units and the convention of orientation from poses "
+        "that the pendant shows, and print them as a [conventions] block. If one number was copied wrongly, name it. "
+        "Exit 1 if the answer is not certain or nothing fits."
+    )
+    add(parser, *PROBLEM)
+    add(parser, "POSES", "CSV of three rows or more: q1,q2,...,x,y,z and qw,qx,qy,qz or rx,ry,rz or a,b,c")
+    add(parser, "--tool POSE", "tool frame of the pendant, relative to the flange; default: the flange")
+    add(parser, "--base POSE", "pose of the robot's base in the pendant's user frame; default: the same frame")
+    add(parser, "--tolerance MM", "largest allowed error of a row, in mm and mrad; default: 3", kind=float, default=3.0)
+    add(parser, *JSON)
+    parser.epilog = (
+        "POSE is X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ. The doctor looks at poses; casacal check looks at samples."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Diagnose as the options say; returns 0, or 1 when the conventions are not certain."""
+    from casacal.doctor import diagnose, read_pendant_rows
+    from casacal.doctor.words import diagnosis_text
+    from casacal.problem.problem_file import load_problem
+
+    robot = load_problem(options.problem).problem.robot
+    rows = read_pendant_rows(options.poses, robot.revolute.tolist())
+    base, tool = _pose("--base", options.base), _pose("--tool", options.tool)
+    found = diagnose(robot, rows, base=base, tool=tool, tolerance=options.tolerance)
+    if options.json:
+        say_json(_document(found))
+    else:
+        say(diagnosis_text(found, robot.axes).rstrip("\n"))
+    return DONE if found.certain else FAILED
+
+
+def _document(found: Diagnosis) -> dict[str, Any]:
+    """A diagnosis for another program; angles in rad, lengths in mm."""
+    return {
+        "certain": found.certain,
+        "more": found.more,
+        "rows": len(found.rows),
+        "postures": found.postures,
+        "tolerance_mm": found.tolerance,
+        "meanings": [
+            {
+                "conventions": [asdict(each) for each in meaning.conventions],
+                "joint_unit": meaning.joint_unit,
+                "length_unit": meaning.length_unit,
+                "rotations": [{"name": n, "unit": u, "miss_rad": miss} for (n, u), miss in meaning.rotations.items()],
+                "miss_mm": meaning.miss_mm,
+            }
+            for meaning in found.meanings
+        ],
+        "further": None if found.further is None else asdict(found.further),
+        "nearest": None if found.nearest is None else asdict(found.nearest),
+        "odd_lines": found.odd_lines,
+        "convention": found.convention,
+        "slips": [asdict(slip) for slip in found.slips],
+    }
+
+
+def _pose(option: str, text: str | None) -> NDArray[np.float64] | None:
+    """A pose (4, 4; mm) from X,Y,Z or X,Y,Z,QW,QX,QY,QZ."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    if text is None:
+        return None
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) not in (3, 7) or not np.isfinite(numbers).all() or (len(numbers) == 7 and not numbers[3:].any()):
+        raise CasacalError(f"{option} {text} is not a pose", "Give X,Y,Z in mm, or X,Y,Z,QW,QX,QY,QZ")
+    pose = np.eye(4)
+    pose[:3, 3] = numbers[:3]
+    if len(numbers) == 7:
+        pose[:3, :3] = Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix()
+    return pose

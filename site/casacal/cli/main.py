@@ -1,0 +1,135 @@
+"""The command line's entry point: commands by name, refusals in one line, exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import NoReturn
+
+from casacal.cli import (
+    bench,
+    calibrate,
+    changed,
+    check,
+    compensate,
+    completion,
+    demo,
+    doctor,
+    export,
+    measure,
+    new,
+    plan,
+    predict,
+    simulate,
+    study,
+    verify,
+)
+from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
+from casacal.cli.terminal import complain, finish, prepare
+from casacal.errors import CasacalError
+from casacal.threads import one_thread_each
+from casacal.version import __version__
+
+LISTED = (plan, measure, calibrate, simulate, check, doctor, predict, verify, changed, compensate, study, bench, new)
+COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, demo, completion)}
+"""Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
+
+EPILOG = (
+    "The flange is the end of the arm (robot.pose of the problem); the tip is where the instrument touches. Lengths "
+    "are in mm and angles in rad unless a name or a column says otherwise. Exit codes: 0 done; 1 the result must not "
+    "be used, a check failed or a target was not reached; 2 bad input."
+)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, as every other refusal of casacal; `commands` are the parsers below it."""
+
+    commands: dict[str, argparse.ArgumentParser]
+
+    def error(self, message: str) -> NoReturn:
+        command = self.prog.removeprefix("casacal").strip()
+        raise CasacalError(f"{command}: {message}" if command else message, f"See {self.prog} --help")
+
+
+NEGATIVE = re.compile(r"-[\d.]+[:,]")  # how a box, a range or a point begins whose first number is below zero
+
+
+def build_parser() -> _Parser:
+    """Parser whose `run` is one command's; it raises CasacalError in place of printing usage."""
+    description = "Calibrate a robot arm with a dial indicator and a flat face."
+    parser = _Parser(prog="casacal", description=description, epilog=EPILOG)
+    parser.add_argument("--version", action="version", version=f"casacal {__version__}")
+    parser.commands = {}
+    subparsers = parser.add_subparsers(metavar="COMMAND", parser_class=_Parser)
+    for name, command in COMMANDS.items():
+        below = subparsers.add_parser(name, help=command.HELP)
+        command.add_arguments(below)
+        below.set_defaults(run=command.run)
+        parser.commands[name] = below
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns 0 done, 1 a result not to be used or a check failed, 2 bad input, 130 interrupted."""
+    one_thread_each()
+    prepare()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's, of numbers that a sentence is said about
+        code = _caught(sys.argv[1:] if arguments is None else list(arguments))
+    try:
+        finish()
+    except CasacalError as error:
+        complain(" ".join(str(error).split()))
+        return BAD_INPUT
+    return code
+
+
+def _caught(typed: list[str]) -> int:
+    try:
+        parser, typed = build_parser(), _ranges_joined(typed)
+        if not typed:
+            parser.print_help()
+            return DONE
+        if typed[0] in COMMANDS:  # options may stand between what a command is about, which argparse lets none below
+            options = parser.commands[typed[0]].parse_intermixed_args(typed[1:])
+        else:
+            options = parser.parse_args(typed)
+        if "run" not in options:
+            parser.error("a COMMAND is missing")
+        if getattr(options, "out", None) is not None and not options.out.strip():
+            raise CasacalError("--out is empty", "Name where the answer is to be written")
+        options.typed, options.parser = shlex.join(["casacal", *typed]), parser
+        return _answer(options)
+    except CasacalError as error:
+        complain(" ".join(str(error).split()))
+        return BAD_INPUT
+    except OSError as error:  # a name that is too long, say, which no reader or writer foresaw
+        complain(f"'{error.filename or 'A file'}' cannot be used ({error.strerror}). Choose another name or place.")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        complain("Interrupted. No file was left half-written.")
+        return INTERRUPTED
+    except SystemExit as end:  # argparse's, after --help and --version
+        return DONE if end.code is None else int(end.code)
+
+
+def _ranges_joined(typed: list[str]) -> list[str]:
+    """--box -100:100,... as --box=-100:100,...: argparse takes what begins with a minus for an option."""
+    found = list[str]()
+    for each in typed:
+        if found and found[-1].startswith("--") and "=" not in found[-1] and NEGATIVE.match(each):
+            found[-1] += f"={each}"
+        else:
+            found.append(each)
+    return found
+
+
+def _answer(options: argparse.Namespace) -> int:
+    try:
+        return int(options.run(options))
+    except SystemExit as end:
+        raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end

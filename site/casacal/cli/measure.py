@@ -1,0 +1,228 @@
+"""`casacal measure`: a session at the machine, each touch judged when it is made."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import queue
+import re
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, where
+from casacal.cli.common import DONE, FAILED, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.terminal import prompt, say_paragraphs
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.measuring.gauges import Gauge, SerialLine
+    from casacal.measuring.session import Session
+    from casacal.measuring.touch_file import TouchFile
+    from casacal.planning.route import Route
+    from casacal.problem.problem_file import ProblemFile
+
+HELP = "take touches at the machine, each judged at once"
+
+EVERY = 10  # touches beyond the plan between two words about how many more it takes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal measure` takes."""
+    parser.description = (
+        "Go through the touches of a plan, take each reading from the keyboard or a gauge, and save it at once. A "
+        "touch that does not agree with the others is named, with the likely causes. An interrupted session continues "
+        "where it stopped. Exit 1 if a tolerance was asked for and is not met, or if a touch is left in doubt."
+    )
+    add(parser, *PROBLEM)
+    add(parser, "--instrument NAME", "which one takes the readings, where a problem has several instruments")
+    add(parser, "--plan FILE", "what casacal plan wrote", required=True)
+    add(parser, "--out FILE", "samples to write; those kept to verify go to FILE_check", required=True)
+    words = "label of these touches where the problem tells sessions apart; default: the operator is asked"
+    add(parser, "--session NAME", words)
+    add(parser, "--tolerance MM", "end when the tip error is below this with 95 %% probability", kind=float)
+    add_where(parser)
+    add(parser, "--best-first", "choose the touch that lowers the tip error most, not the next on the planned way")
+    add_clearance(parser)
+    add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
+    add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
+    add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
+    add(parser, "--unit UNIT", "of readings that say none: mm, in or um; default: mm")
+    add(parser, "--ask TEXT", "text that makes the gauge send a reading, sent when you press Enter")
+    add(parser, "--baud N", "of the line; default: 9600", kind=whole_number, default=9600)
+    add(parser, "--frame 8N1", "bits, parity and stop bits; default: 8N1", default="8N1")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Hold a session; returns 0, or 1 where a tolerance is not met."""
+    from casacal.measuring.gauges import SerialLine, gauge
+    from casacal.problem.problem_file import load_problem
+
+    source = of_instrument(load_problem(options.problem), options.instrument)
+    spare([options.out], *(file.path for file in source.files), options.plan, options.targets)
+    meter = gauge(options.gauge, pattern=options.pattern, unit=options.unit, asks=options.ask)
+    session, file = _begun(source, options)
+    line = None
+    if options.serial is not None:
+        line = SerialLine(options.serial, baud=options.baud, **_frame(options.frame))
+    try:
+        session = _held(session, file, meter, line)
+    finally:
+        if line is not None:
+            line.close()
+    return DONE if session.alarm is None and (session.tolerance is None or session.done) else FAILED
+
+
+def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, TouchFile]:
+    """The session as it begins or goes on, and its file."""
+    from casacal.measuring.session import Session
+    from casacal.measuring.touch_file import TouchFile
+    from casacal.planning.route import read_route
+
+    layout = source.problem.layout()
+    route = _labelled(read_route(options.plan, layout), source, options.session)
+    session = Session(
+        source.problem,
+        route,
+        options.tolerance,
+        *where(options, source),
+        source.cell,
+        clearance_of(options, source.problem),
+        options.best_first,
+    )
+    content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
+    file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
+    file.refuse_others()
+    _refuse_plan_of_another(options.plan, source.name)
+    if file.begun():
+        touches, cut = file.read()
+        if cut:
+            say_paragraphs("The last line of the file was cut off; make that touch again")
+        if touches:
+            session = session.resumed(touches)
+            say_paragraphs(f"Going on after {len(touches)} touches of {Path(options.out).as_posix()}")
+    return session, file
+
+
+def _labelled(route: Route, source: ProblemFile, session: str | None) -> Route:
+    """The plan's touches under the labels of today, such as the session's; the operator is asked for what is not said.
+
+    No plan knows these. An empty answer leaves what it says.
+    """
+    from casacal.tables.columns import Labels
+
+    samples = route.samples
+    for column in source.problem.layout().labels:
+        if column == source.problem.instrument.groups:
+            continue
+        said = session
+        if said is None:
+            prompt(f"{column} (Enter: {samples.labels[column][0]}): ")
+            said = sys.stdin.readline().strip()
+        if said:
+            labels = {**samples.labels, column: Labels.alike(said, len(samples))}
+            samples = replace(samples, labels=labels)
+    return replace(route, samples=samples)
+
+
+def _refuse_plan_of_another(path: str, name: str) -> None:
+    """Raise CasacalError for a plan whose first line names another problem."""
+    first = Path(path).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+    made_for = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
+    if made_for and made_for[1] != name:
+        raise CasacalError(f"{path} was planned for '{made_for[1]}', and the problem is '{name}'", "Name its own plan")
+
+
+def _held(session: Session, file: TouchFile, meter: Gauge, line: SerialLine | None) -> Session:
+    """The session after its operator ended it, or it was at its end."""
+    from casacal.measuring.conversation import answered, doubt, ended, posture
+
+    say_paragraphs(*doubt(session), "h: help; q: end")
+    typed, sizes = _lines(line), file.sizes()
+    while True:
+        proposed = session.next()
+        if session.alarm is None:
+            if proposed is None:
+                break
+            if proposed.number is None and not _further(session):
+                break
+            say_paragraphs(posture(proposed, file.layout))
+        prompt("> ")
+        entered = next(typed, None)
+        if entered is None:
+            break
+        if not entered.strip():
+            if line is not None and meter.asks:
+                line.ask(meter.asks)
+            elif file.layout.columns or session.alarm is not None or proposed is None:
+                continue
+        answer = answered(session, proposed, entered, meter)
+        if answer.change != "none" and file.sizes() != sizes:
+            fix = "End the other session, and go on with this command"
+            raise CasacalError(f"another program changed '{file.path}'", fix)
+        if answer.change == "added":
+            file.append(answer.session.touches[-1], len(answer.session))
+        elif answer.change == "changed":
+            file.rewrite(answer.session.touches)
+        session, sizes = answer.session, file.sizes()
+        say_paragraphs(*answer.said)
+        if answer.ended:
+            break
+    say_paragraphs(*ended(session))
+    return session
+
+
+def _further(session: Session) -> bool:
+    """Say how many touches beyond the plan it takes, now and then; whether there is any sense in more."""
+    from casacal.measuring.linear import MOST
+
+    beyond = sum(touch.number is None for touch in session.touches)
+    if beyond % EVERY:
+        return True
+    needed = session.needed()
+    if needed is None:
+        say_paragraphs(
+            f"The plan is finished, and {MOST} more touches would not bring the tip error below "
+            f"{session.tolerance:g} mm. It takes another face, a step of known height or a better instrument"
+        )
+        return False
+    say_paragraphs(f"The plan is finished; about {needed} more touches to reach {session.tolerance:g} mm")
+    return True
+
+
+def _lines(line: SerialLine | None) -> Iterator[str]:
+    """Lines of the keyboard, and of the gauge as they come."""
+    if line is None:
+        yield from sys.stdin
+        return
+    come: queue.Queue[str | None] = queue.Queue()
+
+    def of_keyboard() -> None:
+        held = b""  # read without a buffer of Python's, whose lock would outlive this thread
+        while data := os.read(sys.stdin.fileno(), 1024):
+            *whole, held = (held + data).split(b"\n")
+            for typed in whole:
+                come.put(typed.decode(errors="replace"))
+        come.put(None)
+
+    def of_gauge() -> None:
+        for sent in line.lines():
+            say_paragraphs(sent)
+            come.put(sent)
+
+    for source in (of_keyboard, of_gauge):
+        threading.Thread(target=source, daemon=True).start()
+    while (entered := come.get()) is not None:
+        yield entered
+
+
+def _frame(text: str) -> dict[str, Any]:
+    """Bits, parity and stop bits as people write them."""
+    if len(text) != 3 or text[0] not in "78" or text[1].upper() not in "NEO" or text[2] not in "12":
+        fix = "Write bits (7, 8), parity (N, E, O), stop bits (1, 2)"
+        raise CasacalError(f"--frame {text} is not such as 8N1", fix)
+    return {"bits": int(text[0]), "parity": text[1].upper(), "stops": int(text[2])}

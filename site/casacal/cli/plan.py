@@ -1,0 +1,185 @@
+"""`casacal plan`: plan which touches to make."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.cli.adjust import add_clearance, add_where, clearance_of, stds_of, where
+from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.planning.clearance import Clearance
+    from casacal.planning.plan import Plan
+    from casacal.planning.set_ups import SetUp
+    from casacal.problem.problem_file import ProblemFile
+
+HELP = "plan which touches to make"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal plan` takes."""
+    parser.description = (
+        "Choose the touches that leave the smallest tip error, among many that the drawn arm can make in the "
+        "problem's cell, and write them in the order of a short path. Some repeat others, some are kept to verify."
+    )
+    add(parser, *PROBLEM)
+    add(parser, "--instrument NAME", "for which one, where a problem has several instruments")
+    add(parser, "--out FILE", "plan to write, such as plan.csv", required=True)
+    add(
+        parser,
+        "--touches N",
+        "number of touches in all; default: until more would only average noise, and more than calibrate needs",
+        kind=whole_number,
+    )
+    add(parser, "--tolerance MM", "instead of --touches: as many as this expected tip error takes", kind=float)
+    add_where(parser)
+    words = "tip: least mean tip error (default); parameters: least volume of their uncertainty (D-optimal)"
+    add(parser, "--criterion NAME", words, default="tip")
+    add(parser, "--after FILE", "samples that were taken already; the plan adds to them")
+    words = "with --after: what may have moved since, in rad or mm, such as theta4=0.01 after a new motor"
+    add(parser, "--loose NAME=STD ...", words)
+    add(parser, "--pool N", "number of candidates; default: 3000", kind=whole_number, default=3000)
+    add(parser, "--check F", "part kept to verify; default: 0.15", kind=float, default=0.15)
+    add(parser, "--again F", "part repeated at the end; default: 0.05", kind=float, default=0.05)
+    add_clearance(parser)
+    add(parser, "--setups", "also compare other set-ups of the cell")
+    add(parser, "--sheet FILE", "write a sheet to print and fill in, such as sheet.html")
+    add(parser, "--program LANGUAGE ...", "also write a robot program: rapid, krl or urscript; may be repeated")
+    add(parser, "--retreat MM", "standoff of programs from the face; default: 20", kind=float, default=20.0)
+    add(parser, "--seed K", "seed of random numbers; default: 0", kind=whole_number, default=0)
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan as the options say; returns 0."""
+    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.set_ups import POOL, set_ups
+    from casacal.planning.written import document, told
+    from casacal.problem.problem_file import load_problem
+
+    if options.touches is not None and options.tolerance is not None:
+        raise CasacalError("Got --touches and --tolerance", "Give one of them")
+    if not 0 < options.retreat < 1000:
+        raise CasacalError(f"--retreat is {options.retreat:g}", "Give a number of mm from 1 to 999")
+    source = of_instrument(load_problem(options.problem), options.instrument)
+    outs = [options.out, *([] if options.sheet is None else [options.sheet])]
+    spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
+    clearance = clearance_of(options, source.problem)
+    found = _planned(source, options, clearance)
+    written = _written(source, options, found, clearance)
+    compared: tuple[SetUp, ...] = ()
+    fitted = found.purposes.count(FIT)
+    if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
+        box, targets = where(options, source)
+        compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
+    if options.json:
+        say_json(document(found, compared, written, clearance))
+        return DONE
+    there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
+    said = told(
+        found,
+        compared,
+        where=there,
+        pool=options.pool,
+        after=options.after is not None,
+        every=options.setups,
+        kept_clear=clearance is not None,
+    )
+    say_paragraphs(*said)
+    if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
+        say_paragraphs(clearance.shapes.words)
+    least = touches_needed(source.problem, found.samples)
+    if fitted < least and options.after is None:
+        say_paragraphs(
+            f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
+            f"Ask for more, keep fewer to verify, or hold parameters"
+        )
+    say_paragraphs(*_wrong_with(source, options), *(f"Written: {place}" for place in written))
+    return DONE
+
+
+def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
+    """A warning where the samples that were measured before look wrong: then the arm is not known as they say."""
+    from casacal.checks import check
+
+    after = options.after
+    found = [] if after is None else check(source.problem, source.problem.read(after))
+    wrong = [finding.about for finding in found if finding.severity == "error"]
+    if not wrong:
+        return []
+    where = shlex.join([options.problem, after])
+    return [f"warning: {after} looks wrong ({', '.join(wrong)}), so this plan is for an arm that is not known yet. "
+            f"Run casacal check {where} and mend them first"]  # fmt: skip
+
+
+def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
+    from casacal.planning.how_many import touches_for
+    from casacal.planning.plan import plan
+
+    box, targets = where(options, source)
+    after = None if options.after is None else source.problem.read(options.after)
+    touches = options.touches
+    loose = stds_of("--loose", options.loose)
+    if loose and after is None:
+        raise CasacalError("Got --loose without --after", "Name the samples from which the arm was calibrated")
+    if touches is None:
+        tolerance = options.tolerance
+        fitted = touches_for(source.problem, source.cell, tolerance, box=box, targets=targets, after=after, loose=loose)
+        touches = min(max(round(fitted / max(1 - options.check - options.again, 0.1)), 3), options.pool)
+    return plan(
+        source.problem,
+        source.cell,
+        touches=touches,
+        pool=options.pool,
+        again=options.again,
+        check=options.check,
+        box=box,
+        targets=targets,
+        criterion=options.criterion,
+        clearance=clearance,
+        after=after,
+        loose=loose,
+        seed=options.seed,
+    )
+
+
+def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clearance: Clearance | None) -> list[str]:
+    """Write the plan and what was asked for beside it; all is made before anything is written."""
+    from casacal.fieldwork.approaches import approaches
+    from casacal.fieldwork.handouts import PROGRAMS, program_text, sheet_page
+    from casacal.files import write_text
+    from casacal.planning.written import plan_text
+
+    problem, name = source.problem, source.name
+    texts = {Path(options.out): plan_text(found, problem.layout(), name)}
+    if options.sheet is not None:
+        texts[Path(options.sheet)] = sheet_page(problem, found, name)
+    if options.program:
+        ways = approaches(problem, found, source.cell, retreat=options.retreat, clearance=clearance)
+        for language in dict.fromkeys(options.program):
+            text = program_text(problem, found, ways, language, name)
+            texts[Path(options.out).with_suffix(PROGRAMS[language].ending)] = text
+        held = [math.isnan(retreat) for retreat in ways.retreat.tolist()]
+        blocked = [str(k + 1) for k in range(len(found)) if not ways.clear[k] and not held[k]]
+        if any(held) and not options.json:
+            lost = ", ".join(str(k + 1) for k in range(len(found)) if held[k])
+            say_paragraphs(
+                f"warning: from touch {lost} the arm cannot draw back by {options.retreat:g} mm inside its joint "
+                "limits; the program leaves it out. A smaller --retreat may do"
+            )
+        if blocked and not options.json:
+            say_paragraphs(
+                f"warning: no clear path was found to {'touch' if len(blocked) == 1 else 'touches'} "
+                f"{', '.join(blocked)}; the program stops before it"
+            )
+    if len(texts) < 1 + (options.sheet is not None) + len(set(options.program)):
+        raise CasacalError("Two of the files to write have the same name", "Name others")
+    for path, text in texts.items():
+        write_text(path, text)
+    return [path.as_posix() for path in texts]

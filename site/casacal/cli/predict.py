@@ -1,0 +1,62 @@
+"""`casacal predict`: predict poses of the calibrated arm."""
+
+from __future__ import annotations
+
+import argparse
+
+from casacal.cli.common import DONE, INSTRUMENT, JSON, RESULT, add, add_frame, read_arm
+from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.wording import listed
+
+HELP = "predict poses of the calibrated arm"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal predict` takes."""
+    parser.description = (
+        "Write the pose x_mm,y_mm,z_mm,qw,qx,qy,qz of a calibrated arm at each row of joint values, in the base frame. "
+        "The flange is what robot.pose of the problem gives; the tip is where the instrument touches, including tool "
+        "and, where JOINTS has that column, the reading."
+    )
+    add(parser, *RESULT)
+    add(parser, *INSTRUMENT)
+    add(parser, "JOINTS", "CSV with the joint columns of a samples file, and those that tell an effect (torques)")
+    add(parser, "--out FILE", "CSV of poses", required=True)
+    add_frame(parser, "poses of the flange or of the tip")
+    add(parser, "--std", "add a column std_mm: standard deviation of the position, apart from the position of the base")
+    add(parser, "--nominal", "use the arm as drawn, not as calibrated")
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Predict as the options say; returns 0."""
+    from casacal.compensation.predict import predict, read_joints, write_prediction
+    from casacal.compensation.told import told_notes
+
+    result = read_arm(options, options.joints)
+    joints = read_joints(options.joints, result.source)
+    prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
+    write_prediction(options.out, prediction)
+    count = len(prediction.positions)
+    if options.json:
+        said = {
+            "unseen": list(prediction.unseen),
+            "missing": {words: list(names) for words, names in prediction.missing.items()},
+            "poses": count,
+            "frame": options.frame,
+            "nominal": options.nominal,
+            "verdict": result.verdict,
+        }
+        say_json({**said, "written": [options.out]})
+    else:
+        say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
+        if not options.nominal:
+            say_paragraphs(*told_notes(result, prediction.missing))
+        if prediction.unseen:
+            say_paragraphs(
+                f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
+                "stood is known by its prior alone (--std shows it)"
+            )
+        if (words := result.denial or result.caution) is not None and not options.nominal:
+            say_paragraphs(words)
+    return DONE

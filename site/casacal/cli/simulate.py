@@ -1,0 +1,159 @@
+"""`casacal simulate`: simulate samples, with the true arm."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.cli.adjust import number_or_range
+from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.problem.cell import Disturbances
+    from casacal.problem.problem_file import ProblemFile
+
+HELP = "simulate samples, with the true arm"
+
+
+NUMBERS = {
+    "tilt": ("DEG", "largest angle between plunger and face normal"),
+    "repeatability": ("MM", "standard deviation of a reading, or of a touch where there is no dial"),
+    "resolution": ("MM", "resolution of the dial; 0 for none"),
+    "dial-gain": ("X", "error of the dial's gain, standard deviation: 0.0015 is 0.15 %%"),
+    "dial-cycle": ("MM", "amplitude of the error that repeats with every turn of the pointer"),
+    "hysteresis": ("MM", "hysteresis of the dial; readings lag by half of it"),
+    "drift": ("MM", "drift of the readings from the first row to the last"),
+    "joint-std": ("RAD", "repeatability of each joint, standard deviation"),
+    "backlash": ("RAD", "backlash of each joint"),
+    "encoder-step": ("RAD", "resolution of the joint values in the file"),
+    "flatness": ("MM", "peak-to-valley form error of the faces"),
+    "flatness-reach": ("X", "correlation length of the form error, in half widths of the face"),
+    "compliance": ("MM", "RMS gravity sag of the tip"),
+    "thermal": ("X", "thermal growth of the arm from the first row to the last: 3e-5 is 30 um per metre"),
+    "outliers": ("F", "fraction of rows with a gross error"),
+    "outlier-size": ("MM", "size of those errors"),
+    "error-scale": ("X", "size of the arm's true errors, in prior standard deviations"),
+}
+"""Options that are a number: its unit, and what it is."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal simulate` takes."""
+    parser.description = "Let a simulated arm, drawn at random from the problem's priors, touch the faces of a cell."
+    add(parser, *PROBLEM)
+    add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
+    add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
+    add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
+    add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
+    for name, (unit, words) in NUMBERS.items():
+        add(parser, f"--{name} {unit}", words, kind=float)
+    words = "transmission error of every turning joint, harmonic=amplitude in rad, such as 1=1e-4; may be repeated"
+    add(parser, "--gear-wave ORDER=RAD ...", words, kind=_wave, dest="gear_waves")
+    add(parser, "--repeats N", "touches of each place in a row", kind=whole_number)
+    words = "side from which joints and plunger approach; same: from the row before, with the plunger pushed in"
+    add(parser, "--approach", words, choices=("same", "alternating", "random"))
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate as the options say; returns 0."""
+    from casacal.binding.bound_problem import bind
+    from casacal.calibration.result_json import sample_paths, write_simulation
+    from casacal.problem.cell import Cell
+    from casacal.problem.problem_file import load_problem
+    from casacal.simulation.simulate import simulate
+    from casacal.uncertainty.expectation import planned_accuracy
+    from casacal.wording import METRE, UNBOUNDED
+
+    out = Path(options.out)
+    _spare_measurements(out)
+    if out.suffix.lower() not in (".csv", ".txt", ""):
+        fix = f"Name it {out.with_suffix('.csv').name}"
+        raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
+    source = load_problem(options.problem)
+    for place in sample_paths(out, source.problem.names):
+        _spare_measurements(place)
+        spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files))
+    cell, counts = _cell(source, options), _counts(source, options.samples)
+    simulation = simulate(source.problem, cell, samples=counts, seed=options.seed)
+    before, after = planned_accuracy(bind(source.problem, simulation.measured))
+    paths = write_simulation(simulation, source, Path(options.out))
+    faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
+    written = [path.as_posix() for path in paths]
+    if options.json:
+        tip = {"before_rms_mm": before, "after_rms_mm": after}
+        say_json({"samples": sum(counts.values()), "faces": faces, "tip": tip, "written": written})
+        return DONE
+    where = "in random postures"
+    if isinstance(cell, Cell):
+        where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+    each = [f"{count} samples" + (f" of the {name}" if len(counts) > 1 else "") for name, count in counts.items()]
+    say_paragraphs(f"Simulated, not measured: {', '.join(each)} {where}")
+    say_paragraphs(
+        "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
+        f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
+        "right"
+    )
+    if simulation.moves_beyond_geometry:
+        say_paragraphs(
+            "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
+            "error, is in "
+            "Simulation.true_tips (Python)"
+        )
+    say_paragraphs(f"Written: {', '.join(written)}")
+    return DONE
+
+
+def _spare_measurements(out: Path) -> None:
+    """Raise CasacalError where simulated samples would take the place of a file that is not simulated."""
+    if out.is_file() and not out.read_bytes()[:64].startswith(b"# simulated by casacal"):
+        raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
+
+
+def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:
+    """How many samples each instrument takes: N for all, or NAME=N for each."""
+    names = source.problem.names
+    found = dict.fromkeys(names, 120)
+    for text in sorted(given, key=lambda each: "=" in each):  # what is said of one goes before what is said of all
+        name, equals, number = text.rpartition("=")
+        try:
+            count = int(number)
+        except ValueError:
+            wanted = "120" if len(names) == 1 else f"120, or {names[0]}=120"
+            raise CasacalError(f"--samples {text} is not a number of samples", f"Give {wanted}") from None
+        if equals:
+            source.problem.number(name)
+        found |= {name: count} if equals else dict.fromkeys(names, count)
+    return found
+
+
+def _wave(text: str) -> tuple[int, float]:
+    """Order and amplitude of a gear wave, as ORDER=RAD says them."""
+    order, _, amplitude = text.partition("=")
+    try:
+        return int(order), float(amplitude)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not ORDER=RAD, such as 1=1e-4") from None
+
+
+def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
+    from dataclasses import replace
+
+    from casacal.problem.cell import AMOUNTS, OF_FACES, Disturbances
+    from casacal.simulation.touches import default_cell
+
+    instrument, problem = source.problem.instruments[0], source.problem
+    faced = [name for name, each in zip(problem.names, problem.instruments, strict=True) if each.probe is not None]
+    cell = source.cell or (default_cell(problem.measured_by(faced[0])) if faced else Disturbances())
+    asked = [name.replace("_", "-") for name in OF_FACES if getattr(options, name) is not None]
+    if asked and not faced:
+        raise CasacalError(f"--{asked[0]} is about faces, and {type(instrument).__name__} touches none", "Leave it out")
+    others = ("travel", "outliers", "outlier_size", "gear_waves", "repeats", "approach")
+    given = {name: value for name in (*AMOUNTS, *others) if (value := getattr(options, name)) is not None}
+    if options.tilt is not None:
+        given["tilt"] = math.radians(options.tilt)
+    return replace(cell, **given)

@@ -1,0 +1,154 @@
+"""`casacal study`: many trials of many methods: run, resume, share out, merge, report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from casacal.cli.common import DONE, INTERRUPTED, add
+from casacal.cli.terminal import complain, say_paragraphs, write_progress
+from casacal.errors import CasacalError
+
+if TYPE_CHECKING:
+    from casacal.study import Run, Study
+    from casacal.study.study_file import StudyFile
+
+HELP = "run a study of many trials and methods"
+SAID_EVERY = {True: 0.5, False: 20.0}
+"""Seconds between progress lines, on a terminal (they overwrite one another) and in a log."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal study` takes."""
+    parser.description = (
+        "Run a study file and write its report. Trials are recorded one by one, so a run can be resumed."
+    )
+    add(parser, "STUDY", "a Python file such as studies/paper.py")
+    add(parser, "--quick", "the short form of the study, less than a minute")
+    add(parser, "--trials N", "trials per setting; default: the study's own", kind=int)
+    add(parser, "--workers N", "local processes; default: 1", kind=int, default=1)
+    add(parser, "--scheduler ADDRESS", "a Dask scheduler, such as tcp://host:8786")
+    add(parser, "--shard I/N", "run only the I-th of N parts of the trials, to be merged later")
+    add(parser, "--merge DIR+", "run nothing; merge the records of shards")
+    words = (
+        "run each trial in its own process with this time limit; a method that takes longer or crashes is "
+        "recorded as a failure, and --resume with a longer time tries it again"
+    )
+    add(parser, "--timeout SECONDS", words, kind=float)
+    add(parser, "--resume", "keep the records in DIR and run only the missing trials")
+    add(parser, "--report", "run nothing; write the report from the records in DIR")
+    add(parser, "--out DIR", "folder for records and report; default: out/NAME")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run a study file as the options say; returns 0, also where it says why it is skipped, or 130."""
+    try:
+        return _study(options)
+    except KeyboardInterrupt:
+        complain("Interrupted. The records so far are kept; --resume continues from there.")
+        return INTERRUPTED
+
+
+def _study(options: argparse.Namespace) -> int:
+    from casacal.study import Run
+    from casacal.study.study_file import load_study, machine, note_machines, write_report
+
+    source = load_study(options.study)
+    if source.skipped and not options.report:
+        say_paragraphs(f"Skipped: {source.skipped}")
+        return DONE
+    study = source.form(quick=options.quick, trials=options.trials)
+    out = Path(options.out or Path("out") / (source.name + ("-quick" if options.quick else "")))
+    if study is None:
+        run = Run(None, (), out, options.quick)
+        note_machines(out, [machine()])
+    else:
+        run = _made(source, study, out, options)
+        say_paragraphs(f"{len(run.records)} records in {out.as_posix()}, SHA-256 without timings {run.digest}")
+        if options.shard is not None:
+            say_paragraphs(
+                f"Shard {options.shard}. When all are done: casacal study {source.path} --merge DIR DIR ... --out DIR"
+            )
+            return DONE
+    said = (" --quick" if options.quick else "") + (f" --trials {options.trials}" if options.trials is not None else "")
+    say_paragraphs(f"Written: {write_report(source, run, said).as_posix()}")
+    return DONE
+
+
+def _made(source: StudyFile, study: Study, out: Path, options: argparse.Namespace) -> Run:
+    """Records that exist, that others made, or that are made now."""
+    from casacal.study import runs
+    from casacal.study.study_file import machine, note_machines, read_machines
+
+    if options.report:
+        return runs.open_run(study, out, quick=options.quick)
+    if options.merge:
+        parts = [Path(part) for part in options.merge]
+        found = runs.merge(study, parts, out, quick=options.quick)
+        note_machines(out, [made for part in parts for made in read_machines(part)])
+        if runs.missing(study, found):
+            complain(f"{runs.missing(study, found)} records are missing; --resume makes them")
+        return found
+    made_here = machine(options.workers, cluster=options.scheduler is not None)
+    with Progress(source.name, lambda: note_machines(out, [made_here])) as progress:
+        return runs.run(
+            study,
+            out,
+            file=source.path,
+            quick=options.quick,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            shard=_shard(options.shard),
+            resume=options.resume,
+            timeout=options.timeout,
+            progress=progress,
+        )
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    if text is None:
+        return 1, 1
+    part, _, parts = text.partition("/")
+    try:
+        number, count = int(part), int(parts)
+    except ValueError:
+        number = count = 0
+    if not 1 <= number <= count:
+        raise CasacalError(f"--shard {text} is not I/N", "Give part/parts, such as 2/3")
+    return number, count
+
+
+class Progress:
+    """Records done, rate and time left on standard error; calls `started` once the run is accepted."""
+
+    def __init__(self, name: str, started: Callable[[], None]) -> None:
+        self.name, self.started = name, started
+        self.began, self.shown, self.at_first = time.monotonic(), 0.0, 0
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say so now and then."""
+        now, looked_at = time.monotonic(), sys.stderr.isatty()
+        if not self.shown:
+            self.began, self.shown, self.at_first = now, now, done
+            self.started()  # the run is accepted; who makes it is known even if it is killed
+            if done:
+                write_progress(f"{self.name}: {done} of {total} records exist\n")
+            return
+        if now - self.shown < SAID_EVERY[looked_at] and done < total:
+            return
+        self.shown = now
+        rate = (done - self.at_first) / max(now - self.began, 1e-9)
+        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else ""
+        line = f"{self.name}: {done} of {total} records, {rate:.1f} per second, {left}"
+        write_progress(f"\r{line}   " if looked_at else f"{line}\n")
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown and sys.stderr.isatty():
+            write_progress("\n")

@@ -1,0 +1,149 @@
+"""What a terminal can show: width, colour, letters; and output whose reader has gone away."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, Literal, TextIO
+
+from casacal.errors import CasacalError
+
+NARROWEST, USUAL, WIDEST = 40, 100, 120
+
+Colour = Literal["green", "yellow", "red"]
+CODES: Mapping[Colour, str] = {"green": "32", "yellow": "33", "red": "31"}
+LEVELS: Mapping[str, Colour] = {
+    "calibrated": "green",
+    "remark": "green",
+    "use with care": "yellow",
+    "warning": "yellow",
+    "do not use": "red",
+    "error": "red",
+    "casacal:": "red",
+}
+"""Words that begin what is said, and what paints them."""
+
+
+def prepare() -> None:
+    """Let output that is closed go nowhere, and letters that an encoding lacks be replaced rather than fail."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by whoever started this; opening takes its number, so that no file gets it
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif getattr(stream, "errors", "") in ("strict", "surrogateescape") and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+@contextmanager
+def on_stderr() -> Iterator[None]:
+    """What others print meanwhile, such as solvers of CasADi, goes to the errors: a program may read the output."""
+    with redirect_stdout(sys.stderr):
+        kept = os.dup(1)
+        os.dup2(2, 1)
+        try:
+            yield
+        finally:
+            if os.name == "posix":
+                ctypes.CDLL(None).fflush(None)  # what C has not written yet
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
+def width() -> int:
+    """Characters in a line of output."""
+    return min(max(shutil.get_terminal_size((USUAL, 24)).columns, NARROWEST), WIDEST)
+
+
+def painted(text: str, stream: TextIO) -> str:
+    """Text whose first words are coloured by what they say, where the output is a terminal and colour is wanted."""
+    for words, colour in LEVELS.items():
+        if text.lower().startswith(words) and _shows_colour(stream):
+            return f"\x1b[1;{CODES[colour]}m{text[: len(words)]}\x1b[0m{text[len(words) :]}"
+    return text
+
+
+def _shows_colour(stream: TextIO) -> bool:
+    if not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return os.name != "nt" or "WT_SESSION" in os.environ  # older consoles show the codes themselves
+
+
+def say(text: str = "") -> None:
+    """Print on standard output; goes on in silence once nobody reads it."""
+    _write(f"{text}\n", sys.stdout)
+
+
+def say_lines(text: str) -> None:
+    """Print lines as they are, each painted by what it begins with."""
+    for line in text.rstrip("\n").split("\n"):
+        say(painted(line, sys.stdout))
+
+
+def wrapped(text: str) -> list[str]:
+    """Lines of a paragraph."""
+    return textwrap.wrap(text, width(), subsequent_indent="  ", break_on_hyphens=False, break_long_words=False)
+
+
+def say_paragraphs(*texts: str) -> None:
+    """Print paragraphs: broken into lines on a terminal, each in one piece for another program."""
+    for text in texts:
+        say(painted("\n".join(wrapped(text)) if sys.stdout.isatty() else text, sys.stdout))
+
+
+def say_json(document: Mapping[str, Any]) -> None:
+    """Print a document as JSON, in letters that every encoding has."""
+    from casacal.files import json_text
+
+    _write(json_text(document, ascii_only=True), sys.stdout)
+
+
+def complain(text: str) -> None:
+    """Print one line on standard error."""
+    _write(f"{painted('casacal:', sys.stderr)} {text}\n", sys.stderr)
+
+
+def prompt(text: str) -> None:
+    """Write on standard output at once, without ending the line."""
+    _write(text, sys.stdout, flush=True)
+
+
+def write_progress(text: str) -> None:
+    """Write on standard error at once, as it is."""
+    _write(text, sys.stderr, flush=True)
+
+
+def finish() -> None:
+    """Send out what is still held back; raises CasacalError when it cannot be."""
+    for stream in (sys.stdout, sys.stderr):
+        _write("", stream, flush=True)
+
+
+def _write(text: str, stream: TextIO, *, flush: bool = False) -> None:
+    try:
+        stream.write(text)
+        if flush:
+            stream.flush()
+    except OSError as error:
+        _silence(stream)
+        left = isinstance(error, BrokenPipeError) or error.errno == errno.EINVAL  # Windows' word for a broken pipe
+        if stream is sys.stdout and not left:
+            what = f"Standard output cannot be written ({error.strerror})"
+            raise CasacalError(what, "Send it elsewhere") from error
+    except ValueError:  # closed by someone in this process
+        pass
+
+
+def _silence(stream: TextIO) -> None:
+    """Send what a stream still holds, and all that follows, nowhere: its reader left, or its disk is full."""
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+    except (OSError, ValueError):
+        pass

@@ -1,0 +1,80 @@
+"""`casacal verify`: test a calibration on fresh rows."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from casacal.cli.adjust import names_of
+from casacal.cli.common import DONE, FAILED, JSON, add, add_fresh_rows, fresh_rows, made_from, spare
+from casacal.cli.terminal import say_json, say_paragraphs
+from casacal.errors import CasacalError
+
+HEAD = 20_000  # characters of a page in which its title stands
+
+HELP = "test a calibration on fresh rows"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Say what `casacal verify` takes."""
+    parser.description = (
+        "Judge a calibration by rows that it has not seen, without fitting the arm again: only the positions of "
+        "faces, or of tracker and reflector, are estimated from them. Exit 1 if the residuals are larger than the "
+        "calibration promised, or if the arm is not accepted by the tolerance."
+    )
+    add_fresh_rows(parser, "faces that have not been moved since the calibration and are not fitted again")
+    words = "largest acceptable RMS error as these rows see it: accept, reject or undecided (JCGM 106)"
+    add(parser, "--tolerance MM", words, kind=float)
+    add(parser, "--risk P", "chance of a wrong decision for an arm at the tolerance; default: 0.05", kind=float)
+    add(parser, "--report FILE", "write a self-contained HTML page")
+    add(parser, "--into-report", "add it to the report.html beside RESULT, in place of an earlier one")
+    add(parser, "--verbose", "faces, regions of the workspace and statistics as well")
+    add(parser, *JSON)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Verify as the options say; returns 0, or 1 when the promise was not kept or the arm not accepted."""
+    from casacal.files import write_text
+    from casacal.verification.decision import RISK
+    from casacal.verification.page import REPORT, with_section
+    from casacal.verification.verify import verify
+
+    if options.risk is not None and options.tolerance is None:
+        raise CasacalError("Got --risk without --tolerance", "Give the tolerance as well")
+    result, other, named, rows = fresh_rows(options)
+    if options.report is not None:
+        files = () if other is None else (file.path for file in other.files)
+        spare([options.report], result.file, options.samples, options.readings, *files, option="--report")
+        spare([options.report], *made_from(result), option="--report")
+        _spare_calibration(options.report)
+    found = verify(
+        result,
+        rows,
+        problem=other,
+        instrument=named,
+        standing=names_of("--standing", options.standing),
+        tolerance=options.tolerance,
+        risk=RISK if options.risk is None else options.risk,
+    )
+    if options.report is not None:
+        write_text(options.report, found.page())
+    if options.into_report:
+        beside = Path(result.file).with_name(REPORT)
+        write_text(beside, with_section(beside, result.document, found))
+    if options.json:
+        say_json(found.to_dict())
+    else:
+        say_paragraphs(*found.summary(whole=options.verbose).split("\n"))
+        if not options.verbose:
+            say_paragraphs("Faces, regions and statistics: --verbose")
+    return DONE if found.passed else FAILED
+
+
+def _spare_calibration(path: str) -> None:
+    """Raise CasacalError where a page of a calibration stands already: it would be lost."""
+    if not path.strip():
+        raise CasacalError("--report is empty", "Name a file, such as verified.html")
+    if Path(path).is_file():
+        with Path(path).open(encoding="utf-8", errors="replace") as file:
+            if "<title>Calibration of" in file.read(HEAD):
+                raise CasacalError(f"'{path}' is the report of a calibration", "Name another --report")

@@ -1,0 +1,234 @@
+"""A calibrated arm as a value: the problem it answers, and the document that says where its unknowns stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile
+from casacal.unknowns import Parameter
+from casacal.values import Value
+
+FRAMES = ("flange", "tip")  # what a pose may be of: `robot.pose`, or where the instrument touches
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedArm(Value):
+    """An arm as calibrated, or a true one of a simulation: what `predict`, `compensate` and exports take.
+
+    file: where it was read from, for messages. source: the problem it answers. document: what result.json holds.
+    """
+
+    file: str
+    source: ProblemFile
+    document: Mapping[str, Any]
+
+    @cached_property
+    def used(self) -> Problem:
+        """The problem with the effects that are corrected, and no others, in its pose.
+
+        Raises CasacalError where the problem does not have one of them.
+        """
+        problem, keys = self.source.problem, self.corrected
+        if not keys:
+            return problem.without_effects
+        known = {effect.key: effect for effect in problem.with_kit.effects}
+        if lost := [key for key in keys if key not in known]:
+            raise CasacalError(
+                f"{self.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",
+                "Give the problem that it was calibrated with, or calibrate again",
+            )
+        return problem.with_effects(*(known[key] for key in keys))
+
+    @property
+    def discrepancy(self) -> Mapping[str, Any]:
+        """What the document says of effects beside the geometry; nothing where geometry was all there is."""
+        return self.document.get("discrepancy") or {}
+
+    @property
+    def corrected(self) -> tuple[str, ...]:
+        """Keys of the effects beside the geometry that are corrected; none of a truth."""
+        return tuple(self.discrepancy.get("corrected", ()))
+
+    @property
+    def verdict(self) -> dict[str, str] | None:
+        """The verdict as {level, words}; None for a truth, and for a result from before there were verdicts."""
+        said = self.document.get("verdict")
+        return None if not said else {"level": str(said["level"]), "words": str(said["words"])}
+
+    @property
+    def denial(self) -> str | None:
+        """The words of a verdict not to use this result; None for any other."""
+        return self.verdict["words"] if self.verdict and self.verdict["level"] == "do not use" else None
+
+    @property
+    def caution(self) -> str | None:
+        """The words of a verdict to use this result with care; None for any other."""
+        return self.verdict["words"] if self.verdict and self.verdict["level"] == "use with care" else None
+
+    def check_usable(self, *, force: bool) -> None:
+        """Raise CasacalError for a result whose verdict is not to use it, unless that is wanted all the same."""
+        if self.denial is not None and not force:
+            fix = "Mend what the verdict names and calibrate again; "
+            fix += "--force (force=True) uses it all the same, and says so"
+            raise CasacalError(f"{self.file}: {self.denial.removesuffix('.')}", fix)
+
+    def __repr__(self) -> str:
+        return f"<CalibratedArm {self.source.problem.robot.name} of {self.file}, by {self.document.get('method')}>"
+
+
+def arm_values(result: CalibratedArm, *, nominal: bool = False) -> SimpleNamespace:
+    """What `robot.pose` takes as `p`: the arm's parameters as calibrated (or as drawn), as numbers (CasADi DM).
+
+    As they are best where nobody corrects an effect beside the geometry.
+    """
+    values = {}
+    for key, unknown in result.source.problem.robot.parameters.items():
+        if unknown.nominal is None:
+            raise CasacalError(f"'{key}' of the arm has no nominal value", "Give it one in the problem file")
+        values[key] = unknown.at(ca.DM(unknown.nominal), ca.DM(_local(key, unknown, result, nominal, alone=True)))
+    return SimpleNamespace(**values)
+
+
+def local_coordinates(result: CalibratedArm, *, nominal: bool = False, of: Problem | None = None) -> Array:
+    """Local coordinates (nz,) of the first instrument's row model at the result, or at the nominal values.
+
+    of: the problem with effects that are corrected, as of `used`, or with more; by default without any, and then the
+    values are those for an arm that nobody corrects beyond its geometry. nominal: all zero.
+
+    Zero for unknowns that differ by label. Raises CasacalError when the result lacks one.
+    """
+    geometry = result.source.problem.without_effects
+    model, known = (of or geometry).model, geometry.model.unknowns
+    found = {} if nominal else corrected_values(result)
+    values = [
+        _local(key, unknown, result, nominal, alone=not model.effects)
+        if key in known
+        else np.array([found.get(name, 0.0) for name in unknown.names(key)])  # of an effect, where it is corrected
+        for key, unknown in model.unknowns.items()
+    ]
+    return np.concatenate([np.zeros(0), *values])
+
+
+def row_constants(result: CalibratedArm, of: Problem) -> Array:
+    """Numbers c (nc,) of an instrument's row model: nominals that rows proposed, as a tracked body's, as they stood.
+
+    Zero for what differs by label: faces and their like move neither flange nor tip.
+    """
+    proposed = result.document.get("proposed") or {}
+    found = [np.zeros(0)]
+    for key in of.model.constants:
+        unknown = of.model.unknowns[key]
+        known = unknown.nominal if unknown.nominal is not None else proposed.get(key)
+        right = known is not None and np.size(known) == unknown.nominal_size
+        found.append(np.asarray(known, dtype=np.float64).ravel() if right else np.zeros(unknown.nominal_size))
+    return np.concatenate(found)
+
+
+def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
+    """Covariance of the result's unknowns (n, n), and which position of the model's z is which of them."""
+    covariance, names = named_covariance(result)
+    places = {name: j for j, name in enumerate(names)}
+    local = [n for key, u in result.source.problem.model.unknowns.items() for n in u.names(key)]
+    return covariance, [(i, places[name]) for i, name in enumerate(local) if name in places]
+
+
+def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
+    try:
+        covariance = numbers(result.document["covariance"])
+        names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
+    except (KeyError, TypeError):
+        if result.denial is not None:
+            said = f"{result.file}: a result that is not to be used has no standard deviations"
+            raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
+        raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
+    return covariance.reshape(len(names), len(names)), list(names)
+
+
+def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
+    """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
+
+    By name, in the order of the covariance; None where a result says nothing of effects.
+    """
+    said = result.discrepancy
+    if "covariance" not in said:
+        return None
+    return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
+
+
+def all_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """Covariance (n, n) of all that a result says of arm, cell and effects that move the tip, and their names."""
+    found = with_effects(result)
+    return named_covariance(result) if found is None else (found[0], list(found[1]))
+
+
+def known_motion(result: CalibratedArm) -> tuple[Array, list[str]]:
+    """The same of all that a result corrects and of its other unknowns.
+
+    Raises CasacalError where it holds none.
+    """
+    return all_motion(result) if result.corrected else named_covariance(result)
+
+
+def numbers(rows: Sequence[Sequence[float | None]]) -> Array:
+    """A table of numbers as JSON holds it, null where one is infinite."""
+    return np.array([[math.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
+
+
+def infinite_variances(result: CalibratedArm, keys: Iterable[str]) -> list[str]:
+    """Names of those components, of the unknowns with the given keys, that neither samples nor prior hold.
+
+    Raises CasacalError for a result that holds no covariance.
+    """
+    covariance, columns = covariance_of(result)
+    unknowns = result.source.problem.model.unknowns
+    names = [(key, name) for key, unknown in unknowns.items() for name in unknown.names(key)]
+    wanted = set(keys)
+    return [names[i][1] for i, j in columns if names[i][0] in wanted and not math.isfinite(covariance[j, j])]
+
+
+def _local(key: str, unknown: Any, result: CalibratedArm, nominal: bool, *, alone: bool) -> Array:
+    """Local coordinates of an unknown at the result; zero for those that differ by label."""
+    if nominal or unknown.per is not None or not unknown.size:
+        return np.zeros(unknown.size)
+    known = found_values(result, alone=alone)
+    if not isinstance(unknown, Parameter) and not known.keys() & set(unknown.names(key)):  # held by the calibration
+        return np.zeros(unknown.size)
+    missing = [name for name in unknown.names(key) if name not in known]
+    if missing:
+        raise CasacalError(f"{result.file}: '{missing[0]}' is missing", "Give a result of this problem")
+    return np.array([known[name] for name in unknown.names(key)])
+
+
+def found_values(result: CalibratedArm, *, alone: bool) -> dict[str, float]:
+    """Local coordinates of all unknowns of geometry and instrument, by name; `alone`: where no effect is corrected."""
+    known = {row["name"]: float(row["value"]) for row in result.document.get("unknowns", ())}
+    known |= {
+        row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in result.document.get("parameters", ())
+    }
+    if alone:
+        known |= {row["name"]: float(row["value"]) for row in result.discrepancy.get("without_corrections", ())}
+    return known
+
+
+def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
+    """Unknowns of the effects that are corrected, by name, as they were found."""
+    rows = result.discrepancy.get("unknowns", ())
+    return {row["name"]: float(row["value"]) for row in rows if row["effect"] in result.corrected}
+
+
+def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
+    """Times by which effects were found larger than expected, by key; None where geometry was all there is."""
+    said = result.discrepancy
+    return {each["key"]: float(each["times"]) for each in said["effects"]} if said else None

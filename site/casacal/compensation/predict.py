@@ -1,0 +1,182 @@
+"""Where a calibrated (or true, or nominal) robot is at given joint values, and how well that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.compensation.arm import (
+    FRAMES,
+    CalibratedArm,
+    found_values,
+    local_coordinates,
+    row_constants,
+)
+from casacal.compensation.result_file import arm_from
+from casacal.compensation.spread import RowZeros, position_stds
+from casacal.compensation.told import NOTHING_TOLD, Told
+from casacal.errors import CasacalError, UnknownNameError
+from casacal.files import write_text
+from casacal.kinematics import stacked_poses
+from casacal.problem.problem_file import ProblemFile
+from casacal.robots.joint_space import joint_values
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.tables.columns import Columns
+from casacal.tables.read import is_frame, read_columns, table_of_frame
+from casacal.values import Value, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(Value):
+    """Positions (N, 3; mm) and unit quaternions (N, 4; w, x, y, z, w >= 0) in the base frame.
+
+    `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
+    stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
+    missing: by the words of an effect that columns tell, those of them that the rows lack, so that it is not corrected.
+    """
+
+    positions: Array
+    quaternions: Array
+    std: Array | None = None
+    unseen: tuple[str, ...] = ()
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        frozen((self.positions, self.quaternions, self.std))
+
+    @property
+    def poses(self) -> Array:
+        """The same as transforms (N, 4, 4), mm."""
+        from scipy.spatial.transform import Rotation
+
+        poses = np.tile(np.eye(4), (len(self.positions), 1, 1))
+        poses[:, :3, :3] = Rotation.from_quat(np.roll(self.quaternions, -1, axis=1)).as_matrix()
+        poses[:, :3, 3] = self.positions
+        return poses
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __repr__(self) -> str:
+        spread = "" if self.std is None else f", standard deviation up to {self.std.max(initial=0.0):.3g} mm"
+        return f"<{len(self)} predicted poses{spread}>"
+
+
+def read_joints(path: str | Path, source: ProblemFile) -> Samples:
+    """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
+    further = _further(source)
+    columns = read_columns(path, lambda header: [name for name in header if name.startswith("q") or name in further])
+    return _joints_of(columns, source)
+
+
+def _further(source: ProblemFile) -> set[str]:
+    """Columns that tell effects."""
+    return {name for effect in source.problem.effects for name in effect.further}
+
+
+def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
+    asked = source.problem.layout()
+    present = {
+        name: dimension
+        for name, dimension in asked.columns.items()
+        if any(column == name or column.startswith(f"{name}_") for column in columns.header)
+    }
+    probe = source.problem.instrument.probe
+    zero = () if probe is None or probe.zero_label not in columns.header else (probe.zero_label,)
+    samples = Samples.from_columns(columns, Layout(asked.joints, present, zero))
+    # where rows were not read cell by cell, further columns are numbers
+    numbers = sorted(_further(source) & set(columns.header) - set(samples.extra))
+    texts = {name: tuple(map(repr, columns.number(name).tolist())) for name in numbers}
+    return replace(samples, extra={**samples.extra, **texts}) if texts else samples
+
+
+def joints_from(q: Any, source: ProblemFile) -> Samples:
+    """Joint values of a problem's arm from numbers (n,) or (N, n) in rad and mm, a frame, a file, or `Samples`.
+
+    Raises CasacalError for numbers that do not fit the joints, SamplesError for a frame or file.
+    """
+    if isinstance(q, Samples):
+        return q
+    if isinstance(q, (str, Path)):
+        return read_joints(q, source)
+    if is_frame(q):
+        return _joints_of(table_of_frame(q).columns, source)
+    return Samples.of_joints(joint_values(q, source.problem.robot))
+
+
+def predict(
+    result: CalibratedArm,
+    joints: Samples | Any,
+    *,
+    frame: Literal["flange", "tip"] = "flange",
+    nominal: bool = False,
+    std: bool = False,
+) -> Prediction:
+    """Pose of the flange, or position of the tip with the flange's orientation, at each row.
+
+    Args:
+        result: a calibration or a truth.
+        joints: rows of joint values, also as numbers, a frame or a file; columns that are absent (a reading) count as
+            zero. An effect that further columns tell (torques, a payload) is corrected where they have these.
+        frame: "flange" is `robot.pose`; "tip" is where the instrument touches. Where a dial was set to zero anew for
+            each session, the tip is that of the row's session; of rows that name none, and have no reading, it is the
+            tool's point as the problem declares it.
+        nominal: use nominal values instead of the estimate.
+        std: whether to add standard deviations.
+
+    Returns:
+        Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations (N,)
+        in mm where asked for. The quaternions are those of the flange for both frames.
+
+    Raises CasacalError for standard deviations of the nominal arm, of a result that holds no covariance, or of one that
+    is not to be used, and for readings of a dial of which no row says when it was set to zero.
+
+    """
+    from scipy.spatial.transform import Rotation
+
+    result = arm_from(result)
+    joints = joints_from(joints, result.source)
+    if frame not in FRAMES:
+        raise UnknownNameError("frame", str(frame), FRAMES)
+    told = Told(result, NOTHING_TOLD) if nominal else Told.by(result, joints)
+    result = told.arm
+    problem = result.source.problem.without_effects if nominal else result.used
+    model, instrument = problem.model, problem.instrument
+    z = local_coordinates(result, nominal=nominal, of=problem)
+    data = np.zeros((len(joints), model.pose.numel_in(2)))
+    data[:, : joints.joints.shape[1]] = joints.joints
+    for i, name in enumerate(instrument.columns):
+        data[:, joints.joints.shape[1] + i] = joints.columns.get(name, 0.0)
+    known = joints.joints.shape[1] + len(instrument.columns) + len(instrument.known_columns)
+    data, constants = told.placed(model.names, data), row_constants(result, problem)
+    poses = stacked_poses(model.batch.pose(z, constants, data)[0])
+    positions = model.batch.tip(z, constants, data)[0] if frame == "tip" else poses[:, :3, 3]
+    found = found_values(result, alone=not model.effects)
+    zeros = RowZeros.of(instrument, joints, found) if frame == "tip" else None
+    unseen: tuple[str, ...] = ()
+    if zeros is not None and not nominal:
+        unseen = tuple(dict.fromkeys(name.partition(".")[2] for name in zeros.names if name not in found))
+        shifts = np.array([[found.get(name, 0.0)] for name in zeros.names])
+        positions = positions + shifts * zeros.sign * model.batch.plunger(z, constants, data)[0]
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    spread = None
+    if std:
+        if nominal:
+            raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
+        spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing)
+
+
+def write_prediction(path: str | Path, prediction: Prediction) -> None:
+    """Write x_mm,y_mm,z_mm,qw,qx,qy,qz, and std_mm where there is one; one row per pose."""
+    lines = ["x_mm,y_mm,z_mm,qw,qx,qy,qz" + (",std_mm" if prediction.std is not None else "")]
+    for i, (place, turn) in enumerate(zip(prediction.positions, prediction.quaternions, strict=True)):
+        cells = [f"{v:.6f}" for v in place] + [f"{v:.12f}" for v in turn]
+        lines.append(",".join(cells if prediction.std is None else [*cells, f"{prediction.std[i]:.6f}"]))
+    write_text(path, "\n".join(lines) + "\n")

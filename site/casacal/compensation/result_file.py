@@ -1,0 +1,200 @@
+"""result.json and truth.json, read back: the document, its seal, and the arm that it holds. No code is run for that."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.document import check_document
+from casacal.compensation.seen_by import seen_by
+from casacal.errors import CasacalError, came
+from casacal.files import jsonable
+from casacal.problem.as_data import problem_from
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile, SourceFile, load_problem
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.dh_file import read_dh_file
+from casacal.robots.robot import Arm
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.unknowns import Parameter
+
+FREE = ("seal", "seconds")  # keys that are not sealed
+
+FIX = "Restore it, or calibrate again"
+
+
+def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with its seal, made anew where it has one."""
+    keys = sorted(key for key in document if key not in FREE)
+    kept = {key: item for key, item in document.items() if key != "seal"}
+    return {**kept, "seal": {"of": keys, "sha256": _digest(jsonable(kept), keys)}}
+
+
+def check_seal(file: str, document: Mapping[str, Any]) -> None:
+    """Raise CasacalError unless a document, as read from its file, is what was sealed."""
+    seal = document.get("seal")
+    if not isinstance(seal, dict) or not isinstance(seal.get("of"), list):
+        raise CasacalError(f"{file}: its seal is gone, so it was changed after it was written", FIX)
+    keys = seal["of"]
+    try:
+        same = all(isinstance(key, str) for key in keys) and seal.get("sha256") == _digest(document, keys)
+    except (ValueError, RecursionError):
+        same = False
+    if not same:
+        raise CasacalError(f"{file}: it was changed after it was written", FIX)
+
+
+def _digest(document: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """Hash of the list of keys and of what stands there, as JSON with sorted keys and without spaces."""
+    told = [list(keys), {key: document[key] for key in keys if key in document}]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+SCHEMA = 2  # of the files that this version writes. Those without a number are older: they need their problem.py
+LARGEST_SOURCE = 100_000_000  # bytes beyond which a file is none that an arm was made from
+
+
+def read_result(path: str | Path, *, problem: Problem | None = None) -> CalibratedArm:
+    """Read a result.json or a truth, or a folder with a result.json.
+
+    The problem is the one that is given, else the one that the result holds. A result from before results held one
+    runs the problem.py that it names, once its SHA-256 is that of the calibration.
+
+    Raises CasacalError when it is not one, is damaged, was changed after it was written, is newer than this version, or
+    its arm has changed since.
+    """
+    if not isinstance(path, (str, Path)):
+        raise CasacalError(f"Got {came(path)} as a result", "Give the path of a result.json, or of its folder")
+    place = Path(path) / "result.json" if Path(path).is_dir() else Path(path)
+    document = _read(place)
+    if problem is not None:
+        source = ProblemFile.of(problem, document["problem"]["name"])
+    elif document.get("arm") is not None:
+        source = _own_problem(place, document)
+        _refuse_changes(place, document, source.problem)
+    else:
+        source = _older_problem(place, document)
+    _check_nominal(str(place), source, document)
+    return CalibratedArm(str(place), source, document)
+
+
+def _read(place: Path) -> dict[str, Any]:
+    """The document, whose parts are what others rely on."""
+    fix = "Give the result.json that calibrate --out wrote"
+    try:
+        document = json.loads(place.read_text(encoding="utf-8"), object_pairs_hook=_without_twins)
+    except FileNotFoundError:
+        raise CasacalError(f"{place}: there is no such file", fix) from None
+    except OSError as error:
+        raise CasacalError(f"{place}: it cannot be read ({error.strerror})", fix) from None
+    except (ValueError, RecursionError):
+        raise CasacalError(f"{place}: this is not a result of casacal", fix) from None
+    schema = document.get("schema", 0) if isinstance(document, dict) else None
+    if isinstance(schema, int) and schema > SCHEMA:
+        what = f"{place}: a newer casacal wrote it (schema {schema}; this one reads up to {SCHEMA})"
+        raise CasacalError(what, "Update casacal")
+    check_document(str(place), document)
+    if "seal" in document or "arm" in document:  # what an older casacal wrote has neither, and is refused later
+        check_seal(str(place), document)
+    return document  # type: ignore[no-any-return]
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; raises ValueError where a key stands in it twice."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        raise ValueError("a key appears twice")
+    return made
+
+
+def _own_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
+    """The problem that a result holds."""
+    said = document["problem"]
+    try:
+        problem = problem_from(document["arm"])
+    except CasacalError as error:
+        raise CasacalError(f"{place}: {error.what[:1].lower()}{error.what[1:]}", error.fix) from error
+    found = [place.parent / said["path"]] if said["path"] else []
+    path = next((each.as_posix() for each in found if each.is_file()), "")
+    files = tuple(SourceFile(each["path"], each["sha256"], each["text"]) for each in said.get("files", []))
+    return ProblemFile(said["name"], path, said["sha256"], problem, None, files)
+
+
+def _refuse_changes(place: Path, document: Mapping[str, Any], problem: Problem) -> None:
+    """Refuse a result whose arm was edited since, where the files that it was made from still stand."""
+    for kept in document["problem"].get("files", []):
+        path = Path(os.path.normpath(place.parent / kept["path"]))
+        try:
+            if not path.is_file() or path.stat().st_size > LARGEST_SOURCE:  # it went elsewhere: the result stands alone
+                continue
+            now = SourceFile.read(path)
+        except OSError:
+            continue
+        same = now.sha256 == kept["sha256"] or _same_code(path, now.text, kept["text"])
+        if not same and not _same_arm(path, problem.robot.arm):
+            fix = "Calibrate again, restore that file, or move the result elsewhere to use the arm as it was"
+            raise CasacalError(f"{place}: {path} has changed since the calibration", fix)
+
+
+def _same_code(path: Path, one: str, other: str) -> bool:
+    """Whether two Python files differ in comments and layout alone."""
+    try:
+        return path.suffix == ".py" and ast.dump(ast.parse(one)) == ast.dump(ast.parse(other))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return False
+
+
+def _same_arm(path: Path, arm: Arm | None) -> bool:
+    """Whether a URDF or a DH table says what it said, whatever its comments and its layout."""
+    try:
+        if isinstance(arm, UrdfChain) and path.name == arm.file:
+            there = UrdfChain.read(path, arm.chain[0].parent, arm.chain[-1].child, arm.conventions)
+            return [replace(joint, line=0) for joint in there.chain] == [replace(joint, line=0) for joint in arm.chain]
+        return isinstance(arm, DHTable) and path.suffix != ".py" and read_dh_file(path) == arm
+    except CasacalError:
+        return False
+
+
+def _older_problem(place: Path, document: Mapping[str, Any]) -> ProblemFile:
+    """The problem.py of a result that holds no problem of its own, which is run only if it is what it was."""
+    named, digest = document["problem"]["path"], document["problem"]["sha256"]
+    for path in (Path(named), place.parent / named) if named else ():
+        file = path / "problem.py" if path.is_dir() else path
+        if file.is_file():
+            if SourceFile.read(file).sha256 != digest:
+                fix = "Calibrate again, or restore the problem file"
+                raise CasacalError(f"{place}: its problem {file.as_posix()} has changed since the calibration", fix)
+            return load_problem(path)
+    what = f"its problem '{named}' is not there" if named else "it holds no problem"
+    raise CasacalError(f"{place}: {what}", "Give the problem: casacal.load(path, problem=...), or calibrate again")
+
+
+def _check_nominal(file: str, source: ProblemFile, document: Mapping[str, Any]) -> None:
+    """Refuse a problem whose arm is not the one that the result began with."""
+    began = {row["name"]: row["nominal"] for row in document["parameters"]}
+    for key, unknown in source.problem.robot.parameters.items():
+        if not isinstance(unknown, Parameter) or unknown.nominal is None:
+            continue
+        for name, value in zip(unknown.component_names(key), np.ravel(unknown.nominal), strict=True):
+            was = began.get(name)
+            if was is not None and abs(was - value) > 1e-9 * (1 + abs(value)):
+                what = f"{file}: its arm has changed since the calibration ('{name}' was {was:g} and is {value:g})"
+                raise CasacalError(what, "Calibrate again, or restore the file that the problem reads")
+
+
+def arm_from(given: Any) -> CalibratedArm:
+    """The arm that was given, or that of a calibration, as its first instrument sees it; raises CasacalError."""
+    arm = given if isinstance(given, CalibratedArm) else getattr(given, "arm", None)
+    if not isinstance(arm, CalibratedArm):
+        fix = "Give a calibration, or what casacal.load or casacal.read_result returns"
+        raise CasacalError(f"Got {came(given)} as the calibrated arm", fix)
+    return seen_by(arm)

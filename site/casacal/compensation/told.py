@@ -1,0 +1,101 @@
+"""Effects that columns of a file tell, such as torques: corrected where rows have them, else counted as errors."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm
+from casacal.discrepancy.effect import Site
+from casacal.samples.samples import Samples
+from casacal.values import FrozenMapping
+from casacal.wording import listed
+
+NOTHING_TOLD: Mapping[str, Array] = FrozenMapping({})
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """An arm as some rows tell of it.
+
+    arm: with the effects corrected that they tell. columns: of these effects, by name in the row model, each (N,).
+    missing: by an effect's words the columns that these rows lack, so that it is not corrected.
+    """
+
+    arm: CalibratedArm
+    columns: Mapping[str, Array]
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @staticmethod
+    def by(arm: CalibratedArm, rows: Samples) -> Told:
+        """An arm as rows tell of it; raises ProblemError where a column that tells an effect holds what it may not."""
+        further = columns_that_tell(arm)
+        keys = [key for key, names in further.items() if set(names) <= set(rows.extra)]
+        words = {effect["key"]: effect["words"] for effect in arm.discrepancy.get("effects", ())}
+        lacking = {
+            words[key]: tuple(name for name in names if name not in rows.extra)
+            for key, names in further.items()
+            if key not in keys
+        }
+        told, columns = where_told(arm, keys), dict[str, Array]()
+        if keys:
+            site = Site(told.source.problem.robot, told.source.problem.instrument)
+            for effect in told.used.effects:
+                columns |= effect.told(site, rows) if effect.key in keys else {}
+        return Told(told, columns, FrozenMapping(lacking))
+
+    def placed(self, names: tuple[str, ...], data: Array) -> Array:
+        """Rows (N, n + k) of joint values and the model's columns, with those that are told in their places."""
+        first = data.shape[1] - len(names)
+        for name, values in self.columns.items():
+            data[:, first + names.index(name)] = values
+        return data
+
+
+def columns_that_tell(arm: CalibratedArm) -> dict[str, tuple[str, ...]]:
+    """By key, the columns of a file where an effect that they tell can be corrected."""
+    return {str(key): tuple(map(str, names)) for key, names in arm.discrepancy.get("further", {}).items()}
+
+
+def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> CalibratedArm:
+    """The arm where these effects are corrected as well, by default all that columns tell; itself where there is none.
+
+    Its geometry is that beside them, and its tip error the one to expect where the columns are known.
+    """
+    wanted = set(columns_that_tell(arm) if keys is None else keys)
+    said, document = arm.discrepancy, arm.document
+    if not wanted:
+        return arm
+    (chosen,) = (each for each in said["told"] if set(each["effects"]) == wanted)
+    values = {row["name"]: float(row["value"]) for row in chosen["unknowns"]}
+    changed: dict[str, Any] = {
+        "parameters": [
+            {**row, "estimate": row["nominal"] + values[row["name"]]} if row["name"] in values else row
+            for row in document["parameters"]
+        ],
+        "unknowns": [{**row, "value": values.get(row["name"], row["value"])} for row in document.get("unknowns", ())],
+        "discrepancy": {
+            **{key: value for key, value in said.items() if key != "further"},
+            "corrected": [*arm.corrected, *chosen["effects"]],
+            **({"off": chosen["off"]} if "off" in chosen else {}),
+        },
+    }
+    if document.get("tip") is not None:
+        tip = {"expected_rms_mm": chosen["expected_rms_mm"], "flange_expected_rms_mm": None}
+        changed["tip"] = {**document["tip"], **tip}
+    return replace(arm, document=FrozenMapping({**document, **changed}))
+
+
+def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """A sentence on what the columns of rows corrected, and one for each effect that they lack columns for."""
+    keys = columns_that_tell(arm)
+    words = [effect["words"] for effect in arm.discrepancy.get("effects", ()) if effect["key"] in keys]
+    done = listed([each for each in words if each not in missing])
+    said = f"Corrected by columns of the rows: {done}; the result's verdict is about the arm without them."
+    return [said] * bool(done) + [
+        f"Without the column{'s' * (len(names) > 1)} {listed(names)}, {words} is not corrected and counts as an error; "
+        f"give {'them' if len(names) > 1 else 'it'}, and it is corrected."
+        for words, names in missing.items()
+    ]

@@ -1,0 +1,214 @@
+"""Joints that give: under the weight of the links beyond them, or under torques that were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.array_types import Rows as Chosen
+from casacal.discrepancy.arm import LEAST_SAG, POSTURES, direction
+from casacal.discrepancy.effect import Effect, Here, Site, weighted
+from casacal.discrepancy.further import LOAD, MASS, Loaded, check_columns_of, read_columns_of
+from casacal.errors import ProblemError
+from casacal.kinematics import Expression
+from casacal.robots.files.urdf_links import weights_of
+from casacal.robots.joint_space import random_joints
+from casacal.robots.links import Links
+from casacal.samples.samples import Samples
+from casacal.unknowns import Parameter
+from casacal.values import is_real
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueCompliance(Effect):
+    """Every joint stands off by its own give times the torque that stands in a column of the samples.
+
+    `predict` and `compensate` correct it where their file has these columns too, measured or commanded, and exports to
+    C and CasADi take the torques as a further input. Where they are not known it counts as an error.
+
+    Args:
+        columns_of: the column of each joint's torque, in Nm, such as ("torque1_Nm", ...); one for each joint.
+        size: of a joint's give, rad/Nm (mm/N of a sliding one).
+        doubt: times by which that may well be more, see `Effect.doubt`.
+
+    """
+
+    columns_of: tuple[str, ...]
+    size: float = 1e-4
+    doubt: float = 10.0
+
+    moves = True
+    elastic = True
+    most = 100.0
+    key = "yield"
+    words = "joint compliance under measured torque"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """The give of each joint, rad/Nm."""
+        check_columns_of(self.columns_of, len(site.robot.axes), "torques")
+        return {self.key: weighted(np.ones(len(self.columns_of)), self.size, "rad")}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """The torque about each joint."""
+        del site
+        return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The columns of torques."""
+        return self.columns_of
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+        return dict(zip(self.columns(site), told.T, strict=True))
+
+    def joints(self, here: Here) -> Expression:
+        """The give times the torque."""
+        u = getattr(here.p, self.key)
+        return ca.vertcat(*(u[j] * getattr(here.row, name) for j, name in enumerate(self.columns(here))))
+
+
+HEAVIEST = 1e5  # kilograms of a link; more is another unit
+NOTHING = 1e-9  # part of the largest moment that is rounding
+
+Triples = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkSag(Loaded):
+    """Joints that give in proportion to the moments that the weights of the links beyond them have about them.
+
+    It takes the place of `GravitySag`, whose key it has. Where masses are known, each joint has a give of its own: one
+    number. Where they are not, each joint gives by as much as it likes to each link beyond it: n (n + 1) / 2 numbers
+    for n joints, which ask for many postures.
+
+    Args:
+        size: by how much the flange sags from all of it, mm, RMS over the joints' ranges.
+        doubt: times by which that may well be more, see `Effect.doubt`.
+        down: direction of gravity in the base frame.
+        masses: of the links that joint 1, 2, ... carry (n,), kg, payload included in the last; or none.
+        payload: column of the samples that says what hangs at the flange in each row, kg, beside these masses, such as
+            "payload_kg"; as for `GravitySag`.
+        centres: their centres of mass in the base frame where the joints of the model stand at zero (n, 3), mm; by
+            default each on the axis of the next joint, the last at the flange.
+
+    """
+
+    size: float = 0.15
+    doubt: float = 2.5
+    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    masses: tuple[float, ...] = ()
+    centres: Triples = ()
+
+    moves = True
+    elastic = True
+    unit = "mm"
+    key = "give"
+    words = "gravity sag of the links"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "down", direction(self.down))
+        masses: tuple[Any, ...] = tuple(self.masses) if np.iterable(self.masses) else (self.masses,)
+        rows: tuple[Any, ...] = tuple(self.centres) if np.iterable(self.centres) else (self.centres,)
+        wrong = [mass for mass in masses if not (is_real(mass) and 0 <= mass <= HEAVIEST)]
+        if wrong or (masses and not sum(masses)):
+            said = f"Got {wrong[0]!r} as the mass of a link" if wrong else "The links weigh nothing"
+            raise ProblemError(said, f"Give kilograms, from zero to {HEAVIEST:g}, and not zero for all")
+        centres = tuple(tuple(row) if np.iterable(row) else (row,) for row in rows)
+        odd = [row for row in centres if len(row) != 3 or not all(is_real(x) and abs(x) < np.inf for x in row)]
+        if odd:
+            raise ProblemError(f"Got {odd[0]!r} as a centre of mass", "Give three numbers of mm for each link")
+        if centres and not masses:
+            raise ProblemError("Centres of mass came without masses", "Give both, or none")
+        object.__setattr__(self, "masses", masses)
+        object.__setattr__(self, "centres", centres)
+
+    @staticmethod
+    def from_urdf(
+        path: str | Path,
+        *,
+        base: str | None = None,
+        tip: str | None = None,
+        size: float = 0.15,
+        doubt: float = 2.5,
+        down: tuple[float, float, float] = (0.0, 0.0, -1.0),
+        payload: float | str = 0.0,
+    ) -> LinkSag:
+        """Masses and centres of mass as the <inertial> of a URDF's links has them; fixed joints are folded in.
+
+        Args:
+            path, base, tip: as for `Robot.from_urdf`.
+            size, doubt, down: as for the effect itself.
+            payload: what hangs at the tip link's origin, kg, or the column of the samples that says it.
+
+        Raises ProblemError where the file names no mass, or cannot be read.
+
+        """
+        column, kilograms = (payload, 0.0) if isinstance(payload, str) else ("", payload)
+        masses, centres = weights_of(path, base, tip, kilograms)
+        return LinkSag(size=size, doubt=doubt, down=down, masses=masses, centres=centres, payload=column)
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """What each joint gives, or each joint to each link beyond it, rad per metre of lever (and kg)."""
+        feels, sag = self._pull(site)
+        if not sag > LEAST_SAG:
+            return {}
+        return {self.key: weighted(np.full(int(feels.sum()), 1 / sag), self.size, "rad")}
+
+    def joints(self, here: Here) -> Expression:
+        """u dh/dq of every joint and link, h how deep the link is, in metres."""
+        u, feels = getattr(here.p, self.key), self._pull(here)[0]
+        moments = self._moments(here, here.q, getattr(here.row, MASS) if self.payload else 0)
+        off, place = [ca.SX(0)] * len(here.robot.axes), iter(range(u.numel()))
+        for i, j in zip(*np.nonzero(feels), strict=True):
+            off[i] += u[next(place)] * moments[int(i), int(j)]
+        return self._links(here).to_controller(ca.vertcat(*off))
+
+    def _links(self, site: Site) -> Links:
+        """Raises ProblemError where masses or centres are not one for each joint."""
+        links, count = Links.of(site.robot), len(site.robot.axes)
+        for what, given in (("masses", self.masses), ("centres of mass", self.centres)):
+            if given and len(given) != count:
+                raise ProblemError(f"Got {len(given)} {what} for {count} joints", "Give one for what each one carries")
+        return links.with_places(np.array(self.centres)) if self.centres else links
+
+    def _moments(self, site: Site, q: Expression, load: Expression) -> Expression:
+        """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m.
+
+        load: kg at the flange; without masses it is a link more, in units of `LOAD`.
+        """
+        slopes = self._links(site).levers(np.array(self.down))(q).T
+        own = ca.mtimes(slopes, ca.DM(self.masses)) if self.masses else slopes
+        if not self.payload:
+            return own
+        hangs = load * self._at_flange(site)(q)[len(site.robot.axes) - 1, :].T
+        return own + hangs if self.masses else ca.horzcat(own, hangs / LOAD)
+
+    def _at_flange(self, site: Site) -> ca.Function:
+        """Levers of weights that all hang at the flange."""
+        links, count = self._links(site), len(site.robot.axes)
+        return links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(np.array(self.down))
+
+    def _pull(self, site: Site) -> tuple[Chosen, float]:
+        """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""
+        count = len(site.robot.axes)
+        q = ca.SX.sym("q", count)
+        flange = self._at_flange(site)(q)[count - 1, :]
+        moments = ca.Function("moments", [q], [ca.densify(self._moments(site, q, ca.SX(LOAD))), flange])
+        postures = random_joints(site.robot, POSTURES, np.random.default_rng(0))
+        about, sinks = (np.array(each) for each in moments.map(POSTURES)(postures.T))
+        about, sinks = about.reshape(count, POSTURES, -1), 1000 * sinks.reshape(POSTURES, count).T
+        found = np.sqrt((about**2).mean(axis=1)) * site.robot.revolute[:, None]
+        feels: Chosen = np.asarray(found > NOTHING * found.max())  # no link before a joint, none about an upright axis
+        return feels, float(np.sqrt(((about * sinks[..., None] * feels[:, None]) ** 2).sum(axis=(0, 2)).mean()))

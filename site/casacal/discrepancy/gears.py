@@ -1,0 +1,184 @@
+"""What gears do to an arm: waves, ripple, play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
+from casacal.discrepancy.further import read_columns_of
+from casacal.errors import ProblemError
+from casacal.kinematics import Expression
+from casacal.robots.robot import Robot
+from casacal.samples.samples import Samples
+from casacal.unknowns import Parameter
+
+PER_RAD = 100.0
+"""Millimetres of a sliding joint that count as a radian: ten micrometres where a turning one errs by 0.1 mrad."""
+
+
+def per_radian(robot: Robot) -> list[float]:
+    """What counts as a radian of each joint: one, or `PER_RAD` mm of a sliding one."""
+    return [1.0 if turns else PER_RAD for turns in robot.revolute]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransmissionError(Effect):
+    """A wave of each turning joint, once or more often per turn: eccentric encoders, run-out of wheels.
+
+    Args:
+        order: waves per turn of the joint; a gear's own where its ratio is given.
+        size: of sine and cosine, rad.
+        doubt: times by which that may well be more, see `Effect.doubt`.
+
+    """
+
+    order: int = 1
+    size: float = 40e-6
+    doubt: float = 2.5
+
+    moves = True
+
+    @property
+    def key(self) -> str:
+        """One for each order."""
+        return f"wave{self.order}"
+
+    @property
+    def words(self) -> str:
+        """As people call it."""
+        named = {1: "first", 2: "second", 3: "third"}.get(self.order, f"{self.order}th")
+        return f"{named}-harmonic transmission error"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Cosine and sine of each turning joint, rad."""
+        count = 2 * int(site.robot.revolute.sum())
+        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
+
+    def joints(self, here: Here) -> Expression:
+        """u_c cos(k q) + u_s sin(k q)."""
+        u, found = getattr(here.p, self.key), []
+        turning = iter(range(u.numel() // 2))
+        for j, turns in enumerate(here.robot.revolute):
+            if not turns:
+                found.append(0)
+                continue
+            k = 2 * next(turning)
+            found.append(u[k] * ca.cos(self.order * here.q[j]) + u[k + 1] * ca.sin(self.order * here.q[j]))
+        return ca.vertcat(*found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearRipple(Effect):
+    """What comes back with every turn of a motor, and twice in it: wave generators, pinions and motor encoders.
+
+    Of turning joints whose gear ratio is known, `Joint(..., gear_ratio=...)`.
+
+    Args:
+        size: of sine and cosine, rad at the joint.
+        doubt: times by which that may well be more, see `Effect.doubt`.
+
+    """
+
+    size: float = 40e-6
+    doubt: float = 2.5
+
+    moves = True
+    key = "ripple"
+    words = "gear ripple"
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Cosine and sine of one and of two waves per turn of each motor, rad."""
+        count = 4 * len(_geared(site.robot))
+        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
+
+    def joints(self, here: Here) -> Expression:
+        """u_c cos(k r q) + u_s sin(k r q), r the ratio, k one and two."""
+        u, off = getattr(here.p, self.key), [ca.SX(0)] * len(here.robot.axes)
+        waves = [(j, order * here.robot.axes[j].gear_ratio) for j in _geared(here.robot) for order in (1, 2)]
+        for k, (j, turns) in enumerate(waves):
+            off[j] += u[2 * k] * ca.cos(turns * here.q[j]) + u[2 * k + 1] * ca.sin(turns * here.q[j])
+        return ca.vertcat(*off)
+
+
+def _geared(robot: Robot) -> list[int]:
+    """Turning joints whose gear ratio is known."""
+    return [j for j, joint in enumerate(robot.axes) if joint.turns and joint.gear_ratio > 0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backlash(Effect):
+    """Joints that lag half of their play behind the way by which they came: from the row before, in order of the lines.
+
+    Nobody knows how the joints came to the first row, so that each stands there where it likes within its play. Who
+    lets every joint come from one side at each row, and writes down which, knows it of all rows.
+
+    Args:
+        size: of half the play, rad.
+        doubt: times by which that may well be more, see `Effect.doubt`.
+        columns_of: the column of the samples that says how each joint came, 1 where it grew, -1 where it fell, 0 where
+            that is not known; one for each joint. None takes the row before for where it came from.
+
+    """
+
+    size: float = 20e-6
+    doubt: float = 2.5
+    columns_of: tuple[str, ...] = ()
+
+    moves = True
+    key = "play"
+    words = "backlash"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns_of", tuple(self.columns_of))
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Half the play of each joint, then where it stood at first, rad; `PER_RAD` mm of a sliding one are one."""
+        return {self.key: weighted(np.ones(2 * len(site.robot.axes)), self.size, "rad")}
+
+    def columns(self, site: Site) -> tuple[str, ...]:
+        """Which way each joint came: -1, 0 or 1; and whether it is the first row."""
+        return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
+
+    def away(self, site: Site) -> Mapping[str, float]:
+        """Either way: what the tip may stand off is the same for both; never the first row."""
+        return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The columns of ways of approach, if there are such."""
+        return self.columns_of
+
+    def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """As the rows say; raises ProblemError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach", "-1, 0 or 1")
+        if not np.isin(told, (-1, 0, 1)).all():
+            line = samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
+            said = f"{samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
+            fix = "Write 1 where the joint's value grew, -1 where it fell, 0 where that is not known"
+            raise ProblemError(said, fix)
+        return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
+
+    def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
+        """Signs of the steps from row to row, none known of the first; or what the samples say."""
+        if self.columns_of:
+            return self.told(site, rows.samples)
+        order = np.argsort(np.asarray(rows.samples.lines), kind="stable")
+        ways = np.zeros((len(order), rows.samples.joints.shape[1] + 1))
+        ways[order[1:], :-1] = np.sign(np.diff(rows.samples.joints[order], axis=0))
+        ways[order[:1], -1] = 1.0
+        return dict(zip(self.columns(site), ways.T, strict=True))
+
+    def joints(self, here: Here) -> Expression:
+        """-u sign(way), and anything within the play where that is not known."""
+        u, n = getattr(here.p, self.key), len(here.robot.axes)
+        return ca.vertcat(
+            *(
+                -scale * (u[j] * getattr(here.row, f"came{j + 1}") + u[n + j] * here.row.first)
+                for j, scale in enumerate(per_radian(here.robot))
+            )
+        )

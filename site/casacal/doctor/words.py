@@ -1,0 +1,188 @@
+"""A diagnosis as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from casacal.doctor.diagnosis import ENOUGH, Diagnosis
+from casacal.doctor.pendant_rows import MEANINGS
+from casacal.doctor.same_arm import Meaning
+from casacal.robots.files.dh_text import conventions_toml
+from casacal.robots.joints import Conventions, Joint
+
+SHOWN = 4  # values of one setting that are listed when it is open
+
+
+def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> str:
+    """What is certain, what is open, what would settle it, and the block for a DH file; plain text.
+
+    joints: the robot's, needed where some slide.
+    """
+    if not found.meanings:
+        return "\n".join(_nothing_fits(found)) + "\n"
+    best = found.meanings[0]
+    lines = [
+        f"{len(found.rows)} rows of {found.rows.file}, different postures: {found.postures}",
+        _verdict(found),
+        *(f"  {line}" for line in _settings(found)),
+    ]
+    ways = len(best.conventions)
+    if ways > 1:
+        lines.append(
+            f"Equivalent: {ways} ways to write it give the same pose at all joint values, as with the two branches of "
+            f"a spherical wrist; the one with the fewest changes is given"
+        )
+    lines += [*_further(found), ""]
+    if not found.certain:
+        lines.append("# not certain: the simplest of the conventions that fit")
+    name, unit = min(best.rotations, key=lambda key: best.rotations[key])
+    turned = f", orientations {name}{f' in {unit}' if unit else ''}"
+    lines.append(f"# the pendant shows joints in {best.joint_unit}, lengths in {best.length_unit}{turned}")
+    lines.append("# joint values of the problem = signs * (the controller's + coupling) + offsets")
+    if best.simplest == Conventions.plain(len(best.simplest.signs)):
+        lines.append("# nothing to change: the controller's joint values are those of the problem")
+    else:
+        lines.append("# goes into a DH table in TOML, or as conventions=Conventions(...) into problem.py")
+    return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
+
+
+def _verdict(found: Diagnosis) -> str:
+    best = found.meanings[0]
+    fit = f"{best.miss_mm:.2f} mm and {1e3 * min(best.rotations.values()):.2f} mrad at worst"
+    if found.certain:
+        return f"Certain: one convention fits, {fit} (tolerance {found.tolerance:g} mm and mrad)"
+    if len(found.meanings) > 1 or found.more:
+        count = f"{'at least ' if found.more else ''}{len(found.meanings)}"
+        return f"Ambiguous: {count} conventions fit within {found.tolerance:g} mm and mrad; the simplest: {fit}"
+    if found.postures < ENOUGH:
+        return f"Not certain: one convention fits, {fit}, with {found.postures} different postures, not {ENOUGH}"
+    return f"Ambiguous: one convention of the joints fits, {fit}, but {len(best.rotations)} of the orientation do"
+
+
+def _settings(found: Diagnosis) -> Iterable[str]:
+    """One line per joint, then units and orientation: the value, and whether it is certain or open."""
+    written = _alike(found.meanings)
+    sure = found.postures >= ENOUGH and not found.more
+    for i in range(len(written[0].signs)):
+        yield f"joint {i + 1}: {_open([_joint(each, i) for each in written], sure)}"
+    units = [f"joint values in {m.joint_unit}, lengths in {m.length_unit}" for m in found.meanings]
+    yield _open(units, sure) + _stated(found)
+    names = [f"{name} in {unit}" if unit else name for m in found.meanings for name, unit in m.rotations]
+    yield f"orientation: {_open(names, sure)}"
+    for name in dict.fromkeys(name for m in found.meanings for name, _ in m.rotations):
+        yield f"  {name}: {MEANINGS[name]}"
+
+
+def _stated(found: Diagnosis) -> str:
+    """A remark where the column names state units that do not fit."""
+    best, rows = found.meanings[0], found.rows
+    wrong = [
+        f"{stated} for {what}"
+        for what, stated, fits in (
+            ("joints", rows.joint_unit, best.joint_unit),
+            ("lengths", rows.length_unit, best.length_unit),
+        )
+        if stated not in ("", fits)
+    ]
+    angle = {unit for _, unit in best.rotations} - {""}
+    if rows.angle_unit and angle and rows.angle_unit not in angle:
+        wrong.append(f"{rows.angle_unit} for orientations")
+    return f"; the file's column names say {', '.join(wrong)}, which is wrong" if wrong else ""
+
+
+def _alike(meanings: Sequence[Meaning]) -> list[Conventions]:
+    """For each meaning the way to write it that differs least from the first one, so that only what is open differs."""
+    first = meanings[0].simplest
+
+    def differing(other: Conventions) -> int:
+        return sum(_joint(other, i) != _joint(first, i) for i in range(len(first.signs)))
+
+    return [min(meaning.conventions, key=differing) for meaning in meanings]
+
+
+def _joint(conventions: Conventions, i: int) -> str:
+    """Settings of one joint (counted from 0) in words."""
+    words = [f"sign {conventions.signs[i]:+d}", f"offset {math.degrees(conventions.offsets[i]):.0f} deg"]
+    words += [
+        f"measured against joint {j} (factor {factor:+.0f})" for k, j, factor in conventions.coupling if k == i + 1
+    ]
+    return ", ".join(words)
+
+
+def _open(values: Sequence[str], sure: bool) -> str:
+    """One value, or those between which the choice is open."""
+    different = list(dict.fromkeys(values))
+    if len(different) == 1:
+        return different[0] + (" (certain)" if sure else "")
+    more = f" or {len(different) - SHOWN} others" if len(different) > SHOWN else ""
+    return f"open: {' or '.join(f'[{value}]' for value in different[:SHOWN])}{more}"
+
+
+def _further(found: Diagnosis) -> list[str]:
+    pose, best = found.further, found.meanings[0]
+    if pose is None:
+        return []
+    least = f"{pose.least_mm:.3g} mm and {math.degrees(pose.least_rad):.3g} deg"
+    if pose.separates == 0:
+        return [f"No posture distinguishes them: the closest two never differ by more than {least}"]
+    values = ", ".join(f"q{i} = {value:g}" for i, value in enumerate(pose.joints, 1))
+    what = "the conventions that fit" if len(found.meanings) > 1 else "this convention and those next to it"
+    all_or = "all" if pose.separates == 1 else f"{100 * pose.separates:.0f} % of"
+    return [
+        f"To settle it, move to {values} ({best.joint_unit}), if nothing is in the way, and add a row: it "
+        f"distinguishes {all_or} pairs of {what}, the closest by {least}"
+    ]
+
+
+def _nothing_fits(found: Diagnosis) -> Iterable[str]:
+    if found.more:
+        yield f"{len(found.rows)} rows of {found.rows.file}: too many conventions fit to check them all"
+        yield f"Give {ENOUGH} rows or more in which every joint has a different value, none at zero"
+        return
+    yield f"{len(found.rows)} rows of {found.rows.file}: no convention fits within {found.tolerance:g} mm and mrad"
+    if found.convention:
+        yield f"They fit with the DH table read as {found.convention}: correct the convention that the problem states"
+        return
+    if found.slips:
+        yield _slip(found)
+        return
+    if found.nearest is None:
+        yield "The positions are beyond the arm's reach in mm and in metres"
+    else:
+        near = found.nearest
+        yield f"The nearest one misses by {near.mm:.1f} mm and {math.degrees(near.rad):.2f} deg at worst"
+        if near.mm <= found.tolerance:
+            yield "Positions fit, orientations do not: the pendant's tool may be rotated relative to the flange"
+    lines = ", ".join(map(str, found.odd_lines))
+    if len(found.odd_lines) == 1:
+        yield f"Without line {lines} the others fit: look for a copying mistake there"
+    elif lines:
+        yield f"The others fit if any one of these lines is left out: {lines}"
+    yield (
+        "Check that this is the problem's robot, that the pendant shows the flange in the robot's base (else give "
+        "--tool and --base), and that every row was read while the arm stood still"
+    )
+    yield (
+        "Searched: signs, quarter turns, any joints measured against the one before or one against any other, deg and "
+        "rad, mm and m, five conventions of three angles"
+    )
+
+
+def _slip(found: Diagnosis) -> str:
+    """Which number was copied wrongly, as far as the rows tell."""
+    listed = [
+        f"{slip.column} in line {slip.line} ({slip.shown:.10g}; about {_about(slip.fitting)} would fit)"
+        for slip in found.slips
+    ]
+    if len(listed) == 1:
+        return f"All rows fit but for one number: {listed[0]}. Compare it with the pendant; no other number explains it"
+    if len(listed) <= SHOWN:
+        return f"All rows fit but for one number, either {' or '.join(listed)}. Compare them with the pendant"
+    where = ", ".join(map(str, sorted({slip.line for slip in found.slips})))
+    return f"All rows fit but for one of {len(listed)} numbers, in line {where}. Compare them with the pendant"
+
+
+def _about(value: float) -> str:
+    """No more digits than rows that are rounded tell: five, and four decimals."""
+    return f"{round(float(f'{value:.5g}'), 4) + 0.0:g}"

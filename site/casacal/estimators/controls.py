@@ -1,0 +1,64 @@
+"""Two controls: M0, which fits the planes alone, and a step that the residuals cannot see, which misleads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from casacal.estimators.lm import lm
+from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.information import with_diagonal
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.restricted import Restricted
+from casacal.least_squares.result import Result
+
+UNMOVED = 1.01
+"""Residual RMS after the step, over that before it, beyond which the step is halved: the plane must not notice."""
+HALVINGS = 60
+UNSEEN = 0.3
+"""Singular value of the whitened Jacobian, in prior standard deviations, below which a direction counts as unseen: one
+prior standard deviation along it moves all residuals together by less than a third of one residual's noise."""
+
+
+def plane_only(problem: LeastSquares, *, max_steps: int = 100, tolerance: float = 1e-9) -> Result:
+    """Minimise f in the unknowns that `problem.datum` marks, the others held at the prior's mean.
+
+    What a calibration must beat: it shows how much of a residual a better plane alone removes. The covariance of
+    the held unknowns is their prior's. Arguments as for `lm`.
+    """
+    part = Restricted(problem, problem.datum, problem.x0)
+    fitted = lm(part, max_steps=max_steps, tolerance=tolerance)
+    x, fitted_alone = part.expand(fitted.x), problem.datum.astype(np.float64)
+    information = with_diagonal(problem.normal(x).information, fitted_alone, np.zeros(x.size))
+    return replace(fitted, method="plane-only", problem=problem, x=x, information=information, belief=None)
+
+
+def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Result:
+    """Minimise f, then step at random in the null and weak directions of the Jacobian there.
+
+    The residuals hardly change; where the model bends so much that they do, the step is halved until they do not. What
+    it does to the tip is what a plane residual cannot show.
+
+    Args:
+        problem: what to minimise.
+        seed: of the step.
+        size: standard deviation of the step along each such direction, in prior standard deviations (flat: start_std),
+            before any halving.
+
+    Returns:
+        What `lm` found, with x (n,) after the step, deviations from nominal in the units of `problem.units`.
+
+    """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "null-step")
+    best = lm(problem)
+    rows = problem.jacobian(best.x) * problem.start_std
+    _, values, right = np.linalg.svd(rows, full_matrices=len(rows) < problem.unknowns)
+    values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])
+    unseen = right[values < UNSEEN]
+    step = problem.start_std * (np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen)
+    before, halvings = float(np.linalg.norm(problem.residual(best.x))), 0
+    while np.linalg.norm(problem.residual(best.x + step)) > UNMOVED * before and halvings < HALVINGS:
+        step, halvings = step / 2, halvings + 1
+    return replace(best, method="null-step", x=best.x + step)

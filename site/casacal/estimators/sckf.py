@@ -1,0 +1,166 @@
+"""Square-root cubature Kalman filter for constant parameters and scalar measurements (M5).
+
+The step as it is to be read; C or MX takes the same one for many rows at once where casacal.kernels.backend says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.estimators.nominal import nothing_unknown
+from casacal.least_squares.arrow import check_size
+from casacal.least_squares.linalg import downdated, tria
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, Status
+from casacal.values import Value
+
+
+@dataclass(frozen=True, eq=False)
+class Belief(Value):
+    """A Gaussian over the unknowns: mean (n,) and lower triangular square root of the covariance (n, n)."""
+
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
+class Update:
+    """A filter's step: the new belief, the innovation z - z' and its standard deviation."""
+
+    belief: Belief
+    innovation: float
+    innovation_std: float
+
+
+def predict(belief: Belief, process_root: Array | None) -> Belief:
+    """Let constant parameters drift: S <- Tria([S, S_Q]), eq (14) of arXiv:2208.02652 with erratum E10 corrected.
+
+    `process_root` is S_Q (n, n), or None for no drift.
+    """
+    if process_root is None:
+        return belief
+    return Belief(belief.mean, tria(np.hstack([belief.root, process_root])))
+
+
+def cubature_update(belief: Belief, h: Callable[[Array], Array], measured: float, noise_std: float) -> Update:
+    """Take in one scalar measurement: eqs (15)-(24) of arXiv:2208.02652, with errata E9-E12 corrected.
+
+    Square-root form of Arasaratnam and Haykin 2009, section VII.
+
+    Args:
+        belief: over n unknowns, best in prior-scaled coordinates, so that the points stay where h is smooth.
+        h: predicted measurement (m,) at many states (m, n).
+        measured: z.
+        noise_std: standard deviation S_R of its error.
+
+    """
+    n = belief.mean.size
+    offsets = math.sqrt(n) * belief.root.T  # row i is sqrt(n) S e_i
+    points = np.vstack([belief.mean + offsets, belief.mean - offsets])  # E12: drawn from the predicted belief
+    predictions = h(points)  # E11: what the model predicts, not the state itself
+    mean = float(predictions.mean())
+    spread = (predictions - mean) / math.sqrt(2 * n)  # calZ
+    innovation_std = math.hypot(float(np.linalg.norm(spread)), noise_std)  # S_zz: Tria of one row is its length
+    # calX = [S, -S] / sqrt(2), so calX calZ' = S v
+    v = (spread[:n] - spread[n:]) / math.sqrt(2)
+    gain = belief.root @ v / innovation_std**2
+    innovation = measured - mean
+    root = downdated(belief.root, v / innovation_std)
+    if root is None:  # the measurement tells all there is, to rounding: the full triangularisation keeps S real
+        states = np.hstack([belief.root, -belief.root]) / math.sqrt(2)
+        root = tria(np.hstack([states - np.outer(gain, spread), noise_std * gain[:, None]]))
+    return Update(Belief(belief.mean + gain * innovation, root), innovation, innovation_std)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Some rows taken in: the belief after them, where they end, and what each did.
+
+    stop: the row after the last. means: (rows, n), in units of `start_std` about x0. innovations, stds: (rows,).
+    """
+
+    stop: int
+    belief: Belief
+    means: Array
+    innovations: Array
+    stds: Array
+
+
+def begun(problem: LeastSquares) -> Belief:
+    """The belief before any row, in units of `start_std` about x0."""
+    return Belief(np.zeros(problem.unknowns), np.eye(problem.unknowns))
+
+
+def take_in(problem: LeastSquares, belief: Belief, first: int, process_root: Array | None = None) -> Taken:
+    """Take in the next rows from `first` on: as many as kernels do at once, or one.
+
+    belief: in units of `start_std` about x0. process_root: by how much unknowns drift before each row, or None.
+    """
+    fused = problem.filter_pass(first, belief.mean, belief.root) if process_root is None else None
+    if fused is not None and fused.stop > first:
+        return Taken(fused.stop, Belief(fused.mean, fused.root), fused.means, fused.innovations, fused.stds)
+    update = cubature_update(
+        predict(belief, process_root),
+        lambda states: problem.row(first, problem.x0 + problem.start_std * states),
+        0.0,
+        1.0,
+    )
+    told = np.array([update.innovation]), np.array([update.innovation_std])
+    return Taken(first + 1, update.belief, update.belief.mean[None], *told)
+
+
+def sckf(
+    problem: LeastSquares,
+    *,
+    process_std: Array | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Result:
+    """One pass of the filter over the rows, from the prior (flat: `start_std`) to the posterior of f.
+
+    One pass only: a second one would count the data twice.
+
+    Args:
+        problem: its rows are measurements of zero with unit noise, in whitened units.
+        process_std: standard deviation (n,) by which each unknown drifts between rows; default none.
+        progress: called with (rows done, norm of the innovation) now and then.
+
+    Returns:
+        The mean after the last row as x (n,), deviations from nominal in the units of `problem.units`, its covariance
+        (n, n), and the trace: means `x` (rows + 1, n), innovations and their standard deviations (rows,).
+
+    """
+    if not problem.unknowns:
+        return nothing_unknown(problem, "sckf")
+    check_size(problem.unknowns)
+    scale = problem.start_std
+    process = None if process_std is None else np.diag(process_std / scale)
+    belief = begun(problem)
+    trace: tuple[list[Array], ...] = ([problem.x0[None]], [np.zeros(0)], [np.zeros(0)])
+    k = 0
+    while k < problem.rows:
+        taken = take_in(problem, belief, k, process)
+        belief, k = taken.belief, taken.stop
+        done = (problem.x0 + scale * taken.means, taken.innovations, taken.stds)
+        for kept, some in zip(trace, done, strict=True):
+            kept.append(some)
+        if progress is not None:
+            progress(k, abs(float(trace[1][-1][-1])))
+    root = scale[:, None] * belief.root
+    states, innovation, innovation_std = (np.concatenate(kept) for kept in trace)
+    finite = bool(np.isfinite(belief.mean).all() and np.isfinite(root).all())
+    return Result(
+        method="sckf",
+        problem=problem,
+        x=problem.x0 + scale * belief.mean,
+        belief=root @ root.T,
+        status=Status.ONE_PASS if finite else Status.NOT_FINITE,
+        trace={"innovation": innovation, "innovation_std": innovation_std, "x": states},
+        steps=problem.rows,
+        residual_rows=2 * problem.unknowns * problem.rows,
+        jacobian_rows=0,
+    )

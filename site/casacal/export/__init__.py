@@ -1,0 +1,22 @@
+"""A calibrated arm in the forms that others read: each function takes a result of `read_result` and returns text.
+
+The estimate is exported as it stands in the result: directions that the samples did not determine stay where the prior
+held them. Each form that has comments says what tip error to expect.
+"""
+
+from casacal.export.c_code import c_text
+from casacal.export.controllers import ZeroCorrections, ur_kinematics_text, zero_corrections, zeros_text
+from casacal.export.dh import dh_text
+from casacal.export.remark import remark
+from casacal.export.urdf import urdf_text
+
+__all__ = [
+    "ZeroCorrections",
+    "c_text",
+    "dh_text",
+    "remark",
+    "ur_kinematics_text",
+    "urdf_text",
+    "zero_corrections",
+    "zeros_text",
+]

@@ -1,0 +1,215 @@
+"""What controllers take: corrections of encoder zeros, and the kinematics file of Universal Robots."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm, arm_values
+from casacal.compensation.result_file import arm_from
+from casacal.errors import CasacalError
+from casacal.export.remark import MARK, other_forms, remark
+from casacal.kinematics import chain, rotate_x, rotate_y, rotate_z, translate
+from casacal.robots.dh_table import NEARLY, DHTable
+from casacal.robots.files.dh_fields import plain
+from casacal.robots.joints import Conventions
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.uncertainty.workspace import workspace_joints
+
+LEVER = 100.0  # distance (mm) from the flange's origin of the points that stand for its orientation
+STEPS = 5
+
+
+@dataclass(frozen=True)
+class ZeroCorrections:
+    """Corrections (n,; rad, mm) in the controller's sign, and what they leave.
+
+    values: where the controller shows q, the calibrated arm stands as the drawn one would at q + values. So a target t
+        is met by sending t - values; or by changing the controller's zeros so that it shows q + values where it
+        showed q. before, after: distance (mm RMS) between the two without and with them, over the workspace, of
+        the flange's origin and of three points `LEVER` from it along its axes.
+    """
+
+    values: Array
+    before: float
+    after: float
+
+    @property
+    def share(self) -> float:
+        """Fraction of the calibration's squared effect that zero offsets express, 0 to 1."""
+        return 1.0 - (self.after / self.before) ** 2 if self.before > 0 else 1.0
+
+
+def zero_corrections(result: CalibratedArm) -> ZeroCorrections:
+    """Least-squares zero corrections of a calibration, whatever the robot is built from."""
+    result = arm_from(result)
+    robot = result.source.problem.robot
+    q = ca.SX.sym("q", len(robot.axes))
+    drawn, true = (_points(ca.SX(robot.pose(arm_values(result, nominal=nominal), q))) for nominal in (True, False))
+    joints = workspace_joints(robot)
+    count = len(joints)
+    evaluate = ca.Function("points", [q], [drawn, ca.jacobian(drawn, q)]).map(count)
+    target = np.asarray(ca.Function("points", [q], [true]).map(count)(joints.T)).T
+    values = np.zeros(len(robot.axes))
+    misses = []
+    for _ in range(STEPS):  # Gauss-Newton on corrections of a degree or less: quadratic at once
+        points, slopes = evaluate((joints + values).T)
+        error = (target - np.asarray(points).T).ravel()
+        misses.append(error)
+        slope = np.asarray(slopes).reshape(12, count, -1).transpose(1, 0, 2).reshape(12 * count, -1)
+        values = values + np.linalg.lstsq(slope, error, rcond=1e-9)[0]
+    rms = [math.sqrt(float((error**2).sum()) / (4 * count)) for error in (misses[0], misses[-1])]
+    return ZeroCorrections(values, rms[0], rms[1])
+
+
+def zeros_text(result: CalibratedArm) -> str:
+    """Zero corrections as CSV, degrees (mm where a joint slides), with what they can and cannot express."""
+    result = arm_from(result)
+    found = zero_corrections(result)
+    axes = result.source.problem.robot.axes
+    slides = any(joint.kind == "prismatic" for joint in axes)
+    lines = [f"# {line}" for line in remark(result, form="zeros")]
+    lines += [
+        f"# {MARK}where the controller shows q, the arm is where the drawn arm would be at q + correction. Do one of "
+        f"these, never both:",
+        f"# {MARK}(1) subtract each correction from the joint values of every target, and leave the zeros as they are",
+        f"# {MARK}(2) change the controller's zeros so that, at rest, each joint shows its value + correction, and "
+        "leave the targets as they are",
+        f"# {MARK}the calibration moves the flange by {found.before:.3f} mm RMS over the workspace (its origin and "
+        f"points {LEVER:g} mm from it)",
+        f"# {MARK}zero offsets express {100 * found.share:.0f} % of its mean square; {found.after:.3f} mm RMS remain",
+        "joint,correction_deg" + (",correction_mm" if slides else ""),
+    ]
+    for i, (joint, value) in enumerate(zip(axes, found.values, strict=True), 1):
+        turns = joint.turns
+        cells = [str(i), f"{math.degrees(value) + 0.0:.6f}" if turns else ""]
+        lines.append(",".join(cells + (["" if turns else plain(round(value, 6))] if slides else [])))
+    return "\n".join(lines) + "\n"
+
+
+def _points(pose: ca.SX) -> ca.SX:
+    """The flange's origin and three points along its axes (12), mm."""
+    return ca.vertcat(pose[:3, 3], *(pose[:3, 3] + LEVER * pose[:3, k] for k in range(3)))
+
+
+def roll_pitch_yaw(matrix: Array, near: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[float, float, float]:
+    """Angles (rad) with RotZ(yaw) RotY(pitch) RotX(roll) = matrix (3, 3), of all such the nearest to `near`.
+
+    Where the pitch is a quarter turn, only the sum or difference of roll and yaw is known: the yaw stays as it is.
+    """
+    upright = math.hypot(matrix[0, 0], matrix[1, 0])
+    yaw = math.atan2(matrix[1, 0], matrix[0, 0]) if upright > 1e-10 else near[2]
+    pitch = math.atan2(-matrix[2, 0], upright)
+    c, s = math.cos(yaw), math.sin(yaw)
+    roll = math.atan2(s * matrix[0, 2] - c * matrix[1, 2], c * matrix[1, 1] - s * matrix[0, 1])
+    twins = ((roll, pitch, yaw), (roll + math.pi, math.pi - pitch, yaw + math.pi))
+    turned = [_wrapped(twin, near) for twin in twins]
+    return min(turned, key=lambda angles: sum((a - b) ** 2 for a, b in zip(angles, near, strict=True)))
+
+
+def _wrapped(angles: Sequence[float], near: Sequence[float]) -> tuple[float, float, float]:
+    """Angles less whole turns, each within half a turn of `near`."""
+    x, y, z = (a - 2 * math.pi * round((a - b) / (2 * math.pi)) for a, b in zip(angles, near, strict=True))
+    return x, y, z
+
+
+JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+
+
+def ur_kinematics_text(result: CalibratedArm) -> str:
+    """Origins of the six joints in the frame before, m and rad, as YAML; each joint turns about its own z.
+
+    Frames stay beside the nominal ones: lengths are not re-seated onto common normals, which parallel axes would
+    throw metres away. What stands behind the last joint has no place in this format and is said in a comment.
+    `hash` is made from the numbers; a driver that compares it with the controller's own says that they differ.
+
+    Raises CasacalError for an arm that is no 6R arm with three parallel axes from the second on.
+
+    """
+    result = arm_from(result)
+    robot = result.source.problem.robot
+    name, arm, fix = robot.name, robot.arm, other_forms(robot)
+    if not isinstance(arm, (DHTable, UrdfChain)):
+        raise CasacalError(f"'{name}' was not built from a DH table or a URDF", fix)
+    if len(arm.joints) != 6 or any(joint.kind != "revolute" for joint in arm.joints):
+        raise CasacalError(f"'{name}' has {len(arm.joints)} joints, and a UR has six that turn", fix)
+    conventions = arm.conventions or Conventions.plain(6)
+    if not np.array_equal(conventions.matrix, np.eye(6)):
+        raise CasacalError(f"'{name}' has joint signs or coupling, which this format does not know", fix)
+    if isinstance(arm, UrdfChain) and not _is_plain(arm):
+        raise CasacalError(f"'{arm.name}' has fixed joints between its joints, or axes that are not z", fix)
+    if not _is_built_like_one(_origins(arm, arm_values(result, nominal=True), conventions)[0]):
+        what = f"'{name}' is not built like a UR, whose axes 2, 3 and 4 are parallel and the others at right angles"
+        raise CasacalError(what, fix)
+    origins, rest = _origins(arm, arm_values(result), conventions)
+    lines = [f"# {line}" for line in remark(result, form="ur")]
+    if not np.allclose(rest, np.eye(4), rtol=0, atol=1e-12):
+        shift = " ".join(_fixed(v, 6) for v in rest[:3, 3])
+        turn = " ".join(_fixed(math.degrees(v), 6) for v in roll_pitch_yaw(rest[:3, :3]))
+        lines += [
+            f"# {MARK}the calibrated flange relative to wrist_3: x y z {shift} mm, roll pitch yaw {turn} deg:",
+            f"# {MARK}this format has no place for that; put it before your tool",
+        ]
+    block = []
+    for joint, origin in zip(JOINTS, origins, strict=True):
+        values = [*(origin[:3, 3] / 1000), *roll_pitch_yaw(origin[:3, :3])]
+        block.append(f"  {joint}:")
+        named = zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True)
+        block += [f"    {key}: {_fixed(value)}" for key, value in named]
+    digest = hashlib.sha256("\n".join(block).encode()).hexdigest()[:16]
+    return "\n".join([*lines, "kinematics:", *block, f"  hash: casacal_{digest}"]) + "\n"
+
+
+def _origins(arm: DHTable | UrdfChain, p: Any, conventions: Conventions) -> tuple[list[Array], Array]:
+    """Origins (4x4, mm) of the joints, each in the frame before, and what stands behind the last one."""
+    if isinstance(arm, DHTable):
+        return _of_table(arm.at(p), conventions)
+    # fixed joints before the first and behind the last moving one are the description's own
+    turns = [np.array(rotate_z(offset), dtype=np.float64) for offset in conventions.offsets]
+    return [origin @ turn for origin, turn in zip(arm.origins_at(p), turns, strict=True)], np.eye(4)
+
+
+def _is_plain(arm: UrdfChain) -> bool:
+    """Whether no fixed joint stands between others, and all turn about z."""
+    kinds = "".join("f" if joint.kind == "fixed" else "m" for joint in arm.chain)
+    return "f" not in kinds.strip("f") and all(joint.axis == (0.0, 0.0, 1.0) for joint in arm.moving)
+
+
+def _of_table(table: DHTable, conventions: Conventions) -> tuple[list[Array], Array]:
+    """The same of a DH table: what lies between one axis and the next, up to the turn of the joint."""
+    beta = dict(zip(table.parallel, table.beta, strict=True))
+    origins, rest = [], chain()
+    for i, offset in enumerate(conventions.offsets):
+        spin = chain(translate(0, 0, table.d[i]), rotate_z(table.theta[i] + offset))
+        lean = chain(translate(table.a[i], 0, 0), rotate_x(table.alpha[i]))
+        if table.convention == "standard":
+            origins.append(chain(rest, spin))
+            rest = chain(lean, rotate_y(beta.get(i + 1, 0.0)))
+        else:
+            origins.append(chain(lean, rotate_y(beta.get(i, 0.0)), spin))
+    return [np.array(origin, dtype=np.float64) for origin in origins], np.array(rest, dtype=np.float64)
+
+
+def _is_built_like_one(origins: list[Array]) -> bool:
+    """Whether the drawn axes are a UR's: 2, 3 and 4 parallel, the others at right angles."""
+    frame, axes = np.eye(4), []
+    for origin in origins:
+        frame = frame @ origin
+        axes.append(frame[:3, 2])
+    crossed = [abs(float(one @ two)) for one, two in pairwise(axes)]
+    wanted = [0, 1, 1, 0, 0]
+    return all(abs(math.acos(min(c, 1.0)) - math.acos(w)) <= NEARLY for c, w in zip(crossed, wanted, strict=True))
+
+
+def _fixed(value: float, digits: int = 12) -> str:
+    """A number without exponent, which YAML readers take for a text where it has no point."""
+    shown = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if shown in ("-0", "") else shown

@@ -1,0 +1,92 @@
+"""The forms by name: one door for the command line and for Python."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import arm_from
+from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.export.c_code import c_text
+from casacal.export.controllers import ur_kinematics_text, zeros_text
+from casacal.export.dh import dh_text
+from casacal.export.functions import casadi_text
+from casacal.export.remark import MARK, remark
+from casacal.export.urdf import urdf_text
+from casacal.files import write_text
+from casacal.robots.files.dh_file import is_toml
+
+FORMS = ("dh", "urdf", "zeros", "ur", "c", "casadi")
+"""DH table (CSV, or TOML by the file's name), URDF, zero corrections (CSV), ur_description's kinematics, C99, and
+a `casadi.Function` of q to the flange pose, which `casadi.Function.load` reads."""
+
+
+def export(
+    arm: CalibratedArm,
+    form: str,
+    path: str | Path | None = None,
+    *,
+    source: str | Path | None = None,
+    prefix: str | None = None,
+    force: bool = False,
+) -> str:
+    """A calibrated arm in a form that others read, as text.
+
+    Args:
+        arm: what is exported.
+        form: one of `FORMS`.
+        path: file to write it to; None writes nothing.
+        source: for "dh" and "urdf", the file written back with only its numbers changed.
+        prefix: for "c", what the functions' names begin with; by default the problem's name.
+        force: write a result whose verdict is not to use it, with that verdict as a comment.
+
+    Raises UnknownNameError for another form, CasacalError where the arm cannot be said in it, or is not to be used.
+
+    """
+    arm = arm_from(arm)
+    if not isinstance(form, str) or form not in FORMS:
+        raise UnknownNameError("form", str(form), FORMS)
+    for place in (path, source):
+        if place is not None and not isinstance(place, (str, Path)):
+            raise CasacalError(f"Got {came(place)} as a path", "Give a path, or nothing")
+    if source is not None and form not in ("dh", "urdf"):
+        raise CasacalError(f"The form '{form}' writes no file back", "Leave out the source")
+    if prefix is not None and form != "c":
+        raise CasacalError(f"The form '{form}' has no prefix", "Leave it out")
+    arm.check_usable(force=force)
+    if form == "dh":
+        text = _dh(arm, path, source)
+    elif form == "urdf":
+        text = _remarked(urdf_text(arm, source), arm)
+    elif form == "c":
+        text = c_text(arm, prefix=prefix)
+    elif form == "casadi":
+        text = casadi_text(arm)
+    else:
+        text = zeros_text(arm) if form == "zeros" else ur_kinematics_text(arm)
+    if path is not None:
+        write_text(path, text)
+    return text
+
+
+def _remarked(text: str, arm: CalibratedArm) -> str:
+    """A URDF with a verdict that its users must know as a comment before its first element, in place of an older one.
+
+    A comment holds no two hyphens.
+    """
+    text = re.sub(rf"<!-- {MARK}.*?-->\r?\n?", "", text, flags=re.DOTALL)
+    if arm.denial is None and arm.caution is None and not arm.corrected:
+        return text
+    words = "\n".join(remark(arm, form="urdf")).replace("--", "- -")
+    place = re.search(r"<(?=[A-Za-z_])", text)
+    assert place is not None
+    return f"{text[: place.start()]}<!-- {words} -->\n{text[place.start() :]}"
+
+
+def _dh(arm: CalibratedArm, path: str | Path | None, source: str | Path | None) -> str:
+    toml = is_toml(path) if path is not None else source is not None and is_toml(source)
+    if source is not None and is_toml(source) != toml:
+        fix = "Let both names end in .csv, or both in .toml"
+        raise CasacalError(f"'{path}' and '{source}' are of different formats", fix)
+    return dh_text(arm, source, toml=toml)

@@ -1,0 +1,152 @@
+"""The calibrated arm as CasADi functions, and in a file of such a one."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm, arm_values, local_coordinates, row_constants
+from casacal.compensation.result_file import arm_from
+from casacal.compensation.told import columns_that_tell, where_told
+from casacal.discrepancy.effect import Site
+from casacal.errors import CasacalError
+from casacal.problem.problem import Problem
+
+
+def pose_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
+    """Function q (n; rad, mm) -> flange pose (4x4; mm) of an arm as calibrated.
+
+    Where columns tell effects that can then be corrected, such as torques, their values are a second input, `told`
+    (k), in the order of `told_names`.
+
+    Args:
+        arm: what was calibrated.
+        nominal: as drawn in place of as calibrated.
+        free: the robot's parameters are inputs too, by name and before q; `values_of` gives what they are. Effects
+            beside the geometry are then no part of it.
+
+    Raises CasacalError when both nominal and free are asked for.
+
+    """
+    _check(nominal, free)
+    arm = arm_from(arm)
+    problem = arm.source.problem
+    if free:
+        return problem.symbols_of(0).value_functions["pose"]
+    q = ca.SX.sym("q", len(problem.robot.axes))
+    if nominal:
+        pose = ca.SX(problem.robot.pose(arm_values(arm, nominal=True), q))
+        return ca.Function("pose", [q], [ca.densify(each) for each in ca.cse([pose])], ["q"], ["pose"])
+    inputs = inputs_of(arm, q)
+    pose = pose_at(arm, *inputs.values())
+    return ca.Function("pose", [*inputs.values()], [ca.densify(e) for e in ca.cse([pose])], [*inputs], ["pose"])
+
+
+def told_names(arm: CalibratedArm) -> tuple[str, ...]:
+    """The columns whose values are the input `told`, in order; none where no column tells an effect."""
+    return tuple(name for names in columns_that_tell(arm_from(arm)).values() for name in names)
+
+
+def inputs_of(arm: CalibratedArm, q: ca.SX) -> dict[str, ca.SX]:
+    """Joint values, and what columns tell, where they do."""
+    count = len(told_names(arm))
+    return {"q": q, "told": ca.SX.sym("told", count)} if count else {"q": q}
+
+
+def _row(arm: CalibratedArm, problem: Problem, q: ca.SX, told: ca.SX | None) -> ca.SX:
+    """The row d (nd) at readings of zero: joint values, and what columns tell in the places of their effects."""
+    columns, values = dict[str, Any](), ca.vertsplit(told) if told is not None else []
+    site = Site(problem.robot, problem.instrument)
+    effects = {effect.key: effect for effect in problem.effects}
+    for key, names in columns_that_tell(arm).items():
+        columns |= zip(effects[key].columns(site), values[: len(names)], strict=False)
+        values = values[len(names) :]
+    return ca.vertcat(q, *(columns.get(name, 0) for name in problem.symbols.columns))
+
+
+def pose_at(arm: CalibratedArm, q: ca.SX, told: ca.SX | None = None) -> ca.SX:
+    """Flange pose (4x4; mm) of an arm as calibrated at joint values (n; rad, mm), corrected effects included.
+
+    told: what columns tell of effects (k), in the order of `told_names`.
+    """
+    used = where_told(arm)
+    problem = used.used
+    if not problem.effects:
+        return ca.SX(problem.robot.pose(arm_values(arm), q))
+    z, c = ca.DM(local_coordinates(used, of=problem)), ca.DM(row_constants(used, problem))
+    return ca.reshape(problem.symbols.functions["pose"](z, c, _row(arm, problem, q, told)), 4, 4)
+
+
+def tip_function(arm: CalibratedArm, *, nominal: bool = False, free: bool = False) -> ca.Function:
+    """Function q (n; rad, mm) -> tip (3; mm), where the instrument touches at reading zero; `told` as there.
+
+    nominal, errors: as for `pose_function`; ProblemError where there are several instruments. free: what the tip
+    depends on of the robot's parameters, the instrument's unknowns and the columns are inputs too, by name.
+    """
+    _check(nominal, free)
+    arm = arm_from(arm)
+    if free:
+        return arm.source.problem.without_effects.symbols.value_functions["tip"]
+    q, used = ca.SX.sym("q", len(arm.source.problem.robot.axes)), arm if nominal else where_told(arm)
+    problem = arm.source.problem.without_effects if nominal else used.used
+    inputs = {"q": q} if nominal else inputs_of(arm, q)
+    d = (
+        ca.vertcat(q, ca.DM.zeros(len(problem.symbols.columns)))
+        if nominal
+        else _row(arm, problem, q, inputs.get("told"))
+    )
+    z = local_coordinates(used, nominal=nominal, of=problem)
+    tip = problem.symbols.functions["tip"](z, ca.DM(row_constants(used, problem)), d)
+    return ca.Function("tip", [*inputs.values()], [ca.densify(each) for each in ca.cse([tip])], [*inputs], ["tip"])
+
+
+def values_of(
+    arm: CalibratedArm, *, frame: Literal["flange", "tip"] = "flange", nominal: bool = False
+) -> dict[str, Array]:
+    """Values by name for the parameters that are free in `pose_function` or, with frame "tip", in `tip_function`.
+
+    Numbers are (n,), frames (4, 4); mm and rad. Raises CasacalError where the tip depends on what differs by label.
+    """
+    arm = arm_from(arm)
+    problem = arm.source.problem
+    if frame == "flange":
+        known = arm_values(arm, nominal=nominal)
+        unknowns = problem.robot.parameters
+        return {key: _array(ca.DM(unknown.packed(getattr(known, key)))) for key, unknown in unknowns.items()}
+    symbols = problem.without_effects.symbols
+    wanted = [key for key in symbols.value_functions["tip"].name_in() if key in symbols.unknowns]
+    if unsure := set(wanted) & set(symbols.constants):
+        what = f"The tip depends on '{sorted(unsure)[0]}', which the samples propose or which differs by label"
+        raise CasacalError(what, "Use tip_function() without free")
+    packed = [ca.SX(symbols.unknowns[key].packed(getattr(symbols.p, key))) for key in wanted]
+    found = ca.Function("values", [symbols.z], packed).call([ca.DM(local_coordinates(arm, nominal=nominal))])
+    return {key: _array(matrix) for key, matrix in zip(wanted, found, strict=True)}
+
+
+def casadi_text(arm: CalibratedArm) -> str:
+    """The function of `pose_function` as `casadi.Function.load` reads it from a file.
+
+    The file has no room for remarks: a verdict not to use the result is part of the function's name.
+    """
+    arm = arm_from(arm)
+    inputs = inputs_of(arm, ca.SX.sym("q", len(arm.source.problem.robot.axes)))
+    name = "pose" if arm.denial is None else "pose_forced_against_the_verdict"
+    made = ca.Function(name, [*inputs.values()], [pose_function(arm)(*inputs.values())], [*inputs], ["pose"])
+    with tempfile.TemporaryDirectory() as folder:
+        made.save(str(Path(folder) / "arm"))
+        return (Path(folder) / "arm").read_text(encoding="ascii")
+
+
+def _check(nominal: bool, free: bool) -> None:
+    if nominal and free:
+        raise CasacalError("Free parameters are neither nominal nor calibrated", "Leave out nominal or free")
+
+
+def _array(matrix: ca.DM) -> Array:
+    dense = np.asarray(ca.densify(matrix), dtype=np.float64)
+    return dense.ravel() if dense.shape[1] == 1 else dense

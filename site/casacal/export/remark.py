@@ -1,0 +1,68 @@
+"""What every exported file says about itself: where it comes from, and how far to trust it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import arm_from
+from casacal.compensation.told import columns_that_tell, where_told
+from casacal.robots.dh_table import DHTable
+from casacal.robots.robot import Robot
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.version import __version__
+
+MARK = "casacal: "
+"""What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
+
+
+def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
+    """Lines, without comment signs, on the origin and the expected accuracy of what is exported.
+
+    form: every form but "c" and "casadi" holds lengths and angles alone, none of the effects beside them that a result
+    corrects.
+    """
+    result = arm_from(result)
+    further = columns_that_tell(result)
+    whole = form in ("c", "casadi")
+    result = where_told(result) if whole else result
+    document = result.document
+    name = result.source.name
+    if document.get("method") == "truth":
+        return [f"{MARK}the true arm of a simulation of {name}, not a calibration (casacal {__version__})"]
+    lines = [f"{MARK}{name}, calibrated by {document.get('method')}, {Path(result.file).name}, {__version__}"]
+    if not document.get("converged", True):
+        lines.append(f"{MARK}WARNING, this is not a minimum: {document.get('status')}")
+    if (words := result.denial) is not None:
+        return [*lines, f"{MARK}WARNING, forced against the verdict: {words}"]
+    said, keys = document.get("discrepancy") or {}, result.corrected
+    error = (document.get("tip") or {}).get("expected_rms_mm")
+    called = {effect["key"]: effect["words"] for effect in said.get("effects", ())}
+    named = " and ".join(called[key] for key in called if key in keys)
+    alone = bool(keys) and not whole
+    if alone:
+        error = said.get("expected_rms_mm_without_corrections")
+        lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
+    elif keys:
+        lines.append(f"{MARK}corrected beside the geometry: {named}")
+    for key, names in further.items():
+        inputs = ", ".join(names)
+        done = "is corrected, and takes" if whole else "is not corrected in this form; the forms c and casadi take"
+        lines.append(f"{MARK}{called[key]} {done} {inputs} as inputs")
+    if (care := result.caution) is not None:
+        level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
+        lines.append(f"{MARK}the result's verdict: {level if alone or (whole and further) else care}")
+    shown = (
+        "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
+    )
+    return [
+        *lines,
+        f"{MARK}expected tip error: {shown}; small residuals on planes are not accuracy",
+        f"{MARK}what the samples do not determine is as the prior has it; the result names it",
+    ]
+
+
+def other_forms(robot: Robot) -> str:
+    """Advice to export an arm in the forms that hold it."""
+    own = {DHTable: "dh, ", UrdfChain: "urdf, "}
+    return f"Export it as {own.get(type(robot.arm), '')}zeros or c"

@@ -1,0 +1,185 @@
+"""What a plan becomes to take along: a controller's program, and a sheet to print and write on.
+
+The program goes above each touch, down slowly, waits for the reading, and goes back, in RAPID (ABB), KRL (KUKA) or
+URScript (Universal Robots); moves are of the joints, with the values of the plan. The sheet has twenty touches a page,
+each with a picture of the posture and what to expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+
+from casacal.array_types import Array
+from casacal.binding.nominal import nominal_tips
+from casacal.compensation.programs import KRL, RAPID, URSCRIPT, Language, in_comments, printable
+from casacal.errors import ProblemError, refuse_unknown
+from casacal.fieldwork.approaches import Approaches
+from casacal.pages.drawing import tag, together
+from casacal.pages.render import rendered
+from casacal.planning.clearance import nodes_of
+from casacal.planning.route import Route, joints_shown
+from casacal.problem.problem import Problem
+from casacal.samples.write import WRITTEN
+from casacal.values import FrozenMapping
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program in a controller's language: decimals of joint values, and lines around and of its moves and waits."""
+
+    language: Language
+    ending: str
+    decimals: int
+    head: tuple[str, ...]
+    fast: tuple[str, ...]
+    slow: tuple[str, ...]
+    wait: tuple[str, ...]
+    end: tuple[str, ...]
+
+
+LONGEST_LABEL = 40  # letters of a label that fit on a pendant: RAPID holds 80 in a string
+PROGRAMS: Mapping[str, Program] = FrozenMapping(
+    {
+        "rapid": Program(
+            RAPID,
+            ".mod",
+            4,
+            ("MODULE casacal_plan", "  PROC touch_the_plan()"),
+            ("    MoveAbsJ {}\\NoEOffs, v50, fine, tool0;",),
+            ("    MoveAbsJ {}\\NoEOffs, v5, fine, tool0;",),
+            ('    TPWrite "{}";', "    Stop;"),
+            ("  ENDPROC", "ENDMODULE"),
+        ),
+        "krl": Program(
+            KRL,
+            ".src",
+            4,
+            ("DEF casacal_plan()", "  BAS(#INITMOV, 0)"),
+            ("  BAS(#VEL_PTP, 10)", "  PTP {}"),
+            ("  BAS(#VEL_PTP, 1)", "  PTP {}"),
+            ("  ; {}", "  HALT"),
+            ("END",),
+        ),
+        "urscript": Program(
+            URSCRIPT,
+            ".script",
+            7,
+            ("def casacal_plan():",),
+            ("  movej({}, a=0.4, v=0.2)",),
+            ("  movej({}, a=0.1, v=0.02)",),
+            ('  popup("{}", blocking=True)',),
+            ("end",),
+        ),
+    }
+)
+"""By the name that people ask for."""
+
+
+def program_text(problem: Problem, route: Route, ways: Approaches, language: str, name: str) -> str:
+    """A plan as a program: comments, then for each touch a move above it, the touch, a wait, and back.
+
+    name: of the problem. Where no clear way leads to a touch, the program stops before it; from where the arm cannot
+    draw back, it does not go. Raises CasacalError for a
+    robot whose joints the language does not hold, UnknownNameError for a language that there is not.
+    """
+    refuse_unknown("language of programs", [language], PROGRAMS)
+    form = PROGRAMS[language]
+    form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    notes = (line for note in _notes(name) for line in in_comments(note))
+    lines = [form.head[0], *(f"  {form.language.comment} {line}" for line in notes), *form.head[1:]]
+
+    def add(part: tuple[str, ...], words: str) -> None:
+        lines.extend(line.format(words) for line in part)
+
+    def written(joints: Array) -> str:
+        return form.language.written(joints, form.decimals)
+
+    labels = list(route.samples.labels.values())
+    for k, purpose in enumerate(route.purposes):
+        where = printable(" ".join(label[k] for label in labels)).replace('"', "'")
+        if np.isnan(ways.retreat[k]):
+            lines.append(f"  {form.language.comment} touch {k + 1} is left out: the arm cannot draw back from it")
+            continue
+        if not ways.clear[k]:
+            add(form.wait, f"no clear way to touch {k + 1} was found: jog the arm above it, then go on")
+        for place in (ways.via[k], ways.above[k]):
+            if np.isfinite(place).all():
+                add(form.fast, written(place))
+        add(form.slow, written(route.samples.joints[k]))
+        add(form.wait, f"touch {k + 1} {where[:LONGEST_LABEL]} ({purpose})")
+        add(form.slow, written(ways.above[k]))
+    return "\n".join([*lines, *form.end]) + "\n"
+
+
+def _notes(name: str) -> list[str]:
+    return [
+        f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
+        "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
+        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
+        "at each stop take the reading with casacal measure, or write it down; then let the program go on",
+    ]
+
+
+WIDE, HIGH = 64.0, 46.0  # size of a picture, in its own units
+
+
+def sheet_page(problem: Problem, route: Route, name: str) -> str:
+    """HTML of the sheet: one file that needs no other, to be printed from any browser.
+
+    name: of the problem.
+    """
+    layout, samples, pictures = problem.layout(), route.samples, _pictures(problem, route)
+    joints = [f"q{i}{_unit(kind)}" for i, kind in enumerate(layout.joints, 1)]
+    expected = [f"{column}, expected{_unit(kind)}" for column, kind in layout.columns.items()]
+    read = [f"{column}{_unit(kind)}" for column, kind in layout.columns.items()] or ["touched"]
+    rows = []
+    for k, purpose in enumerate(route.purposes):
+        picture = [] if pictures is None else [pictures[k]]
+        numbers = joints_shown(samples.joints[k], layout)
+        numbers += [f"{samples.columns[column][k] * WRITTEN[kind][1]:.2f}" for column, kind in layout.columns.items()]
+        rows.append(
+            {
+                "purpose": purpose,
+                "number": f"{k + 1}{' again' if purpose == 'again' else ''}",
+                "words": [*picture, *(samples.labels[label][k] for label in layout.labels)],
+                "numbers": numbers,
+            }
+        )
+    titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
+    context = {"robot": problem.robot.name, "name": name, "titles": titles, "rows": rows, "blanks": len(read)}
+    return rendered("sheet.html", context)
+
+
+def _unit(kind: str) -> str:
+    return WRITTEN[kind][0].replace("_", " ")
+
+
+def _pictures(problem: Problem, route: Route) -> list[Markup] | None:
+    """Each posture from the side and from above; None for an arm whose joints do not carry one another in order."""
+    try:
+        nodes = nodes_of(problem.robot, route.samples.joints)
+    except ProblemError:
+        return None
+    arms = np.concatenate([nodes, nominal_tips(problem, 0, route.samples)[:, None]], axis=1)
+    side = np.stack([np.hypot(arms[..., 0], arms[..., 1]), arms[..., 2]], axis=-1)
+    top = arms[..., :2]
+    return [_picture([(side[k], side), (top[k], top)]) for k in range(len(arms))]
+
+
+def _picture(views: list[tuple[Array, Array]]) -> Markup:
+    """Views side by side, each of one arm in the frame of all."""
+    parts = []
+    for place, (arm, all_of_them) in enumerate(views):
+        low, high = all_of_them.reshape(-1, 2).min(axis=0), all_of_them.reshape(-1, 2).max(axis=0)
+        unit = max(float((high - low).max()), 1e-9) / (HIGH - 6)
+        x = place * WIDE + 3 + (arm[:, 0] - low[0]) / unit
+        y = HIGH - 3 - (arm[:, 1] - low[1]) / unit
+        line = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True))
+        parts.append(tag("path", at={"d": line, "fill": "none", "stroke": "#1d5f9e", "stroke-width": "2"}))
+        parts.append(tag("circle", at={"cx": f"{x[-1]:.1f}", "cy": f"{y[-1]:.1f}", "r": "2.4", "fill": "#c2560c"}))
+    box = f"0 0 {2 * WIDE:g} {HIGH:g}"
+    return tag("svg", together(*parts), at={"viewBox": box, "role": "img", "aria-label": "posture"})

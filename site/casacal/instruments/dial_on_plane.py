@@ -1,0 +1,241 @@
+"""A dial indicator on a flat face, or a tool that simply touches it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import casadi as ca
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words
+from casacal.instruments.dial_parts import Step
+from casacal.instruments.instrument import Instrument
+from casacal.instruments.tool_tip import tool_point
+from casacal.kinematics import Expression, rotation, transform_point
+from casacal.unknowns import Direction, Parameter, Plane, Unknown
+from casacal.values import FrozenMapping, is_real, plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class DialOnPlane(Instrument):
+    """The paper's instrument: the tip of a plunger on a plane, residual n . (p - gamma), eq (6) with a unit normal.
+
+    Args:
+        noise_std: standard deviation of one measurement, mm: of the reading along the plunger, or, without a
+            reading, of the touch along the normal.
+        reading: True when the samples carry a `reading` column; False for contact only. Samples that do not match
+            are refused.
+        sign: +1 when a larger reading means a longer tool (the paper's d6 + reading), -1 when the plunger is pushed
+            in. Never guessed.
+        contact_std: standard deviation of touch and form of the face along the normal, mm, beside the reading's.
+        travel: smallest and largest reading, mm, such as (-5, 5) of a dial that was set to zero in the middle; one
+            number is the largest of a dial that begins at zero.
+        tool: point of the plunger at reading zero, in the flange frame, mm; where the zero was set is part of it.
+        plunger: direction of the plunger, out of the tool, in the flange frame.
+        plane: the face, or one for each label.
+        steps: faces that share the plane of another one at a known height, by label; a known length is what fixes the
+            size of the arm.
+        gain: how much too much of every way the dial may show, such as `dial_gain(0.15)`; None trusts it.
+        cycle: what comes back with every turn of its pointer, such as `dial_cycle(3)`; None trusts it.
+        turn: what one turn of the pointer shows, mm.
+        zero_shift: what must be added to all readings, mm, where the dial was set to zero anew between sessions:
+            `dial_zero()`, an unknown for each value of a column; None where it was set once.
+
+    """
+
+    noise_std: float
+    reading: bool = True
+    sign: Literal[1, -1] = 1
+    contact_std: float = 0.0
+    travel: Travel = 10.0
+    tool: Parameter = tool_point(free=False)
+    plunger: Direction = Direction((0.0, 0.0, 1.0), free=False)
+    plane: Plane = Plane(per="plane")
+    steps: Mapping[str, Step] = field(default_factory=dict)
+    gain: Parameter | None = None
+    cycle: Parameter | None = None
+    turn: float = 1.0
+    zero_shift: Parameter | None = None
+
+    datum: ClassVar[tuple[str, ...]] = ("plane",)
+    ranges = ("travel",)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "steps", FrozenMapping(self.steps))
+        if not 0 < self.noise_std < math.inf:
+            raise ProblemError(f"noise_std of the dial is {self.noise_std!r}", "Give a positive number of mm")
+        if not 0 <= self.contact_std < math.inf:
+            raise ProblemError(f"contact_std of the dial is {self.contact_std!r}", "Give zero or more mm")
+        if self.sign not in (1, -1):
+            raise ProblemError(f"sign of the dial is {self.sign!r}", "Give +1 (extends the tool) or -1 (shortens it)")
+        object.__setattr__(self, "travel", plain(self.travel))
+        ends = self.travel if isinstance(self.travel, tuple) else (0.0, self.travel)
+        if len(ends) != 2 or not all(map(is_real, ends)) or not -math.inf < ends[0] < ends[1] < math.inf:
+            fix = "Give a positive number of mm, or the smallest and the largest reading, such as (-5, 5)"
+            raise ProblemError(f"travel of the dial is {self.travel!r}", fix)
+        if not 0 < self.turn < math.inf:
+            raise ProblemError(f"A turn of the pointer is {self.turn!r}", "Give what it shows, a positive number of mm")
+        if (self.gain or self.cycle or self.zero_shift) and not self.reading:
+            raise ProblemError(
+                "A touch without a dial has a gain, a cycle or a zero", "Leave them out, or declare reading=True"
+            )
+        for label, step in self.steps.items():
+            if step.on in self.steps or step.on == label:
+                raise ProblemError(
+                    f"Step '{label}' is on '{step.on}', which is a step itself", "Name a face that is not a step"
+                )
+            if not 0 < abs(step.height) < math.inf or not 0 < step.std < math.inf:
+                raise ProblemError(f"Step '{label}' is {step.height!r} +- {step.std!r} mm", "Give its certified height")
+        if self.steps and self.plane.per is None:
+            raise ProblemError("The dial has steps but one plane for all labels", 'Declare plane=Plane(per="plane")')
+
+    @property
+    def columns(self) -> Mapping[str, Dimension]:
+        """The reading, where there is one."""
+        return {"reading": "length"} if self.reading else {}
+
+    @property
+    def refused_columns(self) -> Mapping[str, str]:
+        """A reading, where the instrument is declared as contact only."""
+        return {} if self.reading else {"reading": "the problem declares contact without a dial (reading=False)"}
+
+    @property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Tool point, plunger direction, plane, and the error of each step's certificate."""
+        errors = {
+            f"step_{i}": Parameter(0.0, unit="mm", prior_std=step.std) for i, step in enumerate(self.steps.values(), 1)
+        }
+        faces = {**self.zero_shifts, "plane": self.plane, **errors}
+        return {"tool": self.tool, "plunger": self.plunger, **self.own_errors, **faces}
+
+    @property
+    def own_errors(self) -> Mapping[str, Unknown]:
+        """What the dial itself gets wrong, as far as that is declared."""
+        declared = {"gain": self.gain, "cycle": self.cycle}
+        return {key: unknown for key, unknown in declared.items() if unknown is not None}
+
+    @property
+    def zero_shifts(self) -> Mapping[str, Unknown]:
+        """Where the zero was set anew, as far as that is declared."""
+        return {} if self.zero_shift is None else {"zero_shift": self.zero_shift}
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Height of a row's face above its plane, and which step it is."""
+        if not self.steps:
+            return {}
+        height = {"height": {label: step.height for label, step in self.steps.items()}}
+        return height | {f"on_step_{i}": {label: 1.0} for i, label in enumerate(self.steps, 1)}
+
+    def instance(self, key: str, label: str) -> str:
+        """A step shares the plane of the face it stands on."""
+        return self.steps[label].on if key == "plane" and label in self.steps else label
+
+    @property
+    def column_stds(self) -> Mapping[str, float]:
+        """Noise of the reading, mm."""
+        return {"reading": self.noise_std} if self.reading else {}
+
+    @property
+    def residual_std(self) -> float:
+        """Noise along the normal, mm."""
+        return self.contact_std if self.reading else math.hypot(self.noise_std, self.contact_std)
+
+    @property
+    def words(self) -> Words:
+        """Distances from planes."""
+        trusted = "the dial's gain" if self.reading and self.gain is None else ""
+        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
+
+    @property
+    def known_by(self) -> str:
+        """The label of the faces."""
+        return self.plane.per or "plane"
+
+    groups = known_by
+
+    @property
+    def probe(self) -> Probe:
+        """The plunger, or the tool that simply touches."""
+        return Probe(
+            noise_std=self.noise_std,
+            contact_std=self.contact_std,
+            column="reading" if self.reading else None,
+            sign=self.sign,
+            travel=self.travel,
+            label=self.plane.per,
+            moves=("tool", "plunger", *self.own_errors),
+            steps=tuple(self.steps),
+            turn=self.turn if self.reading else 0.0,
+            zero=None if self.zero_shift is None else "zero_shift",
+            zero_label=None if self.zero_shift is None else self.zero_shift.per,
+        )
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """A wrong sign first, then units."""
+        if not self.reading:
+            return ()
+        sign = Suspect(
+            "wrong dial sign",
+            "a larger reading shortens the tool where the problem says it lengthens it, or the other way round",
+            f"Reverse the sign of the dial in the problem (--set sign={-self.sign} tries it)",
+            ("reading",),
+            -1.0,
+        )
+        return (sign, *(each for each in super().suspects if each.factor > 0))
+
+    def with_faces_by_label(self) -> DialOnPlane | None:
+        """The same with a plane for each label."""
+        return self if self.plane.per is not None else replace(self, plane=replace(self.plane, per="plane"))
+
+    def with_step(self, label: str, on: str, height: float) -> DialOnPlane | None:
+        """The same with one more step."""
+        return replace(self, steps={**self.steps, label: Step(on, height)})
+
+    def plunger_direction(self, pose: Expression, p: Any) -> Expression:
+        """The plunger, turned into the base frame."""
+        return rotation(pose) @ p.plunger
+
+    def tip(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Tip of the plunger (3, mm): the tool point, plus sign * reading along the plunger."""
+        return transform_point(pose, p.tool + self.reach(p, row) * p.plunger)
+
+    def reach(self, p: Any, row: Any) -> Expression:
+        """How far the tip truly stands out along the plunger, mm: sign * reading, with what the dial gets wrong."""
+        shown = getattr(row, "reading", 0.0)
+        way = shown
+        if self.gain is not None:
+            way += shown * p.gain / 100
+        if self.cycle is not None:
+            angle = 2 * math.pi * shown / self.turn
+            way += (p.cycle[0] * ca.cos(angle) + p.cycle[1] * ca.sin(angle)) / 1000
+        return self.sign * way
+
+    def shifted(self, normal: Expression, pose: Expression, p: Any) -> Expression:
+        """How far the tip stands off along a normal (3) because the dial was set to zero anew, mm.
+
+        The tip itself is that of one zero, so that where others stand is no matter of the arm.
+        """
+        if self.zero_shift is None:
+            return 0.0
+        return self.sign * p.zero_shift * ca.dot(normal, self.plunger_direction(pose, p))
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Signed distance of the tip from the face, mm."""
+        known = sum(getattr(row, f"on_step_{i}") * getattr(p, f"step_{i}") for i in range(1, len(self.steps) + 1))
+        height = row.height if self.steps else 0.0
+        return p.plane.distance(self.tip(pose, p, row)) - height - known + self.shifted(p.plane.normal, pose, p)
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Total-least-squares plane through the nominal tips, its normal towards the tool.
+
+        Raises ProblemError when the tips lie on a line, so that no plane is seen.
+        """
+        if key != "plane":
+            return super().propose(key, sight)
+        return sight.touched_plane()

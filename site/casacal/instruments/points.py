@@ -1,0 +1,210 @@
+"""A tip at points: one that it comes back to, sockets of a bar, a tracker's reflector, points of a plate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+from casacal.instruments.description import Sight, Suspect, Words
+from casacal.instruments.tool_tip import ToolTip, proposed_point
+from casacal.kinematics import Expression, transform_point
+from casacal.unknowns import Direction, Frame, Parameter
+from casacal.unknowns.fits import rigid_fit
+from casacal.values import FrozenMapping, is_finite
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedPoint(ToolTip):
+    """A tip that comes to one point for each value of the column "point", in many postures; three residuals per row.
+
+    Without that column there is one point. With the arm held (`Problem.fix`), four touches of a spike give the tool.
+    Points have no size: how large the arm is comes from its prior, unless something beside it is a known length.
+
+    Args:
+        noise_std: how well the tip is brought to the point, each coordinate, mm.
+        tool: the tip in the flange frame, mm.
+        point: the point in the base frame, mm; proposed from the data when not given.
+
+    """
+
+    point: Parameter = proposed_point("point")
+
+    datum = ("point",)
+    words = Words("distance from the points", "mm", "touches", "points fitted alone", group="point")
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """From the point to the tip (3, mm)."""
+        return self.tip(pose, p, row) - p.point
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Return the mean of the nominal tips."""
+        return np.asarray(sight.tips.mean(axis=0)) if key == "point" else super().propose(key, sight)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sockets(ToolTip):
+    """A ball put by hand into sockets along a bar, which stands at one or several places; three residuals per row.
+
+    The way between two sockets is known, which makes the size of the arm known. Columns "socket" and "place" say which
+    socket of which place a row is of; without the latter there is one place.
+
+    Args:
+        noise_std: how well the ball comes to rest, each coordinate, mm.
+        along: where each socket stands along the bar, mm, by its label; two at least.
+        tool: the centre of the ball in the flange frame, mm.
+        start: the bar's zero at each place in the base frame, mm; proposed from the data when not given.
+        bar: the bar's direction at each place; proposed from the data when not given.
+
+    Raises ProblemError for fewer than two sockets, and for two at the same place.
+
+    """
+
+    along: Mapping[str, float] = field(default_factory=dict)
+    start: Parameter = proposed_point("place")
+    bar: Direction = Direction(None, per="place")
+
+    datum = ("start", "bar")
+    known_by = "socket"
+    knows_every_label = True  # a socket that is not listed stands nowhere
+    words = Words("distance from the sockets", "mm", "rests", "sockets fitted alone", group="place")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = self.along if isinstance(self.along, Mapping) else {}
+        along = {str(label): float(value) for label, value in given.items() if is_finite(value)}
+        object.__setattr__(self, "along", FrozenMapping(along))
+        if len(set(along.values())) < max(len(given), 2):
+            raise ProblemError(
+                f"The sockets stand at {dict(given) or self.along} along the bar",
+                'Give two places or more, such as {"0": 0, "1": 50}',
+            )
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """How far along the bar the row's socket stands, mm."""
+        return {"along": self.along}
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """From the socket to the ball's centre (3, mm)."""
+        return self.tip(pose, p, row) - (p.start + row.along * p.bar)
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Line through the nominal tips by their sockets; raises ProblemError where a place has one socket alone."""
+        if key not in self.datum:
+            return super().propose(key, sight)
+        along = sight.columns["along"]
+        apart = along - along.mean()
+        towards = apart @ sight.tips
+        if not np.ptp(along) or not np.linalg.norm(towards) > 1e-9:
+            raise ProblemError(
+                "Some place of the bar has rows of one socket alone", "Put the ball into two sockets at every place"
+            )
+        way = towards / np.linalg.norm(towards)
+        return Direction.encode(way) if key == "bar" else np.asarray(sight.tips.mean(axis=0) - along.mean() * way)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointInFrame(ToolTip):
+    """A tip and the coordinates x, y, z (mm) of where it stands in another frame; three residuals per row.
+
+    station: transform from the robot's base to that frame; proposed from the data when not given.
+    """
+
+    station: Frame = Frame()
+
+    datum = ("station",)
+
+    def residual(self, pose: Expression, p: Any, row: Any) -> Expression:
+        """Predicted minus given coordinates (3, mm)."""
+        return transform_point(p.station, self.tip(pose, p, row)) - ca.vertcat(row.x, row.y, row.z)
+
+    def propose(self, key: str, sight: Sight) -> Array:
+        """Rigid fit of the nominal tips to the points (Arun, Huang and Blostein 1987); ProblemError on a line."""
+        if key != "station":
+            return super().propose(key, sight)
+        matrix = rigid_fit(sight.tips, np.column_stack([sight.columns[axis] for axis in AXES]))
+        if matrix is None:
+            raise ProblemError(
+                f"The points of {type(self).__name__} lie on a line",
+                "Measure at least three points that do not lie on one line",
+            )
+        return Frame.encode(matrix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedPoint(PointInFrame):
+    """A reflector on the flange whose x, y, z are read in the tracker's own frame; three residuals per row.
+
+    Args:
+        noise_std: standard deviation of each coordinate, mm.
+        tool: the reflector in the flange frame, mm.
+        station: transform from the robot's base to the tracker's frame; proposed from the data when not given.
+
+    """
+
+    columns = FrozenMapping(dict.fromkeys(AXES, "length"))
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Units, and a mirrored frame."""
+        cause = "the points seem to come in a left-handed frame: one axis counted the other way, or two exchanged"
+        fix = "Export them in a right-handed frame, or correct the column that is wrong"
+        return (*super().suspects, Suspect("left-handed frame", cause, fix, ("z",), -1.0))
+
+    @property
+    def words(self) -> Words:
+        """Coordinates of points."""
+        by = self.station.per or Words.group
+        return Words("residual of each coordinate", "mm", "points", "station fitted alone", group=by, accuracy=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownPoint(PointInFrame):
+    """A tip brought to points of a plate, which the column "point" names; three residuals per row.
+
+    Args:
+        noise_std: how well the tip is brought to a point, each coordinate, mm.
+        points: where each point stands on the plate (3, mm), by its label; three that do not lie on one line at least.
+        tool: the tip in the flange frame, mm.
+        station: transform from the robot's base to the plate's frame; proposed from the data when not given. Its
+            inverse is the plate as a work object.
+
+    Raises ProblemError for points that do not fix where the plate is.
+
+    """
+
+    points: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    known_by = groups = "point"
+    knows_every_label = True  # a point that is not listed stands nowhere
+    words = Words("residual of each coordinate", "mm", "points", "plate fitted alone", group="point", accuracy=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = self.points.items() if isinstance(self.points, Mapping) else [("", self.points)]
+        for label, point in given:
+            if not (isinstance(point, (tuple, list, np.ndarray)) and len(point) == 3 and all(map(is_finite, point))):
+                raise ProblemError(
+                    f"Point '{label}' of the plate is {point!r}", "Give x, y and z of each point in mm, by its label"
+                )
+        triples = {str(label): tuple(float(value) for value in point) for label, point in given}
+        object.__setattr__(self, "points", FrozenMapping(triples))
+        known = np.array(list(triples.values())).reshape(-1, 3)
+        if len(known) < 3 or np.linalg.matrix_rank(known - known.mean(axis=0), tol=1e-6) < 2:
+            raise ProblemError(
+                f"The plate has {len(known)} points, and they do not say how it lies",
+                "Give three or more that do not lie on one line",
+            )
+
+    @property
+    def known_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """Coordinates of the row's point on the plate, mm."""
+        return {axis: {label: point[i] for label, point in self.points.items()} for i, axis in enumerate(AXES)}

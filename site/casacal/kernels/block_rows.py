@@ -1,0 +1,236 @@
+"""Kernels without a compiler: the program replayed on columns of some hundred samples by CasADi's machine.
+
+The kernels of a row model, exact second derivatives, which IPOPT alone asks for, and any function of many rows.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.kernels.batch import Batch, Buffered, replayed
+from casacal.kernels.program import Program, read_program
+from casacal.kernels.rows import Kernels, Lanes, lane_data
+from casacal.least_squares.losses import Loss
+from casacal.threads import shared_out
+
+WIDTHS = {64: 64, 512: 128}  # samples up to which blocks have another width than the widest: for a face, for few rows
+WIDEST = 512
+FEW = 4096  # rows below which a plain map is sooner done than columns are built
+TOGETHER = 16  # blocks of second derivatives that one thread sums up at a time
+
+
+def blocked(columns: Array, *, repeat: bool = False) -> Array:
+    """Blocks (blocks, k, width) of columns (k, n), filled up by zeros, or by the last row again."""
+    count, n = columns.shape
+    width = next((width for most, width in WIDTHS.items() if n <= most), WIDEST)
+    padded = np.pad(columns, ((0, 0), (0, -n % width)), mode="edge" if repeat else "constant")
+    return np.ascontiguousarray(padded.reshape(count, padded.shape[1] // width, width).transpose(1, 0, 2))
+
+
+def product(one: ca.MX, other: ca.MX) -> ca.MX:
+    """Matrix product by the BLAS that CasADi was built with, several times faster than its own, where there is one."""
+    try:
+        return ca.mtimes(one, other, "classic")
+    except RuntimeError:
+        return ca.mtimes(one, other)
+
+
+class BlockKernels(Kernels):
+    """The kernels of a row model on CasADi's virtual machine."""
+
+    name = "blocks"
+
+    def __init__(self, slopes: Program, parameters: int) -> None:
+        super().__init__(slopes, parameters)
+        self._residual = slopes.only(0)
+        self._functions: dict[tuple[str, int], Buffered] = {}
+
+    def _packed(self, columns: Array, *, repeat: bool = False) -> Array:
+        return blocked(columns, repeat=repeat)
+
+    def residual(self, p: Array, lanes: Lanes) -> Array:
+        """Plain residuals (m, n)."""
+        function, o = self._function("residual", lanes), self._prepared("residual", p)
+        e = np.empty((len(lanes.d), self.components, lanes.d.shape[2]))
+        for d, out in zip(lanes.d, e, strict=True):
+            function((o, d), (out,))
+        return np.asarray(e.transpose(1, 0, 2).reshape(self.components, -1)[:, : lanes.n])
+
+    def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
+        """Plain residuals (m, n) and slopes (m, z, n)."""
+        function, blocks, width = self._function("slopes", lanes), len(lanes.d), lanes.d.shape[2]
+        m, z = self.components, self.unknowns
+        some, values = np.empty((m * (z + 1), width)), np.empty((m * (z + 1), blocks * width))
+        evaluate = function.bound((self._prepared("slopes", p), lanes.d[0]), tuple(some))
+        for k, d in enumerate(lanes.d):
+            function.feed(1, d)
+            evaluate()
+            values[:, k * width : (k + 1) * width] = some
+        return values[:m, : lanes.n], values[m:].reshape(m, z, values.shape[1])[:, :, : lanes.n]
+
+    def costs(self, states: Array, lanes: Lanes) -> Array:
+        """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
+        function, out, cost = self._function("cost", lanes), np.empty(1), np.zeros(len(states))
+        states = np.ascontiguousarray(states)
+        for k, p in enumerate(states):
+            o = self._prepared("residual", p)
+            for d, w in zip(lanes.d, lanes.w, strict=True):
+                function((o, d, w), (out,))
+                cost[k] += out[0]
+        return cost
+
+    def normal(self, p: Array, lanes: Lanes) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
+        function, o = self._function("normal", lanes), self._prepared("slopes", p)
+        out, s = np.empty((2, self.unknowns + 1, self.unknowns + 1))
+        s[...] = 0.0
+        for d, w in zip(lanes.d, lanes.w, strict=True):
+            function((o, d, w), (out,))
+            s += out
+        return s
+
+    def _prepared(self, name: str, p: Array) -> Array:
+        """What depends on parameters alone, of the residual or of all, once for all blocks."""
+        program = self._residual if name == "residual" else self._program
+        o = np.empty(len(program.once))
+        if o.size:
+            self._kept(f"prepared {name}", 0)((p,), (o,))
+        return o
+
+    def _function(self, name: str, lanes: Lanes) -> Buffered:
+        return self._kept(name, lanes.d.shape[2])
+
+    def _kept(self, name: str, width: int) -> Buffered:
+        if (name, width) not in self._functions:  # threads that come at once may build it twice, alike
+            self._functions[name, width] = Buffered(self._built(name, width))
+        return self._functions[name, width]
+
+    def _built(self, name: str, width: int) -> ca.Function:
+        program = self._residual if name.endswith(("residual", "cost")) else self._program
+        if name.startswith("prepared"):  # p -> the values of parameters alone
+            p = ca.MX.sym("p", self._parameters)
+            prepared = replayed(program, program.once, p, ca.MX(1, len(program.lanes)))
+            return ca.Function("prepared", [p], [ca.vertcat(*prepared)])
+        o, d = ca.MX.sym("o", len(program.once)), ca.MX.sym("d", width, len(program.lanes))
+        w = ca.MX.sym("w", width, self.components)
+        columns = replayed(program, program.results, o, d, is_prepared=True)
+        e, j = columns[: self.components], columns[self.components :]
+        if name == "residual":
+            return ca.Function(name, [o, d], [ca.horzcat(*e)])
+        if name == "cost":
+            return ca.Function(name, [o, d, w], [ca.sumsqr(w * ca.horzcat(*e)) / 2])
+        if name == "slopes":  # column by column, so that nothing is put together only to be taken apart
+            return ca.Function(name, [o, d], columns)
+        total = ca.MX.zeros(self.unknowns + 1, self.unknowns + 1)
+        for m in range(self.components):
+            weighted = ca.horzcat(*j[m * self.unknowns : (m + 1) * self.unknowns], e[m]) * w[:, m]
+            total += product(weighted.T, weighted)
+        return ca.Function(name, [o, d, w], [total])
+
+
+class CurvatureKernel:
+    """|We|^2 / 2, its gradient and its Hessian by v, for a residual (v, c, d) -> e (m) and rows of d and weights W.
+
+    The Hessian is J'WWJ, one matrix product a block, and sum w^2 e d2e/dv2, of which only the upper triangle's entries
+    that are not zero are evaluated. Of the last `linear` of v, small effects about zero, second derivatives are left
+    out, and the others' are taken where these are zero: steps need no more. With a loss the cost is its sum, W takes
+    the root of its weights, so that the gradient is exact, and the Hessian is J'WWJ alone: in the exact one, rows
+    beyond the threshold count nothing or less, and solvers lose their way.
+    """
+
+    def __init__(self, residual: ca.Function, *, linear: int = 0) -> None:
+        v, c, d = (ca.SX.sym(name, residual.numel_in(i)) for i, name in enumerate("vcd"))
+        e = residual(v, c, d)
+        slopes = ca.jacobian(e, v)
+        curving = v.numel() - linear
+        curved = residual(ca.vertcat(v[:curving], ca.SX.zeros(linear)), c, d)
+        bends = [ca.triu(ca.hessian(curved[m], v[:curving])[0]) * e[m] for m in range(e.numel())]
+        pattern = ca.Sparsity(curving, curving)
+        for bend in bends:
+            pattern = pattern + bend.sparsity()
+        self.unknowns, self.components, self._constants = v.numel(), e.numel(), c.numel()
+        self._rows, self._columns = (np.array(index, dtype=np.intp) for index in pattern.get_triplet())
+        bent = [ca.project(bend, pattern).nz[:] for bend in bends]
+        outputs = [ca.densify(each) for each in ca.cse([e, slopes.T, ca.vertcat(*bent, ca.SX(0, 1))])]
+        self._program = read_program(ca.Function("curved", [v, c, d], outputs), ("once", "once", "lane"))
+        self._built: dict[int, Buffered] = {}
+
+    def lanes(self, data: Array, noise: Array) -> Lanes:
+        """Rows of data (n, columns) with standard deviations (n, m) of their residuals, packed once for all calls."""
+        d = lane_data(self._program, data)
+        return Lanes(len(data), blocked(d, repeat=True), blocked(1.0 / noise.T))
+
+    def __call__(
+        self, v: Array, constants: Array, lanes: Lanes, *, loss: Loss | None = None, threads: int = 1
+    ) -> tuple[float, Array, Array]:
+        """Cost, gradient (z,) and Hessian (z, z) at v (z,), with the rows' common constants c.
+
+        Threads change no digit: blocks are summed up in groups, and the groups in order.
+        """
+        z, p = self.unknowns, np.concatenate([v, constants])
+        groups = [slice(k, k + TOGETHER) for k in range(0, len(lanes.d), TOGETHER)]
+        parts = shared_out(lambda some: self._sums(p, lanes.d[some], lanes.w[some], loss), groups, threads)
+        s, bent, cost = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
+        bend = np.zeros((z, z))
+        bend[self._rows, self._columns] = bent
+        return float(s[-1, -1] / 2 if loss is None else cost), s[:-1, -1], s[:-1, :-1] + bend + np.triu(bend, 1).T
+
+    def _sums(self, p: Array, d: Array, w: Array, loss: Loss | None) -> tuple[Array, Array, float]:
+        """Normal matrix of slopes and residual, entries of the bend, and what a loss costs, of some blocks."""
+        width = d.shape[2]
+        if width not in self._built:  # threads that come at once may build it twice, alike
+            self._built[width] = Buffered(self._block(width))
+        evaluate = self._built[width]
+        s, bent = np.zeros((self.unknowns + 1, self.unknowns + 1)), np.zeros(self._rows.size)
+        weighted, others = np.empty((self.components, self.unknowns + 1, width)), np.empty_like(bent)
+        cost = 0.0
+        for one, weights in zip(d, w, strict=True):
+            evaluate((p, one, weights), (weighted, others))
+            if loss is None:
+                bent += others
+            else:
+                r = weighted[:, -1:]
+                cost += float(loss.cost(r).sum())
+                weighted *= np.sqrt(loss.weight(r))
+            for each in weighted:  # NumPy's product is many times faster than CasADi's
+                s += each @ each.T
+        return s, bent, cost
+
+    def _block(self, width: int) -> ca.Function:
+        """(p, d, w) -> weighted slopes and residual by component, entries of the bend; of one block."""
+        z, count = self.unknowns, self._rows.size
+        p = ca.MX.sym("p", z + self._constants)
+        d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
+        values = [value for output in self._program.outputs for value in output]
+        columns = ca.horzcat(*replayed(self._program, values, p, d))
+        e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
+        weighted, bend = [], ca.MX.zeros(count, 1)
+        for m in range(self.components):
+            weighted.append(ca.horzcat(j[:, m * z : (m + 1) * z], e[:, m]) * w[:, m])
+            bend += product(bent[:, m * count : (m + 1) * count].T, w[:, m] ** 2)
+        return ca.Function("block", [p, d, w], [ca.horzcat(*weighted), bend])
+
+
+class Columnwise:
+    """A function (z, c, d) -> values, at one z and c for rows of d."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._batch = Batch(function)
+
+    @cached_property
+    def _kernels(self) -> BlockKernels:
+        """Built when many rows come for the first time, which takes longer than few rows do."""
+        function = self._batch.function
+        program = read_program(function, ("once", "once", "lane"), ahead=False)
+        return BlockKernels(program, function.numel_in(0) + function.numel_in(1))
+
+    def __call__(self, z: Array, c: Array, data: Array) -> Array:
+        """Values (N, outputs) at z and c for data (N, columns)."""
+        if len(data) < FEW:
+            return self._batch(z, c, data)[0]
+        lanes = self._kernels.lanes(data, np.ones((len(data), self._kernels.components)))
+        return self._kernels.residual(np.concatenate([z, c]), lanes).T

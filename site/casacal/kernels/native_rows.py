@@ -1,0 +1,204 @@
+"""Kernels as compiled C: samples innermost, normal equations accumulated where the Jacobian is made."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.kernels.c_source import kernel_source, rows_of_normal
+from casacal.kernels.libraries import load_library
+from casacal.kernels.program import Program
+from casacal.kernels.rows import Kernels, Lanes, Piece
+from casacal.threads import shared_out
+
+PAD = 8  # lanes are padded to a multiple of this, so that loops over them need no tail
+LARGE = 1 << 20  # bytes of a Jacobian beyond which it is written around the caches, straight to memory
+FUNCTIONS = ("residual", "slopes", "costs", "normal", "accumulate", "damped_step", "extended_pass")
+"""What the C source of a row model defines."""
+
+
+class NativeKernels(Kernels):
+    """The kernels of a row model in C."""
+
+    name = "c"
+
+    def __init__(self, slopes: Program, parameters: int) -> None:
+        super().__init__(slopes, parameters)
+        self.rows = rows_of_normal(self.unknowns)
+        self.compiled: Any = load_library(kernel_source(slopes, parameters), FUNCTIONS)
+        long, pointer = ctypes.c_long, ctypes.c_void_p
+        self._residual = self._function("residual", long, long, pointer, pointer, pointer)
+        self._slopes = self._function("slopes", long, long, pointer, pointer, pointer, pointer, long)
+        self._costs = self._function("costs", long, long, long, pointer, pointer, pointer, pointer)
+        self._normal = self._function("normal", long, long, pointer, pointer, pointer, pointer)
+
+    def _packed(self, columns: Array, *, repeat: bool = False) -> Array:
+        count, n = columns.shape
+        padded = _aligned(count, -(-n // PAD) * PAD)
+        padded[:, :n] = columns
+        padded[:, n:] = columns[:, -1:] if repeat and n else 0.0
+        return padded
+
+    def residual(self, p: Array, lanes: Lanes) -> Array:
+        """Plain residuals (m, n)."""
+        e = np.empty((self.components, lanes.w.shape[1]))
+        self._residual(lanes.n, e.shape[1], _at(p), _at(lanes.d), _at(e))
+        return e[:, : lanes.n]
+
+    def slopes(self, p: Array, lanes: Lanes) -> tuple[Array, Array]:
+        """Plain residuals (m, n) and slopes (m, z, n)."""
+        ld = lanes.w.shape[1]
+        e, j = np.empty((self.components, ld)), _aligned(self.components * self.unknowns, ld)
+        self._slopes(lanes.n, ld, _at(p), _at(lanes.d), _at(e), _at(j), j.nbytes > LARGE)
+        return e[:, : lanes.n], j.reshape(self.components, self.unknowns, ld)[:, :, : lanes.n]
+
+    def costs(self, states: Array, lanes: Lanes) -> Array:
+        """Half the weighted sum of squares at each of many p (states, parameters): (states,)."""
+        states, cost = np.ascontiguousarray(states), np.zeros(len(states))
+        self._costs(lanes.n, lanes.w.shape[1], len(states), _at(states), _at(lanes.d), _at(lanes.w), _at(cost))
+        return cost
+
+    def normal(self, p: Array, lanes: Lanes) -> Array:
+        """Weighted normal matrix of slopes and, last, residual (z + 1, z + 1)."""
+        s = np.empty((self.rows, self.rows))
+        self._normal(lanes.n, lanes.w.shape[1], _at(p), _at(lanes.d), _at(lanes.w), _at(s))
+        return s[: self.unknowns + 1, : self.unknowns + 1]
+
+    def _function(self, name: str, *types: Any) -> Callable[..., None]:
+        function = getattr(self.compiled, name)
+        function.argtypes, function.restype = types, None
+        return function  # type: ignore[no-any-return]
+
+
+def _at(array: Array) -> int:
+    return array.ctypes.data
+
+
+def _aligned(rows: int, columns: int) -> Array:
+    """An uninitialised array whose numbers begin at a multiple of 64 bytes."""
+    raw = np.empty(rows * columns + 8)
+    skipped = -(raw.ctypes.data // 8) % 8
+    return raw[skipped : skipped + rows * columns].reshape(rows, columns)
+
+
+class _Piece(ctypes.Structure):
+    """`piece` of c/piece.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("normal", "slopes")),
+        *((name, ctypes.c_long) for name in ("n", "ld", "z", "rows", "constants", "components", "lanes")),
+        *((name, ctypes.c_void_p) for name in ("column", "constant", "d", "w")),
+    )
+
+
+class PackedPieces:
+    """Pieces on C in memory that stays as long as this object: `address(k)` of piece k, and the library for them."""
+
+    def __init__(self, pieces: Sequence[Piece]) -> None:
+        self.pieces = tuple(pieces)
+        self._kept: list[object] = []
+        self._structs = (_Piece * len(pieces))(*(self._packed(piece) for piece in pieces))
+
+    def address(self, k: int) -> int:
+        """Where piece k stands, and those after it."""
+        return ctypes.addressof(self._structs[k])
+
+    def _packed(self, piece: Piece) -> _Piece:
+        columns = np.ascontiguousarray(piece.columns, dtype=ctypes.c_long)
+        constants = np.ascontiguousarray(piece.constants)
+        self._kept += [columns, constants]
+        kernels, lanes = piece.kernels, piece.lanes
+        assert isinstance(kernels, NativeKernels)
+        self.compiled = kernels.compiled  # any piece's library takes all pieces
+        entries = (
+            ctypes.cast(each, ctypes.c_void_p).value for each in (kernels.compiled.normal, kernels.compiled.slopes)
+        )
+        sizes = (
+            lanes.n,
+            lanes.w.shape[1],
+            columns.size,
+            kernels.rows,
+            constants.size,
+            kernels.components,
+            len(lanes.d),
+        )
+        return _Piece(*entries, *sizes, *(each.ctypes.data for each in (columns, constants, lanes.d, lanes.w)))
+
+    def extended_pass(
+        self, place: NDArray[np.intp], x0: Array, scale: Array, mean: Array, covariance: Array
+    ) -> tuple[Array, Array, Array]:
+        """Let the extended filter take in all rows, changing mean (n,) and covariance (n, n) of (x - x0) / scale.
+
+        place: piece, lane in it and component of each row (rows, 3). A row is evaluated with as many lanes as C pads
+        to. Returns means (rows, n) after each row, innovations and their standard deviations (rows,).
+        """
+        n, rows = x0.size, len(place)
+        run, long, pointer = self.compiled.extended_pass, ctypes.c_long, ctypes.c_void_p
+        run.argtypes, run.restype = [long, long, *[pointer] * 10], None
+        means, innovations, stds = np.empty((rows, n)), np.empty(rows), np.empty(rows)
+        needed = (
+            piece.size + PAD * (len(piece.lanes.d) + piece.kernels.components * (piece.kernels.unknowns + 1))
+            for piece in self.pieces
+        )
+        given = (np.ascontiguousarray(place, dtype=ctypes.c_long), *map(np.ascontiguousarray, (x0, scale)))
+        made = (mean, covariance, means, innovations, stds, np.empty(max(needed) + 4 * n))
+        run(rows, n, self.address(0), *(each.ctypes.data for each in (*given, *made)))
+        return means, innovations, stds
+
+
+class NativeNormal:
+    """Sums over pieces of rows at one x, and damped steps about x0 in units of `scale` with a prior's information.
+
+    Threads may share the pieces; sums do not depend on how many.
+    """
+
+    def __init__(self, packed: PackedPieces, x0: Array, scale: Array, prior: Array, threads: int) -> None:
+        pieces = packed.pieces
+        n, self._threads, self._count = x0.size, threads, len(pieces)
+        about = np.array([x0, scale, prior])
+        each = max(piece.size + rows_of_normal(piece.kernels.unknowns) ** 2 for piece in pieces)
+        # numbers go in and come out through memory that stays, as finding an array's address takes as long as a step
+        self._lock = threading.Lock()
+        self._x, self._normal, self._out = np.empty(n), np.empty(n * n + n), np.empty(n + 2)
+        self._sums, work = np.empty((len(pieces), n * n + n + 1)), np.empty((len(pieces), max(each, 2 * n * (n + 1))))
+        self._kept = (packed, about, work)
+        library, long, pointer = packed.compiled, ctypes.c_long, ctypes.c_void_p
+        accumulate, step = library.accumulate, library.damped_step
+        accumulate.argtypes, accumulate.restype = [long, pointer, long, *[pointer] * 3], None
+        step.argtypes, step.restype = [long, *[pointer] * 6, ctypes.c_double, *[pointer] * 2], long
+        x, sums, normal = self._x.ctypes.data, self._sums.ctypes.data, self._normal.ctypes.data
+        shares = [(k, 1) for k in range(len(pieces))] if threads > 1 else [(0, len(pieces))]
+        self._shares = [
+            (count, packed.address(k), n, x, sums + k * self._sums.strides[0], work[k].ctypes.data)
+            for k, count in shares
+        ]
+        self._accumulate, self._step = accumulate, step
+        self._before = (n, normal, normal + 8 * n * n, x, *(row.ctypes.data for row in about))
+        self._after = (self._out.ctypes.data, work.ctypes.data)
+
+    def sums(self, x: Array) -> tuple[float, Array, Array]:
+        """Half the whitened sum of squares at x (n,), its gradient (n,), and J'J (n, n)."""
+        n = x.size
+        with self._lock:
+            self._x[:] = x
+            shared_out(lambda share: self._accumulate(*share), self._shares, self._threads)
+            total = self._sums[0].copy() if self._count == 1 else self._sums.sum(axis=0)
+        return float(total[-1]), total[n * n : -1], total[: n * n].reshape(n, n)
+
+    def step(self, x: Array, gradient: Array, information: Array, damping: float) -> tuple[Array, float, float] | None:
+        """Where a damped step leads from x (n,), its squared length, the fall it predicts; None when it has none."""
+        n = x.size
+        with self._lock:
+            self._x[:] = x
+            self._normal[: n * n] = information.ravel()
+            self._normal[n * n :] = gradient
+            if not self._step(*self._before, damping, *self._after):
+                return None
+            out = self._out.copy()
+        return out[:n], float(out[n]), float(out[n + 1])

@@ -1,0 +1,1 @@
+"""The seam: what estimators see of a problem, and what they return. NumPy alone."""

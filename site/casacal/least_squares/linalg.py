@@ -1,0 +1,144 @@
+"""Small dense linear algebra of estimation: triangularisation, damped step, covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+
+from casacal.array_types import Array
+
+LEAST_LEFT = 1e-10  # fraction of a variance that must remain for a downdate to keep six digits; below it a QR is used
+
+LEAST_PIVOT = 1e-12
+"""Part of a diagonal element below which a pivot of Cholesky's is mostly rounding; kernels/c/normal_equations.c too."""
+
+WELL_CONDITIONED = 1e-12
+"""Reciprocal condition number above which a unit-diagonal information matrix is inverted as it is."""
+
+
+def tria(wide: Array) -> Array:
+    """Lower triangular S (n, n) with S S' = A A' and a non-negative diagonal, from A (n, m), m >= n.
+
+    Eq (14) of arXiv:2208.02652 as it must be read (erratum E10): the transpose of the R of qr(A').
+    """
+    upper = np.linalg.qr(wide.T, mode="r")
+    signs = np.where(np.diagonal(upper) < 0, -1.0, 1.0)
+    return np.ascontiguousarray((signs[:, None] * upper).T)
+
+
+def downdated(root: Array, u: Array) -> Array | None:
+    """Lower triangular root of S (I - u u') S', without a QR: S L with L L' = I - u u'; None when |u| is nearly one.
+
+    With s_j = 1 - u_1^2 - ... - u_j^2: L_jj = sqrt(s_j / s_(j-1)), L_ij = -u_i u_j / sqrt(s_j s_(j-1)) for i > j. A
+    scalar measurement makes a square-root filter's belief, S (n, n), smaller in just this way.
+    """
+    left = 1.0 - np.cumsum(u**2)
+    if not left[-1] > LEAST_LEFT:
+        return None
+    before = np.concatenate([[1.0], left[:-1]])
+    weighted = root * u
+    beyond = np.cumsum(weighted[:, ::-1], axis=1)[:, ::-1] - weighted  # columns j: sum of S_i u_i over i > j
+    return np.asarray(np.tril(root * np.sqrt(left / before) - beyond * (u / np.sqrt(left * before))))
+
+
+def damped_solution(information: Array, gradient: Array, damping: Array | float) -> Array | None:
+    """Solve (H + diag(damping)) s = -g (n,) by Cholesky; None when that matrix is not safely positive definite.
+
+    Safely: no pivot falls below `LEAST_PIVOT` of its diagonal element. Damping is one number, or one per coordinate.
+    """
+    if not gradient.size:
+        return gradient.copy()
+    matrix = information.copy()
+    matrix.flat[:: len(matrix) + 1] += damping
+    diagonal = np.diagonal(matrix)
+    root, failed = dpotrf(matrix, lower=1)
+    if failed or not (np.diagonal(root) ** 2 > LEAST_PIVOT * diagonal).all() or not np.isfinite(root[-1, -1]):
+        return None
+    return np.asarray(-dpotrs(root, gradient, lower=1)[0])
+
+
+def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
+    """Solve (A'A + damping I) s = -g by singular values of A (m, n), apart from directions that it does not see.
+
+    Squaring A loses what lies below 1e-8 of its largest singular value. What lies below rounding itself is a gauge,
+    along which g is rounding too: the step has no part in it.
+
+    Returns s (n,), its squared length |A s|^2 and the fall -g's - |A s|^2 / 2; None where A or g is not finite.
+    """
+    if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
+        return None
+    _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    held = values > len(values) * np.finfo(float).eps * values[0]
+    values, directions = values[held], directions[held]
+    slope = directions @ gradient
+    along = -slope / (values**2 + damping)
+    squared_length = float(np.sum((values * along) ** 2))
+    return along @ directions, squared_length, -float(slope @ along) - squared_length / 2
+
+
+def information_of(prior_std: Array) -> Array:
+    """1 / s^2 of each unknown (n,), zero where the prior is flat."""
+    return np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
+
+
+def unit_scale(diagonal: Array) -> Array:
+    """What scales a matrix with this diagonal (n,) to a unit one."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def column_scales(diagonal: Array, prior_std: Array) -> Array:
+    """Scale of each unknown (n,): its prior std, or 1 / |column of the Jacobian| where the prior is flat (More).
+
+    The diagonal is that of the data's information J'J.
+    """
+    norms = np.sqrt(np.maximum(diagonal, 0.0))
+    by_data = 1.0 / np.where(norms > 0, norms, 1.0)
+    return np.where(np.isfinite(prior_std), prior_std, by_data)
+
+
+def posterior_covariance(data_information: Array, prior_std: Array) -> Array:
+    """Covariance (J'J + Lambda)^-1 (n, n), with J'J of the data and Lambda of the priors, infinite where flat.
+
+    Unknowns that neither data nor prior hold get an infinite variance.
+    """
+    if not len(prior_std):
+        return np.zeros((0, 0))
+    if not np.isfinite(data_information).all():
+        return np.diag(np.full(len(prior_std), np.inf))
+    information = data_information + np.diag(information_of(prior_std))
+    # unit diagonal: nearly the best conditioning that scaling alone can give (van der Sluis 1969)
+    scale = unit_scale(np.diagonal(information))
+    scaled = scale[:, None] * information * scale
+    root, failed = dpotrf(scaled, lower=1)
+    if not failed and dpocon(root, np.abs(scaled).sum(axis=0).max(), uplo="L")[0] > WELL_CONDITIONED:
+        half = inverse_triangle(root) * scale
+        return np.asarray(half.T @ half)
+    values, vectors = np.linalg.eigh(scaled)
+    held = values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0)
+    inverse = (vectors[:, held] / values[held]) @ vectors[:, held].T
+    covariance = scale[:, None] * inverse * scale
+    lost = (vectors[:, ~held] ** 2).sum(axis=1) > 1e-8
+    covariance[lost, :] = 0.0
+    covariance[:, lost] = 0.0
+    covariance[lost, lost] = np.inf
+    return np.asarray(covariance)
+
+
+def inverse_triangle(root: Array) -> Array:
+    """Inverse (n, n) of the lower triangle of a matrix, by forward substitution.
+
+    For the few unknowns of an arm this is faster than the libraries, whose threads wait for one another.
+    """
+    inverse = np.zeros(root.shape)
+    for i in range(len(root)):
+        inverse[i, :i] = -(root[i, :i] @ inverse[:i, :i]) / root[i, i]
+        inverse[i, i] = 1.0 / root[i, i]
+    return inverse
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix (n, n) of a covariance; zero where a variance is infinite."""
+    variance = np.diagonal(covariance)
+    inverse = np.where(np.isfinite(variance) & (variance > 0), 1.0 / np.sqrt(np.where(variance > 0, variance, 1)), 0.0)
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    return np.asarray(inverse[:, None] * finite * inverse)

@@ -1,0 +1,69 @@
+"""A least-squares problem in some of its unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.least_squares.elimination import GroupRows
+from casacal.least_squares.information import among
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import LeastSquares, Normal
+
+
+class Restricted(LeastSquares):
+    """A problem in some of its unknowns, the others held at a given x."""
+
+    def __init__(self, whole: LeastSquares, free: NDArray[np.bool_], held_at: Array) -> None:
+        self.whole, self.free, self.held_at = whole, np.flatnonzero(free), held_at.copy()
+        self.names = tuple(whole.names[j] for j in self.free)
+        self.units = tuple(whole.units[j] for j in self.free)
+        self.x0, self.prior_std = whole.x0[self.free], whole.prior_std[self.free]
+        self.start_std, self.datum = whole.start_std[self.free], whole.datum[self.free]
+
+    def expand(self, x: Array) -> Array:
+        """All unknowns (..., n) of the whole problem at the free ones (..., m)."""
+        full = np.broadcast_to(self.held_at, (*x.shape[:-1], self.held_at.size)).copy()
+        full[..., self.free] = x
+        return full
+
+    @property
+    def rows(self) -> int:
+        """Rows of the whole problem."""
+        return self.whole.rows
+
+    def residual(self, x: Array) -> Array:
+        """Whitened residuals (rows,)."""
+        return self.whole.residual(self.expand(x))
+
+    def jacobian(self, x: Array) -> Array:
+        """Columns of the free unknowns (rows, m)."""
+        return self.whole.jacobian(self.expand(x))[:, self.free]
+
+    def compact_jacobian(self, x: Array) -> Array:
+        """Rows (k, m) with the J'J of the free columns."""
+        return self.whole.compact_jacobian(self.expand(x))[:, self.free]
+
+    def row(self, k: int, states: Array) -> Array:
+        """Whitened residual k at many states."""
+        return self.whole.row(k, self.expand(states))
+
+    def row_jacobian(self, k: int, x: Array) -> tuple[float, Array]:
+        """Whitened residual k and its gradient in the free unknowns."""
+        r, gradient = self.whole.row_jacobian(k, self.expand(x))
+        return r, gradient[self.free]
+
+    def normal(self, x: Array, loss: Loss | None = None) -> Normal:
+        """Normal equations of the free unknowns."""
+        whole = self.whole.normal(self.expand(x), loss)
+        return Normal(whole.cost, whole.gradient[self.free], among(whole.information, self.free))
+
+    def group_rows(self, x: Array, loss: Loss | None = None) -> Iterator[GroupRows]:
+        """Columns of the free unknowns, group by group."""
+        new = np.full(self.whole.unknowns, -1, dtype=np.intp)
+        new[self.free] = np.arange(self.free.size)
+        for part in self.whole.group_rows(self.expand(x), loss):
+            yield part.renumbered(new)

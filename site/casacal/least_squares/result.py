@@ -1,0 +1,174 @@
+"""What an estimator returns: the estimate, and the problem from which every quality figure is recomputed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError, came
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.information import Information, diagonal_of, posterior_spread
+from casacal.least_squares.linalg import column_scales, posterior_covariance
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import LeastSquares
+from casacal.values import Value, frozen, short
+
+
+class Status(Enum):
+    """How an estimator ended: a closed set of sentences that say what to do next."""
+
+    CONVERGED = "Converged: the step fell below a negligible part of a posterior standard deviation."
+    PRECISION = "Converged: the cost cannot be lowered further in double precision."
+    ONE_PASS = "Every row was used once, as a filter does; it does not iterate. Use lm or sckf-lm for the minimum."
+    BUDGET = (
+        "Spent its budget; such a method gives no sign of having arrived. Compare with lm; in Python, budget can be "
+        "raised."
+    )
+    TRUTH = "The truth of a simulation; nothing was estimated."
+    NOMINAL = "The arm as drawn; nothing was estimated."
+    UNSAID = "An estimate came back without a word on convergence. Compare with lm."
+    MAX_STEPS = (
+        "Ran out of steps before converging. Look for a mistake with casacal check, or try another method; "
+        "in Python, max_steps can be raised."
+    )
+    STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
+    NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
+    WORSE = "The estimate fits the samples worse than the arm as drawn. Use lm or sckf-lm, or check the samples."
+    FAR = "One pass over the rows ended far from the minimum for the accuracy that it claims. Use lm or sckf-lm."
+    SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
+
+    @property
+    def ok(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self not in FAILED
+
+
+FAILED = (Status.MAX_STEPS, Status.STUCK, Status.NOT_FINITE, Status.WORSE, Status.FAR, Status.SOLVER)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Value):
+    """An estimate and how it came about.
+
+    x: estimate (n,) in the units of `problem.units`, deviations from nominal. trace: one array per quantity, one entry
+    per step. residual_rows, jacobian_rows: how many rows of each were evaluated. information: J'J (n, n) of the data
+    at x, from which the covariance follows; belief: the covariance (n, n) itself, from a method that carries one along.
+    """
+
+    method: str
+    problem: LeastSquares
+    x: Array
+    status: Status
+    trace: Mapping[str, Array]
+    steps: int
+    residual_rows: int
+    jacobian_rows: int
+    loss: Loss | None = None
+    information: Information | None = None
+    belief: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("x", "information", "belief", "trace"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        numbers = [f"{name} {value:.6g}" for name, value in zip(self.problem.names, self.x, strict=True)]
+        return f"<Result of {self.method}: cost {self.cost:.6g}; {short(numbers, 4)}. {self.message}>"
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of x (n, n); variances that neither data nor prior hold are infinite."""
+        if self.belief is not None:
+            return self.belief
+        found = self._told
+        return posterior_covariance(found.dense() if isinstance(found, Arrow) else found, self.problem.prior_std)
+
+    @cached_property
+    def spread(self) -> tuple[Array, Array]:
+        """Covariance (s, s) of the unknowns that are not of one label alone, and variances (n,) of all.
+
+        Where labels are few, all (n, n) are among the first.
+        """
+        if self.belief is None and isinstance(self._told, Arrow):
+            return posterior_spread(self._told, self.problem.prior_std)
+        return self.covariance, np.diagonal(self.covariance)
+
+    @cached_property
+    def _told(self) -> Information:
+        """J'J of the data at x."""
+        return self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+
+    @cached_property
+    def cost(self) -> float:
+        """The objective at x, recomputed from the problem; with the loss where there is one."""
+        with np.errstate(over="ignore", invalid="ignore"):  # an estimate may lie anywhere
+            return self.problem.cost(self.x, self.loss)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weight of each row (rows,) under the loss: one keeps its full pull, zero is ignored."""
+        r = self.problem.residual(self.x)
+        return np.ones_like(r) if self.loss is None else self.loss.weight(r)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimator did all it promises."""
+        return self.status.ok
+
+    @property
+    def success(self) -> bool:
+        """The same, by SciPy's name."""
+        return self.converged
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence."""
+        return self.status.value
+
+    @property
+    def nfev(self) -> int:
+        """Evaluations of all residuals, or as many rows."""
+        return self.residual_rows // max(self.problem.rows, 1)
+
+    @property
+    def njev(self) -> int:
+        """Evaluations of the whole Jacobian, or as many rows."""
+        return self.jacobian_rows // max(self.problem.rows, 1)
+
+    @property
+    def std(self) -> Array:
+        """Posterior standard deviations (n,)."""
+        return np.sqrt(self.spread[1])
+
+    @cached_property
+    def kkt(self) -> float:
+        """Largest component of the objective's gradient at x, in prior-scaled (flat: column-scaled) coordinates."""
+        normal = self.problem.normal(self.x, self.loss)
+        gradient = normal.gradient + self.problem.prior_information * (self.x - self.problem.x0)
+        scales = column_scales(diagonal_of(normal.information), self.problem.prior_std)
+        return float(np.abs(scales * gradient).max(initial=0.0))
+
+
+def as_result(outcome: Result | Array | Any, problem: LeastSquares, method: str) -> Result:
+    """What an estimator returned as a result over the problem itself: a `Result`, or x (n,) without a word more.
+
+    Raises CasacalError for an estimate of another shape, or one that is not finite.
+    """
+    wanted = f"Return a Result, or x of shape {problem.x0.shape}"
+    try:
+        x = np.array(outcome.x if isinstance(outcome, Result) else outcome, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise CasacalError(f"Got {came(outcome)} from the method '{method}'", wanted) from None
+    if x.shape != problem.x0.shape:
+        raise CasacalError(f"The estimate of '{method}' has the shape {x.shape}", wanted)
+    if not np.isfinite(x).all():
+        raise CasacalError(f"The estimate of '{method}' is not finite", "See its status on this problem alone")
+    if isinstance(outcome, Result):
+        return replace(outcome, method=method, problem=problem, x=x)
+    return Result(method, problem, x, Status.UNSAID, {}, 0, 0, 0)

@@ -1,0 +1,246 @@
+"""What an operator types at a session, and what the session says, in sentences."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError
+from casacal.measuring.examine import Suspected
+from casacal.measuring.gauges import Gauge
+from casacal.measuring.session import Session
+from casacal.measuring.touch import Touch, refuse_beyond_travel
+from casacal.planning.route import joints_shown
+from casacal.samples.layout import Layout
+from casacal.samples.write import WRITTEN
+from casacal.wording import counted
+
+UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"
+WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?": HELP}
+"""Letters for words; the words themselves are understood as well."""
+
+HELP_WORDS = (
+    "Bring the arm to the posture. If the dial is at the end of its travel, move along the plunger until it reads "
+    "about what is expected: readings that differ determine the size of the arm. If the controller shows the joint "
+    "values as planned, type the reading alone; otherwise type all joint values (degrees, mm) and the reading. Add "
+    "the label if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is "
+    "right. c: put it right as the first explanation has it (c 2: the second). s: leave this touch out. q: end; what "
+    "was measured is written already."
+)
+
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+
+
+class Command(NamedTuple):
+    """A word, and the number after it, if any."""
+
+    word: str
+    number: int | None = None
+
+
+class Typed(NamedTuple):
+    """A touch as it was typed: joints (n,; rad, mm), readings in the order of the columns, labels in theirs."""
+
+    joints: Array
+    readings: tuple[float, ...]
+    labels: tuple[str, ...]
+
+
+def command_of(line: str) -> Command | None:
+    """The command that a line is; None where it is none."""
+    word, _, rest = (part.strip() for part in line.strip().partition(" "))
+    known = WORDS.get(word.lower(), word.lower())
+    if known not in WORDS.values():
+        return None
+    if rest and not rest.isdecimal():
+        raise CasacalError(f"'{rest}' after '{word}' is no number", "Give one, or nothing")
+    return Command(known, int(rest) if rest else None)
+
+
+def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
+    """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
+
+    Angles in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have points.
+    A line with a single number is read as the gauge would write it, so that a unit may follow. Raises CasacalError for
+    lines that are neither.
+    """
+    gauge.refuse_error(line)
+    joints, readings = len(layout.joints), len(layout.columns)
+    if readings == 1 and planned is not None and (alone := _alone(line, gauge)) is not None:
+        return Typed(planned.joints, (alone,), _labels((), layout, planned))
+    # commas part cells where numbers have points, else they are decimal commas
+    apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
+    cells = [cell for cell in re.split(apart, line.strip()) if cell]
+    count = next((k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)), len(cells))
+    numbers, labels = [_number(cell) for cell in cells[:count]], tuple(cells[count:])
+    if count == readings and planned is not None:
+        return Typed(planned.joints, tuple(numbers), _labels(labels, layout, planned))
+    if count == joints + readings:
+        q = np.array(numbers[:joints]) / [WRITTEN[kind][1] for kind in layout.joints]
+        return Typed(q, tuple(numbers[joints:]), _labels(labels, layout, planned))
+    wanted = counted(readings, "reading") if readings else ""
+    instead = f"{wanted}, or " if planned is not None and readings else ""
+    fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
+    raise CasacalError(f"{counted(count, 'number')} came", fix)
+
+
+def _number(text: str) -> float:
+    return float(text.strip().replace(",", "."))
+
+
+def _alone(line: str, gauge: Gauge) -> float | None:
+    try:
+        return gauge.reading(line)
+    except CasacalError:
+        return _number(line) if gauge.name != "plain" and NUMBER.fullmatch(line.strip()) else None
+
+
+def _labels(typed: tuple[str, ...], layout: Layout, planned: Touch | None) -> tuple[str, ...]:
+    if typed and len(typed) != len(layout.labels):
+        raise CasacalError(f"'{' '.join(typed)}' follows the numbers", "Type h for help")
+    if not typed and planned is None and layout.labels:
+        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
+    return typed if typed or planned is None else tuple(planned.labels[name] for name in layout.labels)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The session after a line, sentences, whether touches were added or changed, whether that was the end."""
+
+    session: Session
+    said: tuple[str, ...]
+    change: Literal["none", "added", "changed"] = "none"
+    ended: bool = False
+
+
+def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) -> Answer:
+    """Answer a line; what cannot be understood or done is said, and changes nothing."""
+    try:
+        command = command_of(line)
+        if command is not None:
+            return _obeyed(session, proposed, command)
+        if session.alarm is not None:
+            return Answer(session, ("Answer first, by u, c or k", *doubt(session)))
+        layout = session.problem.layout()
+        typed = touch_of(line, layout, proposed, gauge)
+        columns = dict(zip(layout.columns, typed.readings, strict=True))
+        refuse_beyond_travel(session.problem, columns)
+        after = session.take(
+            typed.joints,
+            columns,
+            dict(zip(layout.labels, typed.labels, strict=True)),
+            number=None if proposed is None else proposed.number,
+        )
+    except CasacalError as error:
+        return Answer(session, (str(error),))
+    return Answer(after, (_told(after), *doubt(after)), "added")
+
+
+def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answer:
+    if command.word == HELP:
+        return Answer(session, (HELP_WORDS,))
+    if command.word == QUIT:
+        return Answer(session, (), ended=True)
+    if command.word == SKIP:
+        if session.alarm is not None:
+            return Answer(session, tuple(doubt(session)))
+        if proposed is None or proposed.number is None:
+            raise CasacalError("The plan has no touch left to skip", "Type q to end")
+        return Answer(session.skip(proposed.number), (f"touch {proposed.number} is left out",))
+    number, alarm = command.number, session.alarm
+    if command.word == KEEP:
+        done, after = "kept", session.keep()
+    elif command.word == CORRECT:
+        suspects = alarm.suspects if number is not None and alarm is not None else ()
+        if suspects and not 1 <= (number or 0) <= len(suspects):
+            raise CasacalError(f"There is no explanation {number}", f"Give 1 to {len(suspects)}")
+        done, after = "put right", session.correct(suspects[(number or 0) - 1] if suspects else None)
+    else:
+        there = {session.shown(k): k for k in range(len(session))}
+        if number is not None and number not in there:
+            last = f"the last one is {session.shown(len(session) - 1)}" if there else "there is none yet"
+            raise CasacalError(f"No touch {number} has been made", f"Give the number of one that was; {last}")
+        done, after = "taken back", session.undo(None if number is None else there[number])
+    stands = (_told(after),) if len(after) and after.alarm is None else ()
+    return Answer(after, (done, *stands, *doubt(after)), "changed")
+
+
+def posture(touch: Touch, layout: Layout) -> str:
+    """Where to go: face, joint values, what to expect."""
+    where = ", ".join(touch.labels[name] for name in layout.labels)
+    number = "one more" if touch.number is None else f"touch {touch.number}"
+    expected = ", ".join(
+        f"{name} about {touch.columns[name] * WRITTEN[kind][1]:.2f}{WRITTEN[kind][0].replace('_', ' ')}"
+        for name, kind in layout.columns.items()
+    )
+    purpose = {"again": "once more", "check": "kept to verify"}.get(touch.purpose, "")
+    parts = (f"{number} {where}".strip(), purpose, f"joints {' '.join(joints_shown(touch.joints, layout))}", expected)
+    return "; ".join(part for part in parts if part)
+
+
+def _told(session: Session) -> str:
+    """What the last touch said, and where the session stands."""
+    state, last = session.state, session.touches[-1]
+    said = [f"touch {session.shown(len(session) - 1)} made, {len(session)} in all"]
+    if state.off is not None and state.std is not None:
+        off, std = float(np.linalg.norm(state.off)), float(np.linalg.norm(state.std))
+        sign = "-" if len(state.off) == 1 and state.off[0] < 0 else ""
+        said.append(f"{sign}{off:.3g} mm from what was expected (standard deviation {std:.3g} mm)")
+    elif len(session) - 1 in session.waiting:
+        said.append(f"face {', '.join(last.labels.values())} is not yet known well enough to judge it")
+    if session.tip_error is not None and session.tip_error_below is not None:
+        said.append(f"tip error {session.tip_error:.3g} mm expected, below {session.tip_error_below:.3g}")
+    if session.noise > 1:
+        said.append(f"touches scatter {session.noise:.2g} times the stated noise; figures allow for it")
+    return "; ".join(said)
+
+
+def doubt(session: Session) -> list[str]:
+    """What is in doubt, and what would explain it: a sentence each."""
+    alarm = session.alarm
+    if alarm is None:
+        return []
+    size = abs(alarm.off) / alarm.std if alarm.std > 0 else math.inf
+    fixable = "c corrects it as in 1; " if alarm.suspects and alarm.suspects[0].slip is not None else ""
+    return [
+        f"warning: touch {session.shown(alarm.raised_by)} is off by {alarm.off:.3g} mm, {size:.2g} times what was to "
+        "be expected. What would explain it, the likeliest first:",
+        *(f"  {k}. {_explained(session, each)}" for k, each in enumerate(alarm.suspects, 1)),
+        f"u takes touch {session.shown(alarm.touch)} back, so that it is made again; {fixable}k keeps it as it is",
+    ]
+
+
+def _explained(session: Session, each: Suspected) -> str:
+    cause = "no known cause explains it" if each.slip is None else each.slip.words
+    part = "over 99 %" if each.chance > 0.99 else f"{100 * each.chance:.0f} %" if each.chance >= 0.01 else "below 1 %"
+    return f"touch {session.shown(each.touch)}: {cause} ({part})"
+
+
+def ended(session: Session) -> list[str]:
+    """What to say at the end."""
+    said, below = [], session.tip_error_below
+    if below is not None:
+        met = ""
+        if session.tolerance is not None:
+            met = f", {'within' if session.done else 'not within'} the tolerance of {session.tolerance:g} mm"
+        said.append(
+            f"{counted(len(session), 'touch')}: tip error {session.tip_error:.3g} mm expected, below {below:.3g} "
+            f"mm{met}, apart from the position of the base, if the priors and the form of the arm's model are right. "
+            "casacal calibrate judges that"
+        )
+    if few := session.too_few:
+        have = f"{', '.join(few)} {'has' if len(few) == 1 else 'have'}"
+        said.append(f"warning: {have} too few touches; casacal calibrate asks for more there, or leaves them out")
+    if session.alarm is not None:
+        name = session.shown(session.alarm.touch)
+        said.append(f"warning: touch {name} is still in doubt; continue the session to settle it")
+    if (checked := session.checked()) is not None:
+        off, std = (float(np.sqrt((each**2).sum(axis=1).mean())) for each in checked)
+        count = counted(len(checked[0]), "touch")
+        said.append(f"{count} kept to verify: off by {off:.3g} mm RMS, {std:.3g} to be expected")
+    return said

@@ -1,0 +1,1 @@
+"""What pages are made of: templates, numbers, and pictures as inline SVG."""

@@ -1,0 +1,227 @@
+"""Touches that the arm can make and keep clear, and the choice among them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.nominal import nominal_tips
+from casacal.binding.slots import instances
+from casacal.errors import CasacalError, came
+from casacal.instruments.description import Probe
+from casacal.planning.clearance import Clearance
+from casacal.planning.exchange import Chosen, Criterion, error_of, exchange
+from casacal.problem.cell import Cell, Disturbances
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples, joined
+from casacal.simulation.reach import Touch
+from casacal.simulation.simulate import simulate
+from casacal.simulation.touches import default_cell
+from casacal.simulation.true_arm import true_unknowns
+from casacal.uncertainty.expectation import Box, joints_in_box
+from casacal.uncertainty.workspace import up_to_base, workspace_joints
+
+ROUNDS = 20  # times that more touches are drawn where some do not keep clear
+RARE = 0.05  # part of all that must keep clear, or a plan makes no sense
+
+
+def refuse_several(problem: Problem, what: str, fix: str) -> None:
+    """Raise CasacalError for what is no problem, or one of several instruments."""
+    if not isinstance(problem, Problem):
+        raise CasacalError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
+    if len(problem.instruments) > 1:
+        names = ", ".join(problem.names)
+        raise CasacalError(f"{what}, but the problem has {names}", f"{fix} problem.measured_by(name)")
+
+
+def cell_of(problem: Problem, cell: Disturbances | None) -> Disturbances:
+    """The cell without anything that disturbs; where none is given, that of `simulate`."""
+    if cell is None and problem.instrument.probe is not None:
+        cell = default_cell(problem)
+    still = Disturbances()
+    if isinstance(cell, Cell):
+        still = Cell(faces=cell.faces, tilt=cell.tilt, travel=cell.travel)
+    return replace(still, error_scale=0.0, repeatability=0.0, resolution=0.0)
+
+
+def drawn_touch(problem: Problem, probe: Probe, samples: Samples) -> tuple[Touch, Array, Array, Array]:
+    """The arm as drawn with its plunger, and of rows what it reads (N,), its tips and plungers (N, 3)."""
+    local = true_unknowns(problem, probe, 0.0, np.random.default_rng(0))
+    arm = Touch.of(problem.robot, problem.instrument, probe, local)
+    readings = np.zeros(len(samples)) if probe.column is None else samples.columns[probe.column]
+    tips, plungers = arm.place(arm.local, samples.joints, readings[:, None])
+    return arm, readings, tips, plungers
+
+
+def pool_of(
+    problem: Problem, cell: Disturbances | None, count: int, seed: int, clearance: Clearance | None = None
+) -> Samples:
+    """Touches that the arm as drawn could make, without any error.
+
+    Raises SimulationError where faces are out of reach, CasacalError where hardly a touch keeps clear.
+    """
+    still = cell_of(problem, cell)
+    if clearance is None:
+        return simulate(problem, still, samples=count, seed=seed).samples
+    found: Samples | None = None
+    for k in range(ROUNDS):
+        drawn, tried = simulate(problem, still, samples=count, seed=seed + 7919 * k).samples, count * (k + 1)
+        faces = still if isinstance(still, Cell) else None
+        good = np.flatnonzero(clearance.clear(problem.robot, faces, drawn.joints, nominal_tips(problem, 0, drawn)))
+        found = drawn.take(good) if found is None else joined(found, drawn.take(good))
+        if len(found) >= count:
+            return found.take(range(count))
+        if len(found) < RARE * tried:
+            break
+    assert found is not None
+    raise CasacalError(
+        f"Only {len(found)} of {tried} reachable touches keep clear of boxes, faces and the arm itself",
+        "Make the boxes or --link-radius smaller, move the faces, or ignore the shapes of the URDF (--ignore-shapes)",
+    )
+
+
+UNKNOWN = 1e-9  # information, in units of what filters start from, of what nobody knows beforehand
+ROUNDING = 1e-12
+"""The same as part of all that there is, where rows have told much of some unknowns and nothing of others."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Measurements among which is chosen, in units of what each unknown may be.
+
+    rows: whitened slopes of each (N, m, n). known: information (n, n) without them. weight: M (n, n).
+    """
+
+    rows: Array
+    known: Array
+    weight: Array
+
+    @staticmethod
+    def of(
+        bound: BoundProblem,
+        joints: Array,
+        *,
+        count: int | None = None,
+        loose: Mapping[str, float] | None = None,
+        at: Array | None = None,
+    ) -> Choice:
+        """Of a pool, for a tip that is wanted at some joint values (M, q).
+
+        count: how many of the rows can be chosen; the others have been made. loose: what may have moved since, by the
+        name of the unknown: its standard deviation. at: the arm (n,), by default as drawn.
+        """
+        x, units = bound.x0 if at is None else at, bound.start_std
+        rows, field = row_slopes(bound, x), wanted_field(bound, x, joints)
+        known = np.diag(np.maximum(bound.prior_information * units**2, UNKNOWN))
+        if count is not None and count < len(rows):
+            made = rows[count:].reshape(-1, bound.unknowns)
+            known, rows = known + made.T @ made, rows[:count]
+        if loose:
+            covariance = np.linalg.inv(known)
+            for name, std in loose.items():
+                j = bound.names.index(name)
+                covariance[j, j] += (std / units[j]) ** 2
+            known = np.linalg.inv(covariance)
+        return Choice(rows, np.asarray(known), field.T @ field / len(joints))
+
+    @staticmethod
+    def on_top(extra: BoundProblem, x: Array, known: Array, field: Array) -> Choice:
+        """Of extra rows, bound, where they stand at x (n,), on top of information (n, n), priors not in it.
+
+        field: slopes (3M, s) of a tip that is wanted at M postures, by the first unknowns; the others move none.
+        """
+        units = extra.start_std
+        held = known + np.diag(extra.prior_information)
+        held = held * np.outer(units, units)
+        held += max(UNKNOWN, ROUNDING * float(np.trace(held))) * np.eye(units.size)
+        slopes = field.reshape(-1, field.shape[-1]) * units[: field.shape[-1]]
+        weight = np.zeros_like(held)
+        weight[: slopes.shape[1], : slopes.shape[1]] = slopes.T @ slopes / (len(slopes) / 3)
+        return Choice(row_slopes(extra, x), np.asarray(held), weight)
+
+    def error(self, chosen: Chosen) -> float:
+        """Tip error (mm RMS) that some measurements leave."""
+        return error_of(self.rows[chosen], self.known, self.weight)
+
+    def best_of(
+        self,
+        count: int,
+        starts: int,
+        rng: np.random.Generator,
+        criterion: Criterion = Criterion.TIP,
+        barred: NDArray[np.bool_] | None = None,
+    ) -> Chosen:
+        """So many measurements, the best of some exchanges; none of those that are barred (N,)."""
+        there = np.arange(len(self.rows)) if barred is None else np.flatnonzero(~barred)
+        begins = [rng.choice(there, count, replace=False) for _ in range(starts)]
+        found = (exchange(self.rows, self.known, self.weight, k, criterion=criterion, barred=barred) for k in begins)
+        return min(found, key=lambda each: each.loss).rows
+
+    def curve(self, best: Chosen, rng: np.random.Generator, criterion: Criterion = Criterion.TIP) -> dict[int, float]:
+        """Error by number of measurements: half and a quarter as many, these, and half as many again."""
+        found = {len(best): self.error(best)}
+        for count in sorted({max(round(len(best) * part), 3) for part in (0.25, 0.5, 0.75, 1.5)} - {len(best)}):
+            if count <= len(self.rows):
+                found[count] = self.error(self.best_of(count, 1, rng, criterion))
+        return dict(sorted(found.items()))
+
+    def lost(self, best: Chosen, part: float, draws: int, rng: np.random.Generator) -> float:
+        """Error, RMS over some draws, when a part of the measurements is lost at random."""
+        left = max(len(best) - max(round(part * len(best)), 1), 1)
+        errors = [self.error(rng.choice(best, left, replace=False)) for _ in range(draws)]
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Measurements of a pool (N,) of faces that the chosen ones touch too seldom to say where they are.
+
+    Such touches place the face at best, and tell nothing of the arm. Of all such faces, and of the one that is touched
+    least but touched.
+    """
+    taken = np.zeros(len(pool), dtype=bool)
+    taken[chosen] = True
+    all_of_them, least, fewest = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool), len(pool)
+    for key in problem.instrument.datum:
+        unknown = problem.instrument.unknowns[key]
+        flat = int((~np.isfinite(unknown.prior_stds)).sum())
+        for _, rows in instances(problem.instrument, key, unknown, pool):
+            count = int(taken[rows].sum())
+            if count * problem.models[0].components > flat:
+                continue
+            all_of_them[rows] = True
+            if 0 < count < fewest:
+                fewest, least = count, np.zeros(len(pool), dtype=bool)
+                least[rows] = True
+    return all_of_them, least
+
+
+def row_slopes(bound: BoundProblem, x: Array) -> Array:
+    """Whitened slopes (N, m, n) of each measurement at x (n,), in units of what filters start from."""
+    return np.asarray((bound.jacobian(x) * bound.start_std).reshape(len(bound.measured), -1, bound.unknowns))
+
+
+def wanted_field(bound: BoundProblem, x: Array, joints: Array) -> Array:
+    """Moves (3 M, n) of the tip at joint values (M, q), apart from the position of the base, in the same units."""
+    frame = workspace_joints(bound.problem.robot)
+    sets = [(bound.tip_jacobian(x, q), bound.tips(x, q)) for q in (joints, frame)]
+    return np.asarray(up_to_base(*sets[0], *sets[1]) * bound.start_std)
+
+
+def wanted_joints(bound: BoundProblem, box: Box | None, targets: Array | None) -> Array:
+    """Joint values (M, n) at which the tip is wanted."""
+    if box is not None:
+        return joints_in_box(bound, bound.x0, box)
+    if targets is None:
+        return workspace_joints(bound.problem.robot)
+    joints = np.atleast_2d(np.asarray(targets, dtype=np.float64))
+    if joints.shape[1] != len(bound.problem.robot.axes) or not np.isfinite(joints).all():
+        raise CasacalError(
+            f"Targets have the shape {np.shape(targets)}",
+            f"Give finite joint values (M, {len(bound.problem.robot.axes)}) in rad and mm",
+        )
+    return joints

@@ -1,0 +1,211 @@
+"""What to do next, best first: extra touches, planned, put on top of the samples there are, and judged at the tip.
+
+Every figure is worked out at the estimate, as the tip error to expect is: the arm as calibrated can touch its faces as
+they were found in many postures, those that leave the least error are chosen of them by exchange, as `plan` does, and
+the linearised touches are added to what the samples know, everything free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Seen, seen
+from casacal.errors import CasacalError
+from casacal.least_squares.linalg import posterior_covariance
+from casacal.planning.choice import Choice
+from casacal.planning.estimate import Estimate
+from casacal.planning.extra_touches import Touches
+from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, offers
+from casacal.problem.cell import Cell
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.identifiability import NullDirection, WeakDirection, prior_scale
+from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid, workspace_joints
+from casacal.wording import listed
+
+GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending
+TOOL_STD = 0.2  # standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge
+SETTLES = 0.5  # part of a direction's standard deviation below which a cure settles it
+LOWERS = 0.95  # the same below which a cure helps at all
+MOST_TILT = math.radians(85.0)  # tilt of a plunger that hardly touches a face: such an arm is not understood
+NO_CURE = "none of those tried helps; rely on the prior"
+
+
+@dataclass(frozen=True, eq=False)
+class Cure:
+    """Something to do next, and the tip error to expect after it.
+
+    expected_rms_mm: over the workspace, apart from the position of the base. recommended: whether it gains more than a
+    few per cent, over as many touches of the same kind too. covariance: of the unknowns that the samples share (s, s),
+    after it.
+    """
+
+    words: str
+    touches: int
+    expected_rms_mm: float
+    recommended: bool
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What there would be after a cure.
+
+    information: all there would be (m, m); the first unknowns are those that the samples share. rows: the touches that
+    were chosen, where they were. problem: whose rows these are, with a new face or step.
+    """
+
+    kind: str
+    words: str
+    touches: int
+    information: Array
+    prior_std: Array
+    rows: Samples | None = None
+    problem: Problem | None = None
+
+
+def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, ...]:
+    """What to do next at x (n,), best first: 24 planned touches of each kind, and a tool that is measured.
+
+    More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
+    known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has two:
+    as many more of the same as nobody planned, and half the noise. stays: squared tip error, mm^2, that stays.
+    """
+    if not (x.size and np.isfinite(x).all()):
+        return ()
+    arm, at = seen(bound, x)
+    told, field = arm.information(at), _field(arm, at)
+
+    def judged(information: Array, prior_std: Array) -> tuple[float, Array]:
+        covariance = posterior_covariance(information, prior_std)[: at.size, : at.size]  # what comes last moves no tip
+        return math.sqrt(float((tip_stds(covariance, field) ** 2).sum(axis=1).mean()) + stays), covariance
+
+    found: dict[str, tuple[float, Array, Outcome]] = {}
+    for outcome in outcomes(bound, x):
+        if np.isfinite(outcome.information).all():
+            error, covariance = judged(outcome.information, outcome.prior_std)
+            if outcome.kind not in found or error < found[outcome.kind][0]:  # of the same at several places, the best
+                found[outcome.kind] = error, covariance, outcome
+    now, _ = judged(told, arm.prior_std)
+    same = min(now, found["same"][0]) if "same" in found else now
+    made = []
+    for kind, (error, covariance, outcome) in found.items():
+        gains = error < GAIN * (now if kind in ("same", "tool") else same)
+        made.append(Cure(outcome.words, outcome.touches, error, gains, covariance))
+    return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))
+
+
+def _measured_tool(arm: Seen, x: Array, told: Array) -> Iterator[Outcome]:
+    """The tool's point measured by other means, where the samples know it less well."""
+    stds = np.sqrt(np.diagonal(posterior_covariance(told, arm.prior_std)))
+    tool = [j for j in tool_unknowns(arm, x) if arm.units[j] == "mm" and stds[j] > TOOL_STD]
+    if tool:
+        prior_std = arm.prior_std.copy()
+        prior_std[tool] = np.minimum(prior_std[tool], TOOL_STD)
+        words = f"measure {listed([arm.names[j] for j in tool])} to {TOOL_STD:g} mm by other means"
+        yield Outcome("tool", words, 0, told, prior_std)
+
+
+def cure_for(bound: Seen, now: Array, found: Sequence[Cure], direction: NullDirection | WeakDirection) -> str:
+    """What lowers the spread along a direction, in words: the best cure that settles it, else the one that helps most.
+
+    Args:
+        bound: the problem whose direction it is.
+        now: covariance of its unknowns (s, s).
+        found: from `cures`, best first.
+        direction: in units of `prior_scale`.
+
+    """
+    along = np.where(bound.datum, 0.0, direction.direction) / np.linalg.norm(direction.direction)
+    if not along.any():
+        return "none needed"
+    along = along / prior_scale(bound)
+    before = _spread(now, along)
+    left = []
+    for cure in found:
+        after = _spread(cure.covariance, along)
+        left.append((cure, 1.0 if not np.isfinite(after) or before == 0 else after / before))
+    for cure, part in sorted(left, key=lambda each: not each[0].recommended):
+        if part < SETTLES:
+            return cure.words
+    best = min(left, key=lambda each: each[1], default=None)
+    return NO_CURE if best is None or best[1] > LOWERS else f"{best[0].words} (in part)"
+
+
+def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
+    """What there would be after each cure at x (n,); the first unknowns are those that the samples share."""
+    arm, at = seen(bound, x)
+    told, touches = arm.information(at), _touches(bound, x)
+    yield from _measured_tool(arm, at, told)
+    if len(bound.samples) > 1:
+        yield from _more_of_each(bound, x, told)
+        return
+    if touches is None:
+        ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
+        for kind, how, weight in ways:
+            more = weight * EXTRA_TOUCHES / len(bound.samples[0])
+            yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
+        return
+    known, field = Estimate.of(bound, x, told, touches.labels), _field(arm, at)
+    pools: dict[Cell, Samples | None] = {}
+    for offer in offers(bound, touches):
+        if offer.cell not in pools:
+            pools[offer.cell] = touches.on(offer.cell)
+        pool = pools[offer.cell]
+        if pool is None:
+            continue
+        try:
+            yield _planned(known, offer, pool, field)
+        except CasacalError:  # such as a plunger that would lie in the face
+            continue
+
+
+def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> Outcome:
+    """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
+    extra, x, told = known.with_rows(offer.problem, offer.cell, pool, offer.noise)
+    choice = Choice.on_top(extra, x, told, field)
+    best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
+    after = told + extra.take(best).information(x)
+    kept = pool.take(best)
+    return Outcome(offer.kind, offer.words, offer.touches, after, extra.prior_std, kept, offer.problem)
+
+
+def _field(arm: Seen, at: Array) -> Array:
+    """Slopes of the tip over the workspace, apart from the position of the base (3M, s)."""
+    joints = workspace_joints(arm.problem.robot)
+    return without_rigid(arm.tip_jacobian(at, joints), arm.tips(at, joints))
+
+
+def _more_of_each(bound: BoundProblem, x: Array, told: Array) -> Iterator[Outcome]:
+    """More of what each of several instruments has measured: as much as its rows tell of the shared unknowns now."""
+    for i, name in enumerate(bound.problem.names):
+        others = np.flatnonzero(bound.measured.instruments != i)
+        arm, at = seen(bound.take(others), x)
+        more = EXTRA_TOUCHES / max(len(bound.samples[i]), 1)
+        words = f"{EXTRA_TOUCHES} more samples of the {name}"
+        information = told + more * (told - arm.information(at))
+        yield Outcome(f"same as {name}", words, EXTRA_TOUCHES, information, arm.prior_std)
+
+
+def _touches(bound: BoundProblem, x: Array) -> Touches | None:
+    """The arm before its faces; None where no such thing can be said."""
+    try:
+        touches = Touches.of(bound, x)
+    except CasacalError:
+        return None
+    return touches if touches is not None and touches.tilt < MOST_TILT else None
+
+
+def _spread(covariance: Array, along: Array) -> float:
+    """Standard deviation of a combination (s,) of unknowns, some of which may be unbounded."""
+    lost = ~np.isfinite(np.diagonal(covariance))
+    if along[lost].any():
+        return float("inf")
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    return math.sqrt(max(float(along @ held @ along), 0.0))

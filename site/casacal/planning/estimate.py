@@ -1,0 +1,90 @@
+"""What the samples there are tell at the estimate, with extra rows on top of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, by_face, times
+from casacal.binding.slots import Slot, make_slots
+from casacal.least_squares.linalg import posterior_covariance
+from casacal.problem.cell import Cell
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the samples tell at the estimate, in shared unknowns and those of the labels that extra touches see."""
+
+    bound: BoundProblem
+    slots: tuple[Slot, ...]
+    x: Array
+    information: Array
+
+    @staticmethod
+    def of(bound: BoundProblem, x: Array, told: Array, labels: Sequence[str]) -> Estimate:
+        """At x (n,) of a bound problem, from the information (s, s) in what figures of its arm need."""
+        if bound.groups is None:
+            return Estimate(bound, bound.slots, x, told)
+        shared = set(bound.groups.shared.tolist())
+        first = [slot for slot in bound.slots if shared.issuperset(slot.columns)]
+        own = [slot for slot in bound.slots if slot.label in labels and not shared.issuperset(slot.columns)]
+        slots, x = _in_row([*first, *own], x)
+        if not own:
+            return Estimate(bound, slots, x, told)
+        # their own unknowns were taken out: the rows that see them go out of the sum, and come back with them
+        samples, instrument, key = bound.samples[0], bound.problem.instrument, own[0].key
+        groups, named = samples.labels[own[0].unknown.per or ""], {slot.label for slot in own}
+        codes = [k for k, name in enumerate(groups.names) if instrument.instance(key, name) in named]
+        rows = samples.take(np.flatnonzero(np.isin(groups.codes, codes)))
+        part = BoundProblem(bound.problem, slots, (rows,), "blocks", scale=bound.scale)
+        information, few = part.information(x), len(told)
+        across = information[:few, few:]
+        taken_out = across @ posterior_covariance(information[few:, few:], part.prior_std[few:]) @ across.T
+        information[:few, :few] = told + taken_out
+        return Estimate(bound, slots, x, information)
+
+    def with_rows(self, problem: Problem, cell: Cell, rows: Samples, noise: float) -> tuple[BoundProblem, Array, Array]:
+        """Extra rows (N), bound; where they stand, x (m,); information (m, m) that there is without them.
+
+        Their noise is what was found, times a factor. What they alone see, such as a new face, comes last.
+        """
+        instrument, old = problem.instrument, dict[str, Slot]()
+        for slot in self.slots:  # as the instrument with a face for each label has them
+            unknown = instrument.unknowns.get(slot.key)
+            if slot.label is None and unknown is not None and unknown.per is not None:
+                slot = replace(slot, unknown=unknown, label="plane")
+            old[slot.name] = slot
+        known, new = {slot.label for slot in old.values()}, list[Slot]()
+        strange = {face.label: face for face in cell.faces if face.label not in known}
+        faces = rows.faces(instrument.groups)
+        there = np.flatnonzero(np.isin(faces.codes, [k for k, label in enumerate(faces.names) if label in strange]))
+        for slot in make_slots(problem, [rows.take(there)]) if strange else ():
+            if slot.label in strange and slot.unknown.nominal_plane(slot.nominal) is not None:
+                face = strange[slot.label]
+                slot = replace(slot, nominal=slot.unknown.placed(np.asarray(face.centre), face.axes[0]))
+            new += [] if slot.name in old else [slot]
+        slots, x = _in_row([*old.values(), *new], np.concatenate([self.x, np.zeros(sum(s.unknown.size for s in new))]))
+        # the noise of a new face is the mean square of that of the others
+        found = list(by_face(self.bound.scale).values())
+        others = math.sqrt(float(np.mean(np.square(found)))) if found else 1.0
+        scale = times({OTHERS: others, **self.bound.scale}, noise)
+        information = np.zeros((x.size, x.size))
+        information[: self.x.size, : self.x.size] = self.information
+        return BoundProblem(problem, slots, (rows,), "blocks", scale=scale), x, information
+
+
+def _in_row(slots: Sequence[Slot], x: Array) -> tuple[tuple[Slot, ...], Array]:
+    """Slots one after the other, and their part of x (n,); new slots stand at the end of it."""
+    placed, parts, first = [], [], 0
+    for slot in slots:
+        placed.append(replace(slot, first=first))
+        parts.append(x[slot.columns])
+        first += slot.unknown.size
+    return tuple(placed), np.concatenate(parts)

@@ -1,0 +1,133 @@
+"""Touches to make, in the order of a short way through the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.slots import instances
+from casacal.errors import SamplesError
+from casacal.problem.problem import Problem
+from casacal.robots.joint_space import joint_units
+from casacal.robots.robot import Robot
+from casacal.samples.layout import Layout, numeric_columns
+from casacal.samples.samples import Samples
+from casacal.samples.write import WRITTEN, samples_text
+from casacal.tables.read import read_columns
+from casacal.values import Value
+
+FIT, AGAIN, CHECK = "fit", "again", "check"
+PURPOSES = (FIT, AGAIN, CHECK)
+"""What a touch is for: to be fitted; to be made a second time at the end; never to be fitted, but judged."""
+
+EXPECTED = "expected_"  # what the names of readings begin with that nobody has made yet
+
+
+@dataclass(frozen=True, eq=False)
+class Route(Value):
+    """Touches in the order in which they should be made.
+
+    samples: postures (N, n; rad, mm), readings to expect on the arm as drawn, and labels. purposes: of each (N,),
+    "fit", "again" or "check".
+    """
+
+    samples: Samples
+    purposes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.purposes)
+
+    def __repr__(self) -> str:
+        return f"<Route of {len(self)} touches>"
+
+
+PLANNED_DECIMALS = 4  # of joint values in degrees and mm: what controllers take, and a few micrometres at the tip
+
+
+def postures_text(samples: Samples, purposes: Sequence[str], layout: Layout, notes: Sequence[str]) -> str:
+    """Postures that nobody has measured yet, in the form of a plan: what each (N,) is for, and notes above them."""
+    before = {"touch": [str(k) for k in range(1, len(purposes) + 1)], "purpose": list(purposes)}
+    return samples_text(layout, samples, notes, before=before, joint_decimals=PLANNED_DECIMALS, prefix=EXPECTED)
+
+
+def joints_shown(joints: Array, layout: Layout) -> list[str]:
+    """Joint values (n,; rad, mm) as a plan has them, in degrees and mm."""
+    pairs = zip(joints, layout.joints, strict=True)
+    return [f"{value * WRITTEN[kind][1]:.{PLANNED_DECIMALS}f}" for value, kind in pairs]
+
+
+def touches_needed(problem: Problem, touches: Samples) -> int:
+    """How many touches `calibrate` takes at least for all unknowns of the arm and of the faces that are touched."""
+    own = sum(
+        u.size * len(instances(problem.instrument, key, u, touches)) for key, u in problem.instrument.unknowns.items()
+    )
+    total = own + sum(unknown.size for unknown in problem.robot.parameters.values())
+    return -(-total // problem.models[0].components)
+
+
+def read_route(path: str | Path, layout: Layout) -> Route:
+    """Read what `write_plan` wrote, or a file of the same form; rows may be left out, moved and added by hand.
+
+    layout: of the problem's samples. Raises SamplesError.
+    """
+    expected = Layout(layout.joints, {EXPECTED + name: kind for name, kind in layout.columns.items()}, layout.labels)
+    columns = read_columns(path, lambda header: numeric_columns(header, expected), layout.labels)
+    measured = [name for name in columns.header if name.rpartition("_")[0] in layout.columns]
+    if layout.columns and measured and not any(name.startswith(EXPECTED) for name in columns.header):
+        fix = "Give what casacal plan wrote; its readings are called expected_..."
+        raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, which a plan does not have", fix)
+    read = Samples.from_columns(columns, expected)
+    purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
+    for purpose, line in zip(purposes, read.lines, strict=True):
+        if purpose not in PURPOSES:
+            fix = f"Write {FIT}, {AGAIN} or {CHECK}"
+            raise SamplesError(read.file, f"'{purpose}' is no purpose", fix, line=line, column="purpose")
+    readings = {name.removeprefix(EXPECTED): values for name, values in read.columns.items()}
+    return Route(replace(read, columns=readings, extra={}), purposes)
+
+
+SWEEPS = 40  # times that all pairs of steps are looked at
+
+
+def shortest_way(robot: Robot, joints: Array) -> NDArray[np.intp]:
+    """An order (N,) of postures (N, n; rad, mm) that is short: the nearest next, then crossings undone (2-opt).
+
+    What counts is the joint that has furthest to go, which takes longest; `AXIS_WEIGHT` mm of a sliding joint count as
+    a radian. It begins at the posture that is nearest to mid-range.
+    """
+    count = len(joints)
+    if count < 2:
+        return np.arange(count)
+    places, middle = joints / joint_units(robot), np.mean(robot.limits, axis=0) / joint_units(robot)
+    apart = np.abs(places[:, None] - places).max(axis=2)
+    order = [int(np.abs(places - middle).max(axis=1).argmin())]
+    left = set(range(count)) - set(order)
+    while left:
+        here = np.array(sorted(left))
+        order.append(int(here[apart[order[-1], here].argmin()]))
+        left.remove(order[-1])
+    return _uncrossed(np.array(order), apart)
+
+
+def _uncrossed(order: NDArray[np.intp], apart: Array) -> NDArray[np.intp]:
+    """The same with parts of the way turned round while that makes it shorter; the first posture stays."""
+    count = len(order)
+    for _ in range(SWEEPS):
+        shorter = False
+        for i in range(count - 2):
+            j = np.arange(i + 2, count)
+            after = np.append(apart[order[i + 1], order[j[:-1] + 1]], 0.0)
+            before = np.append(apart[order[j[:-1]], order[j[:-1] + 1]], 0.0)
+            change = apart[order[i], order[j]] + after - apart[order[i], order[i + 1]] - before
+            best = int(change.argmin())
+            if change[best] < -1e-12:
+                order[i + 1 : j[best] + 1] = order[i + 1 : j[best] + 1][::-1].copy()
+                shorter = True
+        if not shorter:
+            break
+    return order

@@ -1,0 +1,127 @@
+"""A plan in sentences, in JSON's own types, and as a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from casacal.files import write_text
+from casacal.planning.clearance import Clearance
+from casacal.planning.plan import Plan
+from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
+from casacal.planning.set_ups import POOL, SetUp, worth_most
+from casacal.samples.layout import Layout
+from casacal.wording import METRE, UNBOUNDED
+
+FLAT = 0.93  # error over that of fewer touches above which more bring little
+
+ENDS = 0.7  # error of all candidates over that of a number, below which a flat part is not the end of the curve
+
+
+def told(
+    plan: Plan,
+    compared: Sequence[SetUp],
+    *,
+    where: str,
+    pool: int,
+    after: bool,
+    every: bool = True,
+    kept_clear: bool = False,
+) -> list[str]:
+    """Sentences: the set-up that is worth most, how many, what to expect, the curve and where it flattens.
+
+    where: where the tip is wanted, in words. pool: among how many was chosen. after: whether others were made before.
+    every: whether all set-ups are listed, not only one that is much better. kept_clear: whether touches keep clear of
+    something, which set-ups are compared without.
+    """
+    fitted, check, again = (plan.purposes.count(purpose) for purpose in (FIT, CHECK, AGAIN))
+    without = "Without them" if after else "Priors alone"
+    alone = f"{plan.before:.3g} mm" if plan.before < METRE else UNBOUNDED
+    left = ", ".join(f"{count} {error:.3g}" for count, error in plan.curve.items())
+    flat = [few for few, many in pairwise(sorted(plan.curve)) if plan.curve[many] > FLAT * plan.curve[few]]
+    flat = [few for few in flat if plan.best > ENDS * plan.curve[few]]  # or it only seems so, and many more gain much
+    left += f"; more than {flat[0]} gain little" if flat else ""
+    better = worth_most(compared) if compared else None
+    said = [] if better is None else [_advice(*better, fitted, kept_clear)]
+    said += [
+        f"{len(plan)} touches: {fitted} to fit, {again} of them once more, {check} kept to verify",
+        f"Expect a tip error of {plan.error:.3g} mm RMS {where}, apart from the position of the base, if the stated "
+        "noise and priors are right; effects beside the geometry are not counted",
+        f"{without}: {alone}; the same number at random: {plan.at_random:.3g} mm; all {pool} candidates: "
+        f"{plan.best:.3g} mm",
+        f"On arms that differ from the drawing as the priors allow: {plan.over_arms:.3g} mm; with a tenth of the "
+        f"touches lost: {plan.if_lost:.3g} mm",
+        f"Number of fitted touches and expected tip error, mm: {left}",
+    ]
+    if compared and every:
+        said.append(
+            f"Set-ups, each with {fitted} fitted touches of {POOL} candidates, with nothing to keep clear of and none "
+            f"made before; so these figures compare with one another, not with the plan above, chosen of {pool}:"
+        )
+    for each in compared if every else ():
+        reach = "this arm cannot touch it" if math.isinf(each.error) else f"{each.error:.3g} mm"
+        said.append(f"  {reach}: {each.words}")
+    return said
+
+
+def _advice(best: SetUp, now: SetUp, fitted: int, kept_clear: bool) -> str:
+    """What another set-up would be worth."""
+    without = "; both ignore what must be kept clear of" if kept_clear else ""
+    now_is = f"{now.error:.3g} mm as it is" if math.isfinite(now.error) else "this one is out of reach"
+    return (
+        f"Consider another set-up first ({best.words}): with {fitted} fitted touches of {POOL} candidates it leaves "
+        f"{best.error:.3g} mm, {now_is}{without}"
+    )
+
+
+def document(
+    plan: Plan, compared: Sequence[SetUp], written: Sequence[str], clearance: Clearance | None = None
+) -> dict[str, Any]:
+    """The same for another program."""
+    counts = {purpose: plan.purposes.count(purpose) for purpose in dict.fromkeys(plan.purposes)}
+    errors = {
+        "expected": plan.error,
+        "at_random": plan.at_random,
+        "before": plan.before,
+        "of_all": plan.best,
+        "if_a_tenth_is_lost": plan.if_lost,
+        "over_arms": plan.over_arms,
+    }
+    curve = [{"touches": count, "expected_mm": error} for count, error in plan.curve.items()]
+    found: dict[str, Any] = {"touches": counts, "tip_rms_mm": errors, "curve": curve, "written": list(written)}
+    if clearance is not None and clearance.shapes is not None:
+        shapes = clearance.shapes
+        found["shapes"] = {
+            "looked_at": [each.link for each in shapes.shapes],
+            "not_looked_at": list(shapes.unread),
+            "let_be": [list(pair) for pair in shapes.let_be],
+        }
+    if compared:
+        found["setups"] = [{"words": each.words, "expected_mm": each.error} for each in compared]
+    return found
+
+
+def plan_text(plan: Plan, layout: Layout, name: str) -> str:
+    """The plan as CSV: number, purpose, joints (degrees, mm), readings to expect, labels.
+
+    layout: of the problem's samples. name: of the problem. Readings have other names than in samples, so that a plan
+    cannot be taken for a measurement.
+    """
+    notes = [
+        f"planned by casacal for {name}: not a measurement",
+        f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
+        f"are right; of as many at random {plan.at_random:.4g} mm",
+        "bring the arm to each posture; if the dial is at the end of its travel, move along the plunger until it "
+        "reads about what is expected (readings that differ determine the size of the arm); write down the joint "
+        "values that the controller shows, and the reading",
+        "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
+    ]
+    return postures_text(plan.samples, plan.purposes, layout, notes)
+
+
+def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
+    """Write `plan_text` to a file, whole or not at all."""
+    write_text(path, plan_text(plan, layout, name))

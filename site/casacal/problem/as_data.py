@@ -1,0 +1,142 @@
+"""Problems as data: what result.json holds of an arm and its instrument, so that it can be used without their code.
+
+What is declared in casacal's own words (a DH table, a URDF's chain, parameters, a dial) is written as declared;
+functions of a user's own are written as the graphs that they build.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal import instruments
+from casacal.discrepancy.arm import GravitySag, ThermalGrowth
+from casacal.discrepancy.compliance import LinkSag, TorqueCompliance
+from casacal.discrepancy.gears import Backlash, GearRipple, TransmissionError
+from casacal.discrepancy.smooth import Drift, FaceForm, JointField
+from casacal.errors import CasacalError
+from casacal.graphs import graph_data, graph_from
+from casacal.instruments.description import Probe, ResidualBlock
+from casacal.instruments.traced_instrument import TracedInstrument
+from casacal.problem.problem import Problem
+from casacal.robots.dh_table import DHTable
+from casacal.robots.files.urdf import UrdfJoint
+from casacal.robots.joints import Conventions, Joint
+from casacal.robots.robot import Robot
+from casacal.robots.traced_pose import Screws, TracedPose
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.unknowns import Direction, Frame, Parameter, Plane
+from casacal.values import FrozenMapping
+
+ARMS = (DHTable, Screws, UrdfChain, Conventions, UrdfJoint, Joint)
+UNKNOWNS = (Parameter, Direction, Plane, Frame)
+BUILT_IN = """DialOnPlane DialOnBody TrackedPoint KnownPoint FixedPoint Sockets Distance SphereTouch TrackedPose
+    SelfContact Step"""
+EFFECTS = (
+    *(Backlash, Drift, FaceForm, GearRipple, GravitySag, JointField, LinkSag, ThermalGrowth),
+    *(TorqueCompliance, TransmissionError),
+)
+INSTRUMENTS = (*(getattr(instruments, name) for name in BUILT_IN.split()), TracedInstrument)
+PARTS = (Probe, ResidualBlock, TracedPose)
+KINDS: Mapping[str, type] = {kind.__name__: kind for kind in (*ARMS, *UNKNOWNS, *INSTRUMENTS, *PARTS, *EFFECTS)}
+"""What may stand in such data: nothing else is ever made of them."""
+
+
+def problem_data(problem: Problem) -> dict[str, Any]:
+    """A problem in JSON's own types, with a hash that says whether somebody changed them.
+
+    Raises CasacalError where a user's function is no graph of elementary operations.
+    """
+    robot = problem.robot
+    pose = None if robot.arm is not None and robot.pose == robot.arm.pose else robot.traced
+    data = {
+        "name": robot.name,
+        "joints": _encoded(robot.axes),
+        "parameters": _encoded(robot.parameters),
+        "arm": _encoded(robot.arm),
+        "pose": _encoded(pose),
+        "instruments": [
+            _encoded(each if type(each) in INSTRUMENTS else TracedInstrument.of(each, robot.parameters))
+            for each in problem.instruments
+        ],
+    }
+    if len(problem.instruments) > 1:
+        data |= {"names": list(problem.names), "shared": _encoded(problem.shared)}
+    if problem.effects and all(type(effect) in EFFECTS for effect in problem.effects):
+        data["effects"] = _encoded(problem.effects)
+    return {"sha256": _digest(data), **data}
+
+
+def problem_from(data: Mapping[str, Any]) -> Problem:
+    """The problem that such data describe; raises CasacalError where they describe none or were changed."""
+    kept = {key: item for key, item in data.items() if key != "sha256"}
+    if data.get("sha256") != _digest(kept):
+        raise CasacalError("The arm in the file was changed after it was written", "Restore the file")
+    try:
+        arm = _decoded(kept["arm"])
+        pose = arm.pose if kept["pose"] is None else _decoded(kept["pose"])
+        robot = Robot(str(kept["name"]), _decoded(kept["joints"]), pose, _decoded(kept["parameters"]), arm)
+        measured = [_decoded(each) for each in kept["instruments"]]
+        if len(measured) == 1:
+            problem = Problem(robot, *measured)
+        else:
+            named = dict(zip(map(str, kept["names"]), measured, strict=True))
+            problem = Problem(robot, named, shared=_decoded(kept["shared"]))
+        problem = problem.with_effects(*_decoded(kept.get("effects", [])))
+        _ = problem.models, problem.free_names(), robot.limits  # what is wrong inside shows here, not later
+        return problem
+    except CasacalError:
+        raise
+    except Exception as error:  # whatever stands in the file
+        said = " ".join(str(error).split())[:200]
+        raise CasacalError(
+            f"The arm in the file cannot be read: {said}", "Update casacal, or calibrate again"
+        ) from error
+
+
+def _digest(data: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def _encoded(item: Any) -> Any:
+    """Values of the closed set of kinds, and what they hold, in JSON's types; floats that JSON lacks as words."""
+    if item is None or isinstance(item, (bool, int, str)):
+        return item
+    if isinstance(item, (float, np.floating)):
+        return float(item) if math.isfinite(item) else {"is": "number", "text": str(float(item))}
+    if isinstance(item, (tuple, list, np.ndarray)):
+        return [_encoded(each) for each in item]
+    if isinstance(item, Mapping):
+        return {"is": "items", "items": [[key, _encoded(each)] for key, each in item.items()]}
+    if isinstance(item, ca.Function):
+        return {"is": "graph", **graph_data(item)}
+    if type(item) in KINDS.values():
+        fields = {
+            field.name: _encoded(getattr(item, field.name)) for field in dataclasses.fields(item) if field.compare
+        }
+        return {"is": type(item).__name__, **fields}
+    raise CasacalError(
+        f"A {type(item).__name__} cannot be written into a result", "Use casacal's own kinds of unknowns"
+    )
+
+
+def _decoded(item: Any) -> Any:
+    if isinstance(item, list):
+        return tuple(_decoded(each) for each in item)
+    if not isinstance(item, Mapping):
+        return item
+    if item["is"] == "number":
+        return float(item["text"])
+    if item["is"] == "items":
+        return FrozenMapping({str(key): _decoded(each) for key, each in item["items"]})
+    if item["is"] == "graph":
+        return graph_from(item)
+    fields = {key: _decoded(each) for key, each in item.items() if key != "is"}
+    return KINDS[item["is"]](**fields)

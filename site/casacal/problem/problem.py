@@ -1,0 +1,231 @@
+"""A problem: a robot with one or more instruments; bound to samples it becomes a least-squares problem."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+
+from casacal.discrepancy import Effect, kit, rich_kit
+from casacal.errors import ProblemError, SamplesError, UnknownNameError, came
+from casacal.instruments.instrument import with_setting, with_unknown
+from casacal.problem.compile import RowModel, models_like
+from casacal.problem.measured_arm import MeasuredArm
+from casacal.problem.symbols import Symbols
+from casacal.samples.layout import Layout
+from casacal.samples.samples import Samples
+from casacal.tables.read import read_any_table
+from casacal.tables.text import KEY, joined_tables
+from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping
+
+KITS = ("with_kit", "with_rich_kit")
+
+
+class Problem(MeasuredArm):
+    """A robot and the instruments that measured it; a value, without state of its own.
+
+    Raises ProblemError for what is none of these, when names collide, or when an instrument declares no noise.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are about the same arm and instruments, to the last operation of their residuals."""
+        if self is other or not isinstance(other, Problem):
+            return self is other
+        alike = self.names == other.names or len(self.instruments) == 1  # an only one needs no name
+        return alike and self.shared == other.shared and self._symbols == other._symbols
+
+    def __hash__(self) -> int:
+        return hash((self.robot, tuple(type(instrument).__qualname__ for instrument in self.instruments)))
+
+    def __repr__(self) -> str:
+        return f"<Problem: {self.robot!r} measured by {self._said}>"
+
+    @property
+    def model(self) -> RowModel:
+        """Compiled functions of the only instrument; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self.models[0]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of what it computes, of its priors and of what its instruments read."""
+        parts = [f"{self.layout(i)!r}\n{model.text}" for i, model in enumerate(self.models)]
+        parts += [f"{key} {unknown!r}" for key, unknown in self._named()] + [repr(effect) for effect in self.effects]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    @cached_property
+    def models(self) -> tuple[RowModel, ...]:
+        """Compiled functions, one set per instrument; built on first use."""
+        return tuple(symbols.model for symbols in self._symbols)
+
+    @property
+    def symbols(self) -> Symbols:
+        """The robot with its only instrument as CasADi expressions; raises ProblemError where there are several."""
+        _ = self.instrument
+        return self._symbols[0]
+
+    def symbols_of(self, instrument: int) -> Symbols:
+        """The robot with one of its instruments, by number from 0; raises ProblemError where there is no such one."""
+        if not 0 <= instrument < len(self._symbols):
+            fix = f"Give 0 to {len(self._symbols) - 1}, there are {len(self._symbols)}"
+            raise ProblemError(f"There is no instrument {instrument} of '{self.robot.name}'", fix)
+        return self._symbols[instrument]
+
+    @cached_property
+    def _symbols(self) -> tuple[Symbols, ...]:
+        return tuple(Symbols(self.robot, instrument, self.effects) for instrument in self.instruments)
+
+    def layout(self, instrument: int = 0) -> Layout:
+        """Columns a samples file of one instrument must have."""
+        chosen = self.instruments[instrument]
+        labels = dict.fromkeys(unknown.per for unknown in chosen.unknowns.values() if unknown.per is not None)
+        labels |= dict.fromkeys([chosen.known_by] if chosen.known_columns else [])
+        return Layout(
+            joints=tuple("angle" if joint.turns else "length" for joint in self.robot.axes),
+            columns=FrozenMapping(dict(chosen.columns)),
+            labels=tuple(labels),
+            refused=FrozenMapping(dict(chosen.refused_columns)),
+        )
+
+    def read(
+        self,
+        path: str | Path,
+        instrument: int = 0,
+        *,
+        readings: str | Path | None = None,
+        key: str = KEY,
+        absurd: bool = False,
+    ) -> Samples:
+        """Read a samples file of one instrument; raises SamplesError, also for absurd values unless `absurd` is set.
+
+        Args:
+            path: joint values and, unless another file holds them, readings: CSV, .xlsx, .npy or .npz.
+            instrument: whose samples these are.
+            readings: a second file, with a reading for each pose of the first.
+            key: column of both that says which reading belongs to which pose.
+            absurd: whether values pass that no robot has.
+
+        Returns:
+            The rows, validated: joint values (N, n) in rad and mm, columns (N,) in mm or rad, labels.
+
+        """
+        layout = self.layout(instrument)
+        if not isinstance(path, (str, Path)):
+            fix = "Give a path; Samples.from_frame takes a frame"
+            raise SamplesError("samples", f"Got {came(path)} as the file", fix)
+        if readings is None:
+            return Samples.from_file(path, layout, absurd=absurd)
+        together = joined_tables(read_any_table(path), read_any_table(readings), key=key)
+        return Samples.from_table(together, layout, absurd=absurd)
+
+    def fix(self, *names: str) -> Problem:
+        """Copy with unknowns held at nominal: a key ("alpha") or a component ("a3", "tool_x").
+
+        Raises UnknownNameError for a name that does not exist or is held already.
+        """
+        changed = self
+        for name in names:
+            changed = changed._edit(name, lambda unknown, meant: unknown.with_free([not hit for hit in meant]))
+        return changed
+
+    def free(self, *names: str) -> Problem:
+        """Copy with unknowns estimated that were held: a key ("tool") or a component ("tool_x").
+
+        They keep their priors. Raises UnknownNameError for a name that does not exist.
+        """
+        changed = self
+        for name in names:
+            known = dict(changed._named())
+            key = next((key for key, unknown in known.items() if name in (key, *unknown.component_names(key))), None)
+            if key is None:
+                every = (each for key, unknown in known.items() for each in (key, *unknown.component_names(key)))
+                raise UnknownNameError("unknown", name, list(dict.fromkeys(every)))
+            changed = changed._with(key, known[key].freed(None if name == key else name.removeprefix(key)))
+        return changed
+
+    def with_prior(self, stds: Mapping[str, float]) -> Problem:
+        """Copy with other prior standard deviations, mm or rad, by key or component; `math.inf` is flat.
+
+        Raises UnknownNameError for a name that does not exist or is held, ProblemError for one of mixed units.
+        """
+        changed = self
+        for name, std in stds.items():
+            changed = changed._edit(name, partial(_with_std, name, std))
+        if "models" in vars(self):  # what is compiled knows no priors
+            vars(changed)["models"] = models_like(self.models, changed.robot, changed.instruments)
+        made = {} if self.effects else {key: vars(self)[key] for key in KITS if key in vars(self)}
+        vars(changed).update({key: problem.with_prior(stds) for key, problem in made.items()})
+        return changed
+
+    def with_settings(self, values: Mapping[str, float | tuple[float, float]]) -> Problem:
+        """Copy with other numbers of its instrument, such as {"sign": -1}, {"noise_std": 0.02}, {"travel": (-5, 5)}.
+
+        Of several instruments after its name: {"dial.sign": -1}. Raises UnknownNameError for what is none of its
+        numbers, ProblemError for a value that it refuses.
+        """
+        changed = list(self.instruments)
+        for name, value in values.items():
+            of, _, setting = name.rpartition(".")
+            i = self.number(of or name) if len(changed) > 1 else 0
+            changed[i] = with_setting(changed[i], setting if len(changed) > 1 else name, value)
+        return self.with_parts(self.robot, changed)
+
+    def with_effects(self, *effects: Effect) -> Problem:
+        """Copy with these effects beside the geometry, in the place of those it had; of one key the last."""
+        known = {getattr(effect, "key", effect): effect for effect in effects}
+        return self.with_parts(self.robot, self.instruments, tuple(known.values()))
+
+    @cached_property
+    def without_effects(self) -> Problem:
+        """Its geometry alone."""
+        return self.with_effects() if self.effects else self
+
+    @cached_property
+    def with_kit(self) -> Problem:
+        """With its own effects, or those that any arm is expected to have."""
+        return self if self.effects else self.with_effects(*kit())
+
+    @cached_property
+    def with_rich_kit(self) -> Problem:
+        """The same with `rich_kit`."""
+        return self.with_effects(*rich_kit())
+
+    def free_names(self) -> list[str]:
+        """Keys and components that `fix` and `with_prior` understand."""
+        result: list[str] = []
+        for key, unknown in self._named():
+            result += dict.fromkeys([key, *unknown.names(key)] if unknown.size else [])
+        return list(dict.fromkeys(result))
+
+    def _edit(self, name: str, edit: Callable[[Unknown, list[bool]], Unknown]) -> Problem:
+        """Copy with an unknown edited, told which of its free components a name means: all by its key, or one."""
+        for key, unknown in self._named():
+            meant = [name in (key, component) for component in unknown.names(key)]
+            if any(meant):
+                return self._with(key, edit(unknown, meant))
+        raise UnknownNameError("free unknown", name, self.free_names())
+
+    def _with(self, name: str, unknown: Unknown) -> Problem:
+        """Copy with another unknown in the place of the one of that full name, wherever it is shared."""
+        robot, changed = self.robot, []
+        if name in robot.parameters:
+            robot = replace(robot, parameters={**robot.parameters, name: unknown})
+        for instrument, full in zip(self.instruments, self.full_names, strict=True):
+            key = next((key for key, known in full.items() if known == name), None)
+            changed.append(instrument if key is None else with_unknown(instrument, key, unknown))
+        return self.with_parts(robot, changed)
+
+
+def _with_std(name: str, std: float, unknown: Unknown, meant: list[bool]) -> Unknown:
+    """An unknown with another prior standard deviation of the components that a name means."""
+    units = sorted({unit for unit, hit in zip(unknown.units, meant, strict=True) if hit})
+    if len(units) > 1:
+        raise ProblemError(
+            f"'{name}' has components in {' and '.join(units)}, so one standard deviation does not fit all",
+            f"Name a component: {', '.join(unknown.names(name))}",
+        )
+    pairs = zip(unknown.prior_stds, meant, strict=True)
+    return unknown.with_prior([std if hit else float(before) for before, hit in pairs])

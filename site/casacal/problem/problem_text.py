@@ -1,0 +1,158 @@
+"""The Python of a new problem file: numbers, tables, names, and what is to be filled in."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from casacal.errors import CasacalError
+from casacal.instruments.description import Travel, readings_within
+from casacal.robots.files.dh_fields import degrees, plain
+from casacal.robots.joints import Conventions, Joint
+
+FILL_IN = "TO FILL IN"  # what marks a line that nobody has looked at yet
+
+
+DIAL = """# The tip at reading zero, in the flange frame, and how far off that may be: a rule is good for a
+# millimetre, the samples say the rest.{todo[tool]}
+tool = tool_point({tool}, prior_std=1.0)
+
+# sign=-1: a larger reading shortens the tool, as on a dial whose plunger is pushed in. sign=+1: a larger
+# reading lengthens it. noise_std is the repeatability of one reading, mm.{todo[sign]}
+# travel is the range of the dial, mm: 10, or (-5, 5) where it was set to zero in the middle.{todo[travel]}
+# A dial may show 0.15 % too much or too little of every way, unless its certificate says better: touches
+# of planes cannot tell.
+dial = DialOnPlane(noise_std=0.01, sign={sign}, travel={travel}, tool=tool, gain=dial_gain(0.15))
+
+{problem}
+"""
+UNKNOWN_MAKER = f"""\
+# Every parameter of the arm may be wrong by 0.7 mm or 1 mrad, as industrial arms are. Who knows what
+# absolute accuracy the maker states writes scaled_to_accuracy(Problem(robot, dial), MM) instead.
+# {FILL_IN}.
+problem = Problem(robot, dial)"""
+KNOWN_MAKER = """# Errors of the parameters are scaled so that they explain the accuracy that the maker states, mm.
+problem = scaled_to_accuracy(Problem(robot, dial), {accuracy})"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What a user says of a cell when its problem is made; None for what was not said.
+
+    tool: the tip at reading zero in the flange frame, mm. sign: +1 where a larger reading lengthens the tool, -1 where
+    it shortens it. accuracy: absolute accuracy of the arm as its maker states it, mm.
+
+    Raises CasacalError for what cannot be.
+    """
+
+    tool: tuple[float, float, float] | None = None
+    sign: int | None = None
+    travel: Travel | None = None
+    accuracy: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.tool is not None and (len(self.tool) != 3 or not all(map(math.isfinite, self.tool))):
+            raise CasacalError(f"The tool is {self.tool!r}", "Give three numbers of mm, such as 0,0,120")
+        if self.sign not in (None, 1, -1):
+            raise CasacalError(f"The dial's sign is {self.sign!r}", "Give 1 or -1")
+        low, high = readings_within(10.0 if self.travel is None else self.travel)
+        if not -math.inf < low < high < math.inf or plain(low) == plain(high):
+            raise CasacalError(f"The dial's travel is {self.travel!r}", "Give its range in mm, such as 10 or -5:5")
+        if self.accuracy is not None and not 0 < self.accuracy < math.inf:
+            raise CasacalError(f"The maker's accuracy is {self.accuracy:g} mm", "Give a positive number of mm")
+
+    @property
+    def names(self) -> list[str]:
+        """What problem.py imports for it."""
+        scaled = [] if self.accuracy is None else ["scaled_to_accuracy"]
+        return ["DialOnPlane", "dial_gain", "tool_point", *scaled]
+
+    @property
+    def text(self) -> str:
+        """The end of problem.py: tool, dial, problem."""
+        todo = {name: "" if value is not None else f" {FILL_IN}." for name, value in vars(self).items()}
+        return DIAL.format(
+            tool=", ".join(map(plain, self.tool or (0.0, 0.0, 0.0))),
+            sign="+1" if self.sign == 1 else "-1",
+            travel=_ends(10.0 if self.travel is None else self.travel),
+            todo=todo,
+            problem=UNKNOWN_MAKER if self.accuracy is None else KNOWN_MAKER.format(accuracy=plain(self.accuracy)),
+        )
+
+    @property
+    def missing(self) -> list[str]:
+        """What is still to be filled in, and what was assumed."""
+        assumed = {
+            "tool": "the tool: the tip is assumed at the flange's origin, pointing along its z axis",
+            "sign": "the dial's sign: -1 is assumed, a plunger that is pushed in reads more",
+            "travel": "the dial's travel: 0 to 10 mm is assumed",
+            "accuracy": "the maker's accuracy: errors of 0.7 mm and 1 mrad are assumed for every parameter",
+        }
+        return [words for name, words in assumed.items() if getattr(self, name) is None]
+
+
+def _ends(travel: Travel) -> str:
+    """A dial's travel as Python reads it."""
+    return f"({', '.join(map(plain, travel))})" if isinstance(travel, tuple) else plain(travel)
+
+
+WIDTH = 120  # longest line of a problem file
+
+
+def conventions(said: Conventions, joints: Sequence[Joint]) -> str:
+    """The `Conventions(...)` of a table."""
+    turns = [joint.turns for joint in joints]
+    if all(turns):
+        offsets = angles(said.offsets)
+    else:
+        shown = (f"deg({degrees(o)})" if turn else plain(o) for o, turn in zip(said.offsets, turns, strict=True))
+        offsets = tuple_of(shown, 8)
+    parts = [f"signs={tuple_of(map(str, said.signs))}", f"offsets={offsets}"]
+    if said.coupling:
+        parts.append(f"coupling={tuple_of(f'({i}, {j}, {plain(factor)})' for i, j, factor in said.coupling)}")
+    return listed("Conventions(", parts, ")", 4, taken=len("conventions="))
+
+
+def angles(values: Sequence[float]) -> str:
+    """Angles in rad as deg(...); a tuple also where there is one alone."""
+    if len(values) == 1:
+        return f"(deg({degrees(values[0])}),)"
+    return listed("deg(", [degrees(value) for value in values], ")", 4, taken=8)
+
+
+def lengths(values: Sequence[float]) -> str:
+    """Lengths as a tuple."""
+    return tuple_of(plain(value) for value in values)
+
+
+def tuple_of(items: Iterable[str], indent: int = 4) -> str:
+    """Items as a tuple, also where there is one alone."""
+    found = list(items)
+    return f"({found[0]},)" if len(found) == 1 else listed("(", found, ")", indent, taken=8)
+
+
+def listed(opening: str, items: list[str], closing: str, indent: int, *, taken: int = 0, wide: bool = False) -> str:
+    """Items on one line where they fit behind `taken` characters, else one per line."""
+    line = opening + ", ".join(items) + closing
+    if not wide and indent + taken + len(line) + 1 <= WIDTH:
+        return line
+    inner = "".join(f"{' ' * (indent + 4)}{item},\n" for item in items)
+    return f"{opening}\n{inner}{' ' * indent}{closing}"
+
+
+def quoted(text: str) -> str:
+    """A Python string, between double quotes unless it holds one."""
+    return repr(text) if '"' in text else json.dumps(text, ensure_ascii=False)
+
+
+def word(text: str) -> str:
+    """A name for a sentence: one line, without what would end a docstring, not too long."""
+    return " ".join(re.sub(r'["\\]', "", text).split())[:40] or "an arm"
+
+
+def imported(names: Iterable[str]) -> str:
+    """Names in the order of isort: classes before functions."""
+    return ", ".join(sorted(names, key=lambda name: (name.islower(), name)))

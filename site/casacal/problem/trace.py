@@ -1,0 +1,227 @@
+"""One robot with an instrument as expressions, which row functions, public symbols and C code are made of.
+
+`pose` and `residual` are run once on symbols. Coordinates of a row:
+
+    z  local coordinates of the robot's parameters, the instrument's unknowns and the effects', in that order
+    c  numbers that fix those nominal values which differ by label or are proposed by the data
+    d  the row itself: joint values, then the instrument's columns, then those known from labels
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from casacal.discrepancy.effect import Effect, Here, Site
+from casacal.errors import ProblemError, said
+from casacal.instruments import Instrument
+from casacal.kinematics import Expression, Product
+from casacal.robots.robot import Robot
+from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What `pose`, `tip` and `residual` build of values p, joint values q and a row's columns."""
+
+    pose: Expression
+    """4x4, mm; a `Product` where the robot's function returns one."""
+    tip: ca.SX
+    residual: ca.SX
+    plunger: ca.SX | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trace(Value):
+    """Symbols of one robot with one instrument, and the expressions that its functions build of them."""
+
+    robot: Robot
+    instrument: Instrument
+    effects: tuple[Effect, ...] = ()
+
+    @cached_property
+    def acting(self) -> tuple[Effect, ...]:
+        """What arm and cell do beside their geometry, of what there is at this robot and instrument."""
+        return tuple(effect for effect in self.effects if effect.unknowns(Site(self.robot, self.instrument)))
+
+    @cached_property
+    def unknowns(self) -> Mapping[str, Unknown]:
+        """Of the robot, then of the instrument, then of the effects."""
+        found: dict[str, Unknown] = {**self.robot.parameters, **self.instrument.unknowns}
+        for effect in self.acting:
+            found |= effect.unknowns(Site(self.robot, self.instrument))
+        return FrozenMapping(found)
+
+    @cached_property
+    def nominals(self) -> Mapping[str, Any]:
+        """Numbers where the nominal of an unknown is known and the same for all rows, else symbols of c."""
+        return {
+            key: ca.SX.sym(f"{key}_nominal", unknown.nominal_size)
+            if unknown.nominal is None or unknown.per is not None
+            else ca.DM(unknown.nominal)
+            for key, unknown in self.unknowns.items()
+        }
+
+    @cached_property
+    def local(self) -> Mapping[str, ca.SX]:
+        """z, unknown by unknown."""
+        return {key: ca.SX.sym(key, unknown.size) for key, unknown in self.unknowns.items()}
+
+    @property
+    def z(self) -> ca.SX:
+        """Unknowns (nz): deviations from nominal of the robot's parameters, then of the instrument's unknowns."""
+        return ca.vertcat(*self.local.values())
+
+    @property
+    def c(self) -> ca.SX:
+        """Constants (nc): numbers that fix the nominal values which differ by label or are proposed by the data."""
+        return ca.vertcat(*(self.nominals[key] for key in self.constants), ca.SX(0, 1))
+
+    @cached_property
+    def constants(self) -> Mapping[str, int]:
+        """Keys of the unknowns whose nominal is part of c, in order, and how many numbers each takes."""
+        seen = (key for key, value in self.nominals.items() if isinstance(value, ca.SX))
+        return FrozenMapping({key: self.unknowns[key].nominal_size for key in seen})
+
+    @cached_property
+    def q(self) -> ca.SX:
+        """Joint values (n): rad, mm."""
+        return ca.SX.sym("q", len(self.robot.axes))
+
+    @cached_property
+    def columns(self) -> Mapping[str, ca.SX]:
+        """The row's columns by name: those that are read, those known from labels, those that effects ask for."""
+        beside = (name for effect in self.acting for name in effect.columns(Site(self.robot, self.instrument)))
+        names = dict.fromkeys((*self.instrument.columns, *self.instrument.known_columns, *beside))
+        return FrozenMapping({name: ca.SX.sym(name) for name in names})
+
+    @property
+    def d(self) -> ca.SX:
+        """The row (nd): q, then the columns."""
+        return ca.vertcat(self.q, *self.columns.values())
+
+    @cached_property
+    def p(self) -> SimpleNamespace:
+        """Values by name at z and c, as `pose` and `residual` take them: numbers, vectors, 4x4 frames, planes."""
+        return SimpleNamespace(**{k: u.at(self.nominals[k], self.local[k]) for k, u in self.unknowns.items()})
+
+    @cached_property
+    def seen(self) -> Seen:
+        """What is built of p; raises ProblemError when `pose`, `tip` or `residual` fails or has the wrong shape."""
+        return self.at(vars(self.p))
+
+    def at(self, values: Mapping[str, Any]) -> Seen:
+        """What the functions build of other values p."""
+        robot, instrument, columns, q = self.robot, self.instrument, self.columns, self.q
+        p, row, kind = SimpleNamespace(**values), SimpleNamespace(**columns), type(instrument).__name__
+        pose = _traced(robot.pose, "pose", robot.name, (4, 4), p, q)
+        if self.acting:
+            pose, row = _with_effects(Here(robot, instrument, p, q, pose, row), self.acting, columns)
+        residual = _traced(instrument.residual, "residual", kind, None, pose, p, row)
+        here = Here(robot, instrument, p, q, pose, SimpleNamespace(**columns))
+        for effect in self.acting:
+            found = _traced(effect.residual, "residual", effect.words, None, here, optional=True)
+            residual += _in_its_unit(instrument, residual, found, effect.words)
+        read = list(instrument.columns)
+        if read and not any(ca.depends_on(ca.SX(residual), columns[name]) for name in read):
+            raise ProblemError(
+                f"The residual of {kind} does not depend on what it reads, its column '{read[0]}'",
+                f"Use {', '.join(f'row.{name}' for name in read)}, or declare no columns",
+            )
+        tip = _traced(instrument.tip, "tip", kind, (3, 1), pose, p, row)
+        plunger = instrument.plunger_direction(pose, p)
+        return Seen(pose, tip, residual, None if plunger is None else ca.SX(plunger))
+
+    @property
+    def pose(self) -> ca.SX:
+        """Flange pose (4x4), mm: eqs (1) and (2) of arXiv:2208.02652."""
+        return ca.SX(self.seen.pose)
+
+    @property
+    def tip(self) -> ca.SX:
+        """Where the instrument touches or is watched (3), mm, base frame."""
+        return self.seen.tip
+
+    @property
+    def residual(self) -> ca.SX:
+        """Residual e (m): for a plane its signed distance from the tip, mm, eq (6) with a unit normal."""
+        return self.seen.residual
+
+    @cached_property
+    def jacobian(self) -> ca.SX:
+        """de/dz (m x nz), by differentiation of the graph: the identification Jacobian, eqs (7)-(9)."""
+        return ca.jacobian(self.residual, self.z)
+
+    @cached_property
+    def raw(self) -> tuple[ca.SX, ca.SX]:
+        """Raw coordinates v, which only the IPOPT reference uses, and the residual (m) at them."""
+        raw = {key: ca.SX.sym(key, unknown.raw_size) for key, unknown in self.unknowns.items()}
+        p = {key: unknown.raw_value(self.nominals[key], raw[key]) for key, unknown in self.unknowns.items()}
+        return ca.vertcat(*raw.values()), self.at(p).residual
+
+    @cached_property
+    def free(self) -> tuple[Mapping[str, ca.SX], Seen]:
+        """A symbol for the whole value of each unknown, by key, and what is built of them: p itself is an input."""
+        packed = {key: ca.SX(unknown.packed(getattr(self.p, key))) for key, unknown in self.unknowns.items()}
+        symbols = {key: ca.SX.sym(key, *matrix.shape) for key, matrix in packed.items()}
+        return symbols, self.at({key: self.unknowns[key].unpacked(symbol) for key, symbol in symbols.items()})
+
+
+def _with_effects(
+    here: Here, effects: Sequence[Effect], columns: Mapping[str, ca.SX]
+) -> tuple[Expression, SimpleNamespace]:
+    """Flange pose and row as they truly are, where joints, flange and readings err."""
+    robot, count = here.robot, len(here.robot.axes)
+    off = [_traced(effect.joints, "joints", effect.words, None, here, optional=True) for effect in effects]
+    moved = [each for each in off if each.numel() == count]
+    if moved:
+        q = here.q + sum(moved, ca.SX.zeros(count))
+        here = replace(here, pose=_traced(robot.pose, "pose", robot.name, (4, 4), here.p, q))
+    read = dict(columns)
+    for effect in effects:
+        if (changed := effect.pose(here)) is not None:
+            here = replace(here, pose=changed)
+        for name, error in effect.reading(here).items():
+            read[name] = read[name] + error
+    return here.pose, SimpleNamespace(**read)
+
+
+def _in_its_unit(instrument: Instrument, residual: Expression, found: ca.SX, words: str) -> Any:
+    """What an effect adds to the components in the unit in which the instrument speaks; nothing to others."""
+    units = [block.unit for block in instrument.blocks for _ in range(block.size)]
+    alike = [unit == instrument.words.unit for unit in units]
+    if len(alike) != residual.numel():
+        alike = [True] * residual.numel()
+    if found.numel() in (0, 1):  # nothing at all, or all components alike
+        return ca.DM([float(each) for each in alike]) * ca.sum1(found)
+    if found.numel() != sum(alike):
+        what = f"residual of '{words}' has {found.numel()} components"
+        raise ProblemError(what, f"It must have one, or the {sum(alike)} of the instrument's residual")
+    each = iter(range(found.numel()))
+    return ca.vertcat(*(found[next(each)] if one else 0 for one in alike))
+
+
+def _traced(
+    call: Any, what: str, owner: str, shape: tuple[int, int] | None, *arguments: Any, optional: bool = False
+) -> Any:
+    """What a user's function builds, of that shape or a column; nothing (0, 1) for None where it is optional."""
+    try:
+        built = call(*arguments)
+        built = ca.SX(0, 1) if optional and built is None else built
+        value = built if isinstance(built, Product) else ca.SX(built)
+        found = value.shape  # a product is multiplied out here, so that factors that do not fit are found
+    except (Exception, SystemExit) as error:  # whatever a user's function raises, it is their file that must change
+        raise ProblemError(
+            f"{what} of '{owner}' failed with {said(error)}",
+            "It must build CasADi expressions from its arguments; see casacal.kinematics",
+        ) from error
+    if found != shape and (shape is not None or found[1] != 1):
+        wanted = "a scalar or a column" if shape is None else f"{shape}"
+        raise ProblemError(f"{what} of '{owner}' has the shape {found}", f"It must be {wanted}")
+    return value

@@ -1,0 +1,1 @@
+"""Robots in files: DH tables in CSV and TOML, and URDF."""

@@ -1,0 +1,249 @@
+"""A robot: joints, named kinematic parameters, and the function that gives its flange pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from casacal.array_types import Array, Rows
+from casacal.errors import ProblemError
+from casacal.kinematics import Expression
+from casacal.robots.dh_table import DHTable, Stds
+from casacal.robots.files.dh_file import read_dh_file
+from casacal.robots.function_pose import FromFunction
+from casacal.robots.joints import Conventions, Joint, geared, joints_of
+from casacal.robots.traced_pose import Screws, TracedPose, travels, triples
+from casacal.robots.urdf_chain import UrdfChain
+from casacal.unknowns import Unknown
+from casacal.values import FrozenMapping, Value, alike, read_only, short
+
+PoseFunction = Callable[[Any, Expression], Expression]
+Arm: TypeAlias = DHTable | Screws | UrdfChain
+Joints: TypeAlias = int | str | Sequence[Joint]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot(Value, FromFunction):
+    """A serial arm whose flange pose is a function of named parameters and joint values.
+
+    Args:
+        name: what the report calls it.
+        joints: a count, a word such as "RRPR", or a sequence of `Joint`.
+        pose: `pose(p, q)` builds the 4x4 flange pose (mm) in the base frame from `p.<name>` (the parameters) and
+            `q` (n; rad or mm), both CasADi symbols or plain floats.
+        parameters: the named kinematic parameters.
+        arm: the table, screws or URDF that pose and parameters come from, which exports write back; or None.
+
+    """
+
+    name: str
+    joints: Joints
+    pose: PoseFunction
+    parameters: Mapping[str, Unknown]
+    arm: Arm | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", joints_of(self.joints))
+        object.__setattr__(self, "parameters", FrozenMapping(self.parameters))
+        if not self.name.isprintable():
+            raise ProblemError(f"A robot is named {self.name!r}", "Use letters that can be printed on one line")
+        if not self.axes:
+            raise ProblemError(f"Robot '{self.name}' has no joints", "Give at least one")
+        for key, unknown in self.parameters.items():
+            if not key.isidentifier():
+                raise ProblemError(f"A parameter is named '{key}'", "Use a Python identifier, it becomes p.<name>")
+            if unknown.per is not None:
+                raise ProblemError(f"Robot parameter '{key}' is per '{unknown.per}'", "Only instruments vary by label")
+
+    @property
+    def axes(self) -> tuple[Joint, ...]:
+        """The joints, as a tuple of `Joint`."""
+        return self.joints  # type: ignore[return-value]
+
+    @cached_property
+    def revolute(self) -> Rows:
+        """Which joints turn (n,); the others slide."""
+        turns: Rows = read_only(np.array([joint.turns for joint in self.axes], dtype=bool))
+        return turns
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper joint limits, each (n,); rad, mm."""
+        lower, upper = np.array([(joint.lower, joint.upper) for joint in self.axes]).T.copy()
+        return read_only(lower), read_only(upper)
+
+    @cached_property
+    def traced(self) -> TracedPose:
+        """The pose function as a graph; lets pass what the function raises."""
+        return TracedPose.of(self.pose, self.parameters, len(self.axes))
+
+    def with_gear_ratios(self, *ratios: float) -> Robot:
+        """The same arm, its motors' turns for one of each joint known; 0 where not; raises ProblemError."""
+        return replace(self, joints=geared(self.axes, ratios))
+
+    def in_other_convention(self) -> Robot | None:
+        """The arm that its DH table makes in the other convention; None where it has no table."""
+        other = self.arm.in_other_convention() if isinstance(self.arm, DHTable) else None
+        kept = {key: unknown for key, unknown in self.parameters.items() if key != "beta"}
+        return None if other is None else replace(self, pose=other.pose, parameters=kept, arm=other)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same arm: names, joints, parameters, and the graph that the pose function builds."""
+        if self is other or not isinstance(other, Robot):
+            return self is other
+        mine, theirs = ((r.name, r.axes, r.parameters, r.arm) for r in (self, other))
+        return alike(mine, theirs) and (self.pose == other.pose or self.traced == other.traced)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.axes))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: a pose function that only this process knows goes as the graph it builds."""
+        state = super().__getstate__()
+        return state if travels(self.pose) else state | {"pose": self.traced}
+
+    def __repr__(self) -> str:
+        kinds = "".join("R" if turns else "P" for turns in self.revolute)
+        return f"<Robot {self.name}: joints {kinds}, parameters {short(list(self.parameters))}>"
+
+    @staticmethod
+    def from_dh(
+        name: str,
+        *,
+        alpha: Sequence[float],
+        a: Sequence[float],
+        d: Sequence[float],
+        theta: Sequence[float],
+        length_std: Stds = None,
+        angle_std: Stds = None,
+        twist_std: Stds = None,
+        joints: Joints | None = None,
+        convention: Literal["standard", "modified"] = "standard",
+        parallel: Sequence[int] = (),
+        beta: Sequence[float] = (),
+        conventions: Conventions | None = None,
+    ) -> Robot:
+        """Robot from a Denavit-Hartenberg table; row i is joint i, all 4 n entries are parameters.
+
+        Args:
+            name: what the report calls it.
+            alpha, theta: twists and zero offsets (n,), rad.
+            a, d: lengths and offsets (n,), mm.
+            length_std: prior standard deviation of a and d, one or one per row, mm; default 0.7
+                (`casacal.uncertainty.learned_priors` says why).
+            angle_std: of theta, and of alpha unless `twist_std` is given, rad; default 1e-3.
+            twist_std: of alpha and beta, rad.
+            joints: as for `Robot`; default all revolute. A prismatic joint adds its value to d, not to theta.
+            convention: "standard" (eq (1) of arXiv:2208.02652) or "modified" (Craig's).
+            parallel: rows, from 1, whose axis is nominally parallel to the next one, such as (2, 3) for a UR: there
+                Hayati's turn `beta` about y becomes a parameter and d is held, so that lengths stay what they are.
+            beta: nominal turn of each of them, rad; default zero.
+            conventions: then `pose` takes the controller's joint values, and limits are the controller's too.
+
+        Returns:
+            The robot, with parameters `alpha`, `a`, `d` and `theta` (n,) each, and `beta` where rows are parallel.
+
+        Raises ProblemError when the columns differ in length, or a row is not parallel that is named so.
+
+        """
+        count = len(alpha)
+        table = DHTable(
+            name=name,
+            alpha=tuple(alpha),
+            a=tuple(a),
+            d=tuple(d),
+            theta=tuple(theta),
+            joints=joints_of(count if joints is None else joints),
+            convention=convention,
+            parallel=tuple(parallel),
+            beta=tuple(beta),
+            conventions=conventions,
+        )
+        return Robot(name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
+
+    @staticmethod
+    def from_dh_file(
+        path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
+    ) -> Robot:
+        """Robot from a DH table in CSV or TOML; `casacal.robots.files.dh_file` says how the files look.
+
+        Raises ProblemError that names the file, the line or joint, and what to do.
+        """
+        table = replace(read_dh_file(path), path=str(Path(path).resolve()))
+        return Robot(table.name, table.joints, table.pose, table.parameters(length_std, angle_std, twist_std), table)
+
+    @staticmethod
+    def from_urdf(
+        path: str | Path,
+        *,
+        tip: str | None = None,
+        base: str | None = None,
+        name: str | None = None,
+        length_std: float | None = None,
+        angle_std: float | None = None,
+        conventions: Conventions | None = None,
+    ) -> Robot:
+        """Robot from the joints of a URDF between two links; parameters are the origins of the joints that move.
+
+        x, y, z (n, mm) are the origins' places, rx, ry, rz (n, rad, nominally zero) small turns of each joint's frame
+        about its own axes. That is more than samples can tell apart; the identifiability report names the redundant
+        directions, and the prior holds them. Fixed joints are folded in; limits are the file's, +-pi where continuous.
+
+        Args:
+            path: the URDF, xacro already expanded.
+            tip: link that is the flange; default the only link that holds no other.
+            base: link that is the base frame; default the root.
+            name: what the report calls it; default the file's name for the robot.
+            length_std: prior standard deviation of x, y, z, mm; default 0.7.
+            angle_std: of rx, ry, rz, rad; default 1e-3.
+            conventions: what the controller's joint values mean, where they are not the URDF's.
+
+        Returns:
+            The robot, with parameters `x`, `y`, `z` (mm) and `rx`, `ry`, `rz` (rad), one number per moving joint each.
+
+        Raises ProblemError that names the joint or link, and what to do.
+
+        """
+        arm = UrdfChain.read(path, base, tip, conventions)
+        return Robot(name or arm.name, arm.joints, arm.pose, arm.parameters(length_std, angle_std), arm)
+
+    @staticmethod
+    def from_screws(
+        name: str,
+        *,
+        axes: Sequence[Sequence[float]],
+        points: Sequence[Sequence[float]],
+        home: Sequence[Sequence[float]],
+        length_std: float | None = None,
+        angle_std: float | None = None,
+        joints: Joints | None = None,
+        conventions: Conventions | None = None,
+    ) -> Robot:
+        """Robot from the axes of its joints at q = 0: a product of exponentials (Lynch & Park, eq (4.14)).
+
+        Args:
+            name: what the report calls it.
+            axes: direction (n, 3) of each joint in the base frame.
+            points: a point (n, 3) on each axis, mm; a sliding joint's plays no part.
+            home: flange pose (4x4, mm).
+            length_std: prior standard deviation of points and home, mm; default 0.7.
+            angle_std: of the axes' two tilts, zero offsets and home, rad; default 1e-3.
+            joints: as for `Robot`; default all revolute.
+            conventions: what the controller's joint values mean, where they are not the screws'.
+
+        Returns:
+            The robot, with unknowns `axis1`, ... (two tilts each), `point1`, ... (3, mm), `zero` (one per turning
+            joint) and `home`.
+
+        Raises ProblemError when the columns differ in length or an axis has no direction.
+
+        """
+        rows = tuple(tuple(float(value) for value in row) for row in home)
+        kinds, lines = joints_of(len(axes) if joints is None else joints), (triples(axes), triples(points))
+        arm = Screws(name=name, axes=lines[0], points=lines[1], home=rows, joints=kinds, conventions=conventions)
+        return Robot(name, kinds, arm.pose, arm.parameters(length_std, angle_std), arm)

@@ -1,0 +1,163 @@
+"""Any pose as a function of joint values: its screw axes, and how small errors move it."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.errors import ProblemError
+from casacal.kinematics import Expression, Product, chain, position, screw, slide
+from casacal.robots.joints import Conventions, Joint
+from casacal.unknowns import Direction, Frame, Parameter, Unknown
+from casacal.unknowns.fits import packed_symbols
+from casacal.unknowns.unknown import PRIOR_STD
+from casacal.values import FrozenMapping
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Screws:
+    """axes: direction (3,) of each joint; points: a point (3, mm) on each; home: flange pose (4x4, mm), all at q = 0.
+
+    pose(q) = e^[S_1 q_1] ... e^[S_n q_n] home, eq (4.14) of Lynch & Park, Modern Robotics (2017). A sliding joint
+    has no place, so its point plays no part. Raises ProblemError when the columns differ in length.
+    """
+
+    name: str
+    axes: tuple[Triple, ...]
+    points: tuple[Triple, ...]
+    home: tuple[tuple[float, ...], ...]
+    joints: tuple[Joint, ...]
+    conventions: Conventions | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.joints)
+        if not len(self.axes) == len(self.points) == count:
+            raise ProblemError(
+                f"The screws of '{self.name}' are {len(self.axes)} axes and {len(self.points)} points for {count} "
+                "joints",
+                "Give one of each per joint",
+            )
+        for what, rows in (("axis", self.axes), ("point", self.points)):
+            for i, row in enumerate(rows, 1):
+                if len(row) != 3:
+                    raise ProblemError(f"The {what} of joint {i} of '{self.name}' is {row}", "Give three numbers")
+        if self.conventions is not None:
+            self.conventions.check_joints(count, self.name)
+
+    def pose(self, p: Any, q: Expression) -> Expression:
+        """Flange pose (4x4, mm) at `p.axis1`, `p.point1`, ..., `p.zero`, `p.home` and joint values q."""
+        q = q if self.conventions is None else self.conventions.to_model(q)
+        links, turned = [], 0
+        for i, joint in enumerate(self.joints):
+            axis = getattr(p, f"axis{i + 1}")
+            if joint.kind == "prismatic":
+                links.append(slide(axis, q[i]))
+            else:
+                links.append(screw(axis, getattr(p, f"point{i + 1}"), q[i] + p.zero[turned]))
+                turned += 1
+        return chain(*links, p.home)
+
+    def parameters(self, length_std: float | None, angle_std: float | None) -> dict[str, Unknown]:
+        """Unknowns axis1, ... (two tilts), point1, ... (3, mm; turning joints alone), zero (turning joints), home.
+
+        They are more than a minimal set: shifts of a point along its axis are invisible, and a zero offset also turns
+        all that follows. Each is what a maker tolerates, so that a prior can be given; the report names the redundant.
+        """
+        length_std = PRIOR_STD["mm"] if length_std is None else length_std
+        angle_std = PRIOR_STD["rad"] if angle_std is None else angle_std
+        found: dict[str, Unknown] = {}
+        turning = [i for i, joint in enumerate(self.joints, 1) if joint.turns]
+        for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True), 1):
+            found[f"axis{i}"] = Direction(axis, prior_std=angle_std)
+            if i in turning:
+                found[f"point{i}"] = Parameter(point, unit="mm", prior_std=length_std, labels=("_x", "_y", "_z"))
+        if turning:
+            labels = tuple(str(i) for i in turning)
+            found["zero"] = Parameter((0.0,) * len(turning), unit="rad", prior_std=angle_std, labels=labels)
+        found["home"] = Frame(self.home, prior_std=(angle_std, length_std))
+        return found
+
+
+def triples(rows: Sequence[Sequence[float]]) -> tuple[Triple, ...]:
+    """Rows of numbers as tuples of floats, whatever their length: `Screws` says which is wrong."""
+    return tuple(tuple(float(value) for value in np.ravel(row)) for row in rows)  # type: ignore[misc]
+
+
+@dataclass(frozen=True, eq=False)
+class TracedPose:
+    """`pose(p, q)` as a graph: the parameters' values, by key, and q give the factors of the 4x4 flange pose (mm).
+
+    Two are equal when their graphs are, instruction by instruction.
+    """
+
+    unknowns: Mapping[str, Unknown]
+    graph: ca.Function
+
+    @staticmethod
+    def of(pose: Callable[[Any, Expression], Expression], parameters: Mapping[str, Unknown], joints: int) -> TracedPose:
+        """Trace a pose function; lets pass what the function raises."""
+        q = ca.SX.sym("q", joints)
+        symbols, values = packed_symbols(parameters)
+        built = pose(SimpleNamespace(**values), q)
+        factors = [ca.SX(f) for f in built.factors] if isinstance(built, Product) else [ca.SX(built)]
+        return TracedPose(FrozenMapping(parameters), ca.Function("pose", [*symbols, q], factors))
+
+    def __call__(self, p: Any, q: Expression) -> Expression:
+        """The flange pose, as the function that was traced gives it."""
+        values = [unknown.packed(getattr(p, key)) for key, unknown in self.unknowns.items()]
+        factors = self.graph.call([*values, q])
+        return factors[0] if len(factors) == 1 else Product(factors)
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values of the parameters by key, as `pose` takes them, of the arm as drawn."""
+        return {
+            key: unknown.at(ca.DM(np.asarray(unknown.nominal)), ca.DM.zeros(unknown.size))
+            for key, unknown in self.unknowns.items()
+        }
+
+    @cached_property
+    def levers(self) -> ca.Function:
+        """q -> derivative (3, n) of the flange's origin by the joint values, mm, of the arm as drawn."""
+        q = ca.SX.sym("q", self.graph.size1_in(self.graph.n_in() - 1))
+        place = position(self(SimpleNamespace(**self.drawn), q))
+        return ca.Function("levers", [q], [ca.densify(ca.jacobian(place, q))])
+
+    @cached_property
+    def text(self) -> str:
+        """The graph as text."""
+        return str(self.graph.serialize())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TracedPose) and list(self.unknowns) == list(other.unknowns) and self.text == other.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"unknowns": self.unknowns, "graph": self.graph}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        for name, item in state.items():
+            object.__setattr__(self, name, item)
+
+
+def travels(function: Callable[..., Any]) -> bool:
+    """Whether a function can be found by its name wherever its package is installed."""
+    module = getattr(function, "__module__", None) or type(function).__module__
+    if module == "__main__" or module not in sys.modules:
+        return False
+    try:
+        return pickle.loads(pickle.dumps(function)) is not None
+    except Exception:  # closures, lambdas, and whatever a user's object raises
+        return False

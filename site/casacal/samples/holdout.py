@@ -1,0 +1,117 @@
+"""Rows held out of a fit, by which it is judged: single ones, whole faces, regions of postures, whole sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.errors import CasacalError, UnknownNameError, came
+from casacal.samples.measurements import Measurements
+from casacal.samples.samples import Samples
+from casacal.tables.columns import Labels, combinations
+
+WAYS = ("rows", "region", "face")  # what is held out together, beside the values of a column
+
+Rows = NDArray[np.intp]
+
+
+def split(samples: Samples, holdout: float, seed: int, by: str = "rows", face: str | None = None) -> tuple[Rows, Rows]:
+    """Rows to fit and rows held out: a given part of them, drawn at random.
+
+    Args:
+        samples: all rows.
+        holdout: the part, from 0 to below 1.
+        seed: of the draw.
+        by: "rows" of each face, one by one; "region", on each face the rows whose postures are nearest to one of them;
+            "face", whole faces; or a column of the samples, all rows of some of its values.
+        face: the column that names the faces; None where there is one for all.
+
+    Raises CasacalError unless 0 <= holdout < 1, where nothing is left to fit, and where there is nothing to hold out.
+
+    """
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise CasacalError(f"The seed is {seed!r}", "Give a whole number from zero on")
+    if not isinstance(holdout, (int, float)):
+        raise CasacalError(
+            f"Got {came(holdout)} as the held-out part", "Give a fraction from 0 to below 1, such as 0.3"
+        )
+    if not 0 <= holdout < 1:
+        raise CasacalError(f"The held-out part is {holdout:g}", "Give a fraction from 0 to below 1, such as 0.3")
+    if not isinstance(by, str):
+        raise CasacalError(f"Got {came(by)} as what is held out together", f"Give {', '.join(WAYS)} or a column")
+    rng = np.random.default_rng(seed)
+    if by in ("rows", "region"):
+        mask = _of_each_label(samples, holdout, rng, near=by == "region")
+    else:
+        mask = _whole(samples, holdout, rng, by, _groups(samples, by, face))
+    return np.flatnonzero(~mask), np.flatnonzero(mask)
+
+
+def split_each(
+    measured: Measurements, holdout: float, seed: int, by: str, faces: Sequence[str | None]
+) -> tuple[Rows, Rows]:
+    """The same of several instruments, each by itself; one whose samples have no such column is fitted whole."""
+    parts, refused = [], list[CasacalError]()
+    for some, face in zip(measured.sets, faces, strict=True):
+        try:
+            parts.append(split(some, holdout, seed, by, face))
+        except CasacalError as error:
+            if len(measured.sets) == 1:
+                raise
+            refused.append(error)
+            parts.append((np.arange(len(some)), np.zeros(0, dtype=np.intp)))
+    if len(refused) == len(parts):
+        raise refused[0]
+    joined = ((rows[k] + first for rows, first in zip(parts, measured.starts, strict=False)) for k in (0, 1))
+    fitted, held = (np.concatenate(list(each)) for each in joined)
+    return fitted, held
+
+
+def _of_each_label(samples: Samples, holdout: float, rng: np.random.Generator, *, near: bool) -> NDArray[np.bool_]:
+    """The given part of each label's rows (N,): at random, or those nearest to one of them, itself among them."""
+    distinct, codes = combinations(list(samples.labels.values()), len(samples))
+    mask = np.zeros(len(samples), dtype=bool)
+    for k, labels in enumerate(distinct):
+        rows = np.flatnonzero(codes == k)
+        order = rng.permutation(rows)
+        if near:
+            order = rows[np.argsort(_distances(samples.joints[rows], samples.joints[order[0]]), kind="stable")]
+        chosen = order[: round(holdout * len(rows))]
+        if len(chosen) == len(rows):
+            shown = " ".join(labels) or "all rows"
+            raise CasacalError(f"Holding out {holdout:g} leaves no row of '{shown}' to fit", "Hold fewer rows out")
+        mask[chosen] = True
+    return mask
+
+
+def _distances(joints: Array, middle: Array) -> Array:
+    """How far postures (k, n) are from one (n,), each joint in units of its own spread."""
+    spread = joints.std(axis=0)
+    return np.asarray((((joints - middle) / np.where(spread > 0, spread, 1.0)) ** 2).sum(axis=1))
+
+
+def _groups(samples: Samples, by: str, face: str | None) -> Labels:
+    if by == "face":
+        if face is None or face not in samples.labels:
+            raise CasacalError("Faces were to be held out, and these samples name none", "Hold out rows or a region")
+        return samples.labels[face]
+    if by in samples.labels:
+        return samples.labels[by]
+    if by in samples.extra:
+        return Labels.of(value.strip() for value in samples.extra[by])
+    raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
+
+
+def _whole(samples: Samples, holdout: float, rng: np.random.Generator, by: str, groups: Labels) -> NDArray[np.bool_]:
+    """All rows (N,) of about the given part of the groups, at least of one; none where nothing is to be held out."""
+    if not holdout:
+        return np.zeros(len(samples), dtype=bool)
+    count = max(1, round(holdout * len(groups.names)))
+    if count >= len(groups.names):
+        raise CasacalError(
+            f"Holding out {count} of {len(groups.names)} by '{by}' leaves nothing to fit", "Hold fewer out"
+        )
+    return np.isin(groups.codes, rng.permutation(len(groups.names))[:count])

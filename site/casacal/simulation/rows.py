@@ -1,0 +1,237 @@
+"""Rows that any residual fits: random postures, and readings at which the residual vanishes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array, Index, Rows
+from casacal.errors import SimulationError
+from casacal.instruments import Instrument
+from casacal.kernels.batch import Batch
+from casacal.problem.cell import Cell, Disturbances, Face
+from casacal.problem.problem import Problem
+from casacal.robots.joint_space import inside_limits, random_joints
+from casacal.samples.samples import Samples
+from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
+from casacal.simulation.touches import random_tips, spot, stands
+from casacal.simulation.true_arm import Draw, Truth, check_asked, own_noise, plane_coordinates, row_labels
+from casacal.tables.columns import Labels
+from casacal.unknowns import Frame, Unknown
+
+CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
+ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
+FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
+SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings."""
+
+    problem: Problem
+    evaluate: Batch
+    z: Array
+    """True local coordinates by row (N, nz)."""
+    c: Array
+    """Nominals that differ by label by row (N, nc)."""
+    known: Array
+    """Columns known from labels by row (N, k)."""
+    faces: tuple[Face, ...]
+    """The face of each row (N,); none where nothing flat is touched."""
+
+    @property
+    def read(self) -> int:
+        """How many columns are read."""
+        return len(self.problem.instrument.columns)
+
+    def residual(self, free: Array, rows: Index) -> tuple[Array, Array]:
+        """Residuals (k, m) of some rows at joints and readings (k, n), and their slopes (k, m, n)."""
+        data = np.hstack([free, self.known[rows]])
+        e, slopes = self.evaluate(self.z[rows], self.c[rows], data)
+        return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
+
+    def beyond(self, free: Array, rows: Index) -> Array:
+        """How far (k,; mm) the tips of some rows lie outside their faces."""
+        if not self.faces:
+            return np.zeros(len(rows))
+        (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
+        axes, centres, sizes = (
+            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
+        )
+        along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
+        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
+
+
+def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Truth, ArmErrors]:
+    """Samples of an instrument that is shown no faces, all that is unknown of them, and the arm's errors.
+
+    Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
+    """
+    check_asked(problem, cell)
+    truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
+    labels = row_labels(problem, cell, samples)
+    bench, truth = _bench(problem, cell, labels, truth_rng, samples, draw)
+    instrument, robot = problem.instrument, problem.robot
+    gross = noise_rng.random(samples) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
+    own = own_noise(problem) if cell.repeatability is None else cell.repeatability
+    target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
+    free = _found(bench, target, pose_rng)
+    joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
+    scatter, lag = noise_rng.normal(size=joints.shape) * cell.joint_std, last_moves(joints) * cell.backlash / 2
+    arm = ArmErrors(drawn_waves(robot, cell.waves, gear_rng))
+    recorded = rounded(unwaved(arm.waves, joints - scatter + lag), cell.encoder_step)
+    columns, read = {}, instrument.as_read(dict(zip(instrument.columns, readings.T, strict=True)))
+    for name, dimension in instrument.columns.items():
+        shown = read[name] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
+        columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
+    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), truth, arm
+
+
+def _true(
+    problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], rng: np.random.Generator, draw: Draw
+) -> tuple[Truth, dict[str, Array]]:
+    """Local coordinates of all that is unknown, and the nominals that they are about, by name."""
+    instrument, reached = problem.instrument, random_tips(problem)
+    local: dict[str, Array] = {}
+    nominals: dict[str, Array] = {}
+    frames: dict[str, Array] = {}
+    for key, unknown in problem.model.unknowns.items():
+        seen = [None] if unknown.per is None else labels[unknown.per].names
+        named = {_named(instrument, key, label): label or key for label in seen}
+        for k, (name, label) in enumerate(named.items()):
+            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
+            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
+            local[name] = np.asarray(draw.known.get(name, drawn))
+            if isinstance(unknown, Frame) and unknown.nominal is None:
+                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
+            if isinstance(cell, Cell) and _is_flat(unknown):
+                local[name] = plane_coordinates(unknown, nominals[name], *place)
+    return Truth(local, frames), nominals
+
+
+def _named(instrument: Instrument, key: str, label: str | None) -> str:
+    """The name of an unknown, or of the one that rows of a label see."""
+    return key if label is None else f"{key}.{instrument.instance(key, label)}"
+
+
+def _bench(
+    problem: Problem,
+    cell: Disturbances,
+    labels: Mapping[str, Labels],
+    rng: np.random.Generator,
+    samples: int,
+    draw: Draw,
+) -> tuple[Bench, Truth]:
+    """The true arm before its true instrument, and all that is unknown of them."""
+    model, instrument, robot = problem.model, problem.instrument, problem.robot
+    truth, nominals = _true(problem, cell, labels, rng, draw)
+    z, c = [], []
+    for key, unknown in model.unknowns.items():
+        of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
+        names = [_named(instrument, key, label) for label in of_rows]
+        z.append(np.array([truth.local[name] for name in names]).reshape(samples, -1))
+        if key in model.constants:
+            c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
+    known = []
+    for values in instrument.known_columns.values():
+        known.append([values.get(label, 0.0) for label in labels[instrument.known_by]])
+    symbols = [ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate(("z", "c", "d"))]
+    e = model.residual(*symbols)
+    evaluate = Batch(ca.Function("bench", symbols, [e, ca.densify(ca.jacobian(e, symbols[2]))]))
+    free = len(robot.axes) + len(instrument.columns)
+    assert model.residual.numel_in(2) == free + len(known)
+    return Bench(
+        problem,
+        evaluate,
+        np.hstack(z) if z else np.zeros((samples, 0)),
+        np.hstack(c) if c else np.zeros((samples, 0)),
+        np.array(known, dtype=np.float64).T.reshape(samples, -1),
+        _faces(problem, cell, labels, samples),
+    ), truth
+
+
+def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
+    """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
+    planes = [unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)]
+    if not isinstance(cell, Cell) or not planes:
+        return ()
+    column = planes[0].per
+    return tuple(
+        next((face for face in cell.faces if face.label == label), cell.faces[0])
+        for label in (labels[column] if column is not None else ("",) * samples)
+    )
+
+
+def _is_flat(unknown: Unknown) -> bool:
+    return unknown.nominal_plane(np.zeros(unknown.nominal_size)) is not None
+
+
+def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits."""
+    robot, count = bench.problem.robot, len(target)
+    n = len(robot.axes)
+    free = np.full((count, n + bench.read), np.nan)
+    waiting, instrument = np.arange(count), bench.problem.instrument
+    ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
+    least, most = np.array(ends).reshape(-1, 2).T
+    for _ in range(ROUNDS):
+        start = _starts(bench, target, waiting, rng)
+        found, met = _met(bench, start, target[waiting], waiting)
+        inside = inside_limits(robot, found[:, :n]) & (bench.beyond(found, waiting) < 1e-6)
+        inside &= ((found[:, n:] >= least) & (found[:, n:] <= most)).all(axis=1)
+        free[waiting[met & inside]] = found[met & inside]
+        waiting = waiting[~(met & inside)]
+        if not waiting.size:
+            return free
+    raise SimulationError(
+        f"No posture inside the limits of '{robot.name}' and its readings makes the residual of "
+        f"{type(instrument).__name__} vanish in {len(waiting)} of {count} rows",
+        "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
+    )
+
+
+def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
+    """For each row the random posture, readings at zero, that comes nearest."""
+    robot = bench.problem.robot
+    tried = random_joints(robot, len(rows) * CANDIDATES, rng)
+    instrument = bench.problem.instrument
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    free = np.hstack([tried, np.tile(readings, (len(tried), 1))])
+    if bench.read:  # readings follow from any posture
+        return free[::CANDIDATES]
+    e, _ = bench.residual(free, np.repeat(rows, CANDIDATES))
+    miss = ((e - np.repeat(target[rows], CANDIDATES, axis=0)) ** 2).sum(axis=1)
+    miss = (miss + bench.beyond(free, np.repeat(rows, CANDIDATES)) ** 2).reshape(len(rows), CANDIDATES)
+    # one of the nearest few, so that touches do not crowd where the random postures do
+    order = np.argsort(miss, axis=1)[:, : CANDIDATES // 8]
+    pick = order[np.arange(len(rows)), rng.integers(order.shape[1], size=len(rows))]
+    return np.asarray(free.reshape(len(rows), CANDIDATES, -1)[np.arange(len(rows)), pick])
+
+
+def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array, Rows]:
+    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive."""
+    free = start.copy()
+    n = len(bench.problem.robot.axes)
+    ease = np.concatenate([np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW), np.full(bench.read, 1.0 / SLOW)])
+    size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
+    e, slopes = bench.residual(free, rows)
+    for _ in range(STEPS):
+        miss = e - target
+        if (np.abs(miss) <= FITS * size).all():
+            break
+        eased = slopes * ease
+        gram = eased @ eased.transpose(0, 2, 1)
+        gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * np.eye(gram.shape[1]) + 1e-300 * np.eye(
+            gram.shape[1]
+        )
+        step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
+        largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
+        free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]
+        e, slopes = bench.residual(free, rows)
+    return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))

@@ -1,0 +1,236 @@
+"""Where a simulated arm touches: places on the faces, and postures that reach them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.errors import SimulationError
+from casacal.instruments.description import Probe, readings_within
+from casacal.kinematics import stacked_poses
+from casacal.problem.cell import Cell, Disturbances, Face, corner
+from casacal.problem.problem import Problem
+from casacal.robots.joint_space import random_joints
+from casacal.simulation.faults import form_error
+from casacal.simulation.reach import Touch
+from casacal.simulation.true_arm import true_unknowns
+from casacal.unknowns.plane import Plane
+from casacal.unknowns.unknown import tangent_basis, unit_vector
+
+EDGE = 0.05  # readings stay this part of the travel away from its ends
+
+STARTS = 200
+"""Random poses among which each target finds its start: its own, so that targets near one another differ in posture."""
+
+ROUNDS = 60  # fresh targets tried for a touch before the face counts as out of reach
+
+
+def find_touches(
+    touch: Touch,
+    probe: Probe,
+    cell: Cell,
+    which: NDArray[np.intp],
+    lift: Array,
+    rng: np.random.Generator,
+    form_rng: np.random.Generator,
+    growth: Array,
+) -> tuple[Array, Array]:
+    """Joint values (N, n) at which the tip truly touches, and the true readings (N,).
+
+    lift: by how much each touch stands above its face, mm. growth: times (N,) that the tip is further from the base.
+    """
+    seeds = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+    joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
+    waiting = np.arange(len(which))
+    for _ in range(ROUNDS):
+        found_joints, found_readings, good = try_touches(touch, probe, cell, which, lift, seeds, rng, waiting, growth)
+        joints[waiting[good]], readings[waiting[good]] = found_joints[good], found_readings[good]
+        waiting = waiting[~good]
+        if not waiting.size:
+            return joints, readings
+    label = cell.faces[int(which[waiting[0]])].label
+    raise SimulationError(
+        f"'{touch.robot.name}' cannot touch face '{label}' within joint limits, tilt {math.degrees(cell.tilt):g} "
+        f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
+        "Move or enlarge the face, or allow more tilt",
+    )
+
+
+def try_touches(
+    touch: Touch,
+    probe: Probe,
+    cell: Cell,
+    which: NDArray[np.intp],
+    lift: Array,
+    form_seeds: list[int | None],
+    rng: np.random.Generator,
+    waiting: NDArray[np.intp] | None = None,
+    growth: Array | None = None,
+    *,
+    starts: int = STARTS,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """One try at each touch, or at those that wait: joint values, readings, and which of them succeeded.
+
+    What is drawn does not depend on which touches wait, so that one touch that rounding decides leaves the others as
+    they are. starts: random poses among which each finds where to begin.
+    """
+    count = len(which)
+    waiting = np.arange(count) if waiting is None else waiting
+    axes = np.array([face.axes for face in cell.faces])[which]
+    centres = np.array([face.centre for face in cell.faces])[which]
+    half = np.array([face.size for face in cell.faces])[which] / 2
+    low, high = readings_within(probe.travel if cell.travel is None else cell.travel)
+    readings = low + rng.uniform(EDGE, 1 - EDGE, count) * (high - low) if probe.column is not None else np.zeros(count)
+    uv = rng.uniform(-1, 1, size=(count, 2))
+    targets = centres + np.einsum("ka,kax->kx", uv * half, axes[:, 1:])
+    directions = _tilted(axes, cell.tilt, rng)
+    poses = random_joints(touch.robot, count * starts, rng).reshape(count, starts, -1)
+    which, grown = which[waiting], (np.ones(count) if growth is None else growth)[waiting]
+    lift, readings, uv, axes, centres, half, targets, directions, poses = (
+        each[waiting] for each in (lift, readings, uv, axes, centres, half, targets, directions, poses)
+    )
+    joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
+    joints, inside = touch.within_limits(joints)
+    heights = lift + (axes[:, 0] * centres).sum(axis=1)
+    for i, form_seed in enumerate(form_seeds):
+        if form_seed is not None:
+            here = which == i
+            form_rng = np.random.default_rng(form_seed)
+            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
+    heights = heights / grown  # where the arm without its growth stands as it touches
+    joints = touch.land(joints, readings, axes[:, 0], heights)
+    tip, direction, *_ = touch(joints, readings)
+    offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))
+    landed = np.abs((axes[:, 0] * tip).sum(axis=1) - heights) < 1e-7
+    upright = -(axes[:, 0] * direction).sum(axis=1) >= math.cos(cell.tilt) - 1e-6
+    turned, still = touch.within_limits(joints)
+    good = inside & landed & upright & (offset <= half + 1e-6).all(axis=1) & still
+    return np.where(np.abs(turned - joints) > 1.0, turned, joints), readings, good
+
+
+def _tilted(axes: Array, tilt: float, rng: np.random.Generator) -> Array:
+    """Directions (N, 3) into the faces, uniform over the cone of half-angle `tilt`."""
+    cosine = rng.uniform(math.cos(tilt), 1.0, len(axes))
+    sine, azimuth = np.sqrt(1 - cosine**2), rng.uniform(0, 2 * math.pi, len(axes))
+    parts = np.column_stack([-cosine, sine * np.cos(azimuth), sine * np.sin(azimuth)])
+    return np.asarray(np.einsum("ka,kax->kx", parts, axes))
+
+
+SLOPE = math.radians(15.0)  # inclination of facets against the plunger of an arm that cannot tilt it
+GRAZING = math.radians(75.0)  # tilt at which a tip without a dial still touches
+ENOUGH = 0.1  # part of the touches of the worst face that must succeed
+
+
+def default_cell(problem: Problem) -> Cell:
+    """Three faces where this arm touches them most readily; the same for the same problem.
+
+    They stand at right angles, or, for an arm that cannot point its plunger so freely, such as a SCARA, each is
+    inclined against the plunger another way. A problem with one plane gets one face, where it declares the plane.
+    Raises SimulationError when no such place is found.
+    """
+    probe, rng = problem.instrument.probe, np.random.default_rng(0)
+    if probe is None:
+        raise SimulationError(
+            f"{type(problem.instrument).__name__} touches no faces, so no place for them is looked for",
+            "Simulate it without a cell",
+        )
+    nominal = true_unknowns(problem, probe, 0.0, rng)
+    touch = Touch.of(problem.robot, problem.instrument, probe, nominal)
+    tips, plungers = touch(random_joints(problem.robot, 400, rng), np.zeros(400))[:2]
+    base = np.median(tips, axis=0)
+    reach = float(np.quantile(np.linalg.norm(tips - base, axis=1), 0.9))
+    size = min(600.0, 0.4 * reach)
+    chosen = rng.choice(len(tips), 24, replace=False)
+    corners = [_corner_at(tips[k], base, size) for k in chosen]
+    facets = (_facets_at(tips[k], plungers[k], 0.25 * size) for k in chosen)
+    what = f"three faces, at right angles or each inclined by {math.degrees(SLOPE):g} degrees against the plunger"
+    kinds: list[tuple[Iterable[Cell], float]] = [(corners, ENOUGH), (facets, ENOUGH)]
+    if probe.label is None:
+        single, what = _single(problem, corners, size), "one face"
+        grazed = [replace(cell, tilt=GRAZING) for cell in single] if probe.column is None else []
+        kinds = [(single, 0.5), (grazed, ENOUGH), (single, ENOUGH)]
+    for cells, enough in kinds:
+        best, share = None, 0.0
+        for cell in cells:
+            reached = _share_reached(touch, probe, cell, np.random.default_rng(1))
+            if reached > share:
+                best, share = cell, reached
+        if best is not None and share >= enough:
+            return best
+    raise SimulationError(
+        f"No place was found where '{problem.robot.name}' can touch {what}",
+        "Define `cell = Cell(faces=...)` in the problem file",
+    )
+
+
+def _single(problem: Problem, corners: list[Cell], size: float) -> list[Cell]:
+    """Cells of one face: where the problem declares its plane, seen from either side, or the floors of corners."""
+    plane = problem.instrument.unknowns[problem.instrument.datum[0]]
+    if not isinstance(plane, Plane) or plane.normal is None or plane.point is None:
+        return [replace(cell, faces=cell.faces[:1]) for cell in corners]
+    unit, (x, y, z) = unit_vector(plane.normal, "The normal"), plane.point
+    return [Cell(faces=(Face("plane", (x, y, z), (side * unit[0], side * unit[1], side * unit[2]), (size, size)),))
+            for side in (1.0, -1.0)]  # fmt: skip
+
+
+def random_tips(problem: Problem) -> Array:
+    """Tips (400, 3; mm) of the nominal arm in random postures; the flange where the tip needs what is not declared."""
+    model, robot = problem.model, problem.robot
+    joints = random_joints(robot, 400, np.random.default_rng(0))
+    data = np.hstack([joints, np.zeros((len(joints), model.pose.numel_in(2) - joints.shape[1]))])
+    z, c = (np.zeros(model.pose.numel_in(i)) for i in (0, 1))
+    (pose,) = model.batch.pose(z, c, data)
+    return stacked_poses(pose)[:, :3, 3]
+
+
+def spot(reached: Array, k: int | None) -> Array:
+    """Place (3, mm) of the k-th thing among tips (N, 3) in random postures; in their midst where that is None.
+
+    Arms come to it from many sides: it stands neither next to the base nor at arm's length.
+    """
+    midst = np.median(reached, axis=0)
+    if k is None:
+        return np.asarray(midst)
+    away = np.linalg.norm(reached - midst, axis=1)
+    low, high = np.quantile(away, [0.4, 0.6])
+    between = reached[(away >= low) & (away <= high)]
+    return np.asarray(between[k % len(between)])
+
+
+def stands(cell: Disturbances, label: str, place: Array) -> tuple[Array, Array]:
+    """Where a thing stands of which nobody says where: on the face of that name, or at some place in the workspace."""
+    if isinstance(cell, Cell):
+        face = next((face for face in cell.faces if face.label == label), cell.faces[0])
+        return np.asarray(face.centre), face.axes[0]
+    return place, np.array([0.0, 0.0, 1.0])
+
+
+def _corner_at(centre: Array, base: Array, size: float) -> Cell:
+    """Three faces at right angles around a place (3, mm)."""
+    away = (base - centre)[:2]
+    towards = away.tolist() if np.linalg.norm(away) > 1e-6 else (-1.0, 0.0)
+    return Cell(faces=corner(centre.tolist(), size=size, towards=towards))
+
+
+def _facets_at(centre: Array, plunger: Array, size: float) -> Cell:
+    """Three facets around a place (3, mm), each inclined another way against a plunger's direction (3)."""
+    towards = -plunger / np.linalg.norm(plunger)
+    u, v = tangent_basis(towards).T
+    faces = []
+    for k, label in enumerate(("one", "two", "three")):
+        aside = math.cos(2 * math.pi * k / 3) * u + math.sin(2 * math.pi * k / 3) * v
+        normal, place = math.cos(SLOPE) * towards + math.sin(SLOPE) * aside, centre + 0.75 * size * aside
+        faces.append(Face(label, (place[0], place[1], place[2]), (normal[0], normal[1], normal[2]), (size, size)))
+    return Cell(faces=tuple(faces), tilt=SLOPE + math.radians(1.0))
+
+
+def _share_reached(touch: Touch, probe: Probe, cell: Cell, rng: np.random.Generator) -> float:
+    which = np.arange(30) % len(cell.faces)
+    *_, good = try_touches(touch, probe, cell, which, np.zeros(30), [None] * len(cell.faces), rng)
+    shares = [good[which == i].mean() for i in range(len(cell.faces))]
+    return float(min(shares))

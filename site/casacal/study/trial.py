@@ -1,0 +1,232 @@
+"""One trial: every method on the same problem, timed, counted and judged; failures are records too."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import random
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import said
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result, as_result
+from casacal.study.description import Study, Trial
+from casacal.study.metering import Metered
+from casacal.study.records import TIMINGS, Key, Record
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some methods in one trial of a setting, and the key of each."""
+
+    setting: str
+    trial: int
+    methods: tuple[str, ...]
+    fingerprints: tuple[str, ...]
+
+    @property
+    def keys(self) -> list[Key]:
+        """Key of each record that the task makes."""
+        return [(fingerprint, self.trial) for fingerprint in self.fingerprints]
+
+    def without(self, done: Iterable[Key]) -> Task:
+        """The task without the methods that are recorded already."""
+        kept = [i for i, key in enumerate(self.keys) if key not in set(done)]
+        return replace(
+            self, methods=tuple(self.methods[i] for i in kept), fingerprints=tuple(self.fingerprints[i] for i in kept)
+        )
+
+
+@contextlib.contextmanager
+def undone(seed: int) -> Iterator[None]:
+    """Put back afterwards: folder, environment, error handling of NumPy, warnings, and the common random numbers.
+
+    These begin at a seed, so that a method which draws from them does the same whatever ran before. What overflows
+    raises nothing meanwhile.
+    """
+    folder, environment = _folder(), dict(os.environ)
+    drawn = random.getstate(), np.random.get_state()  # noqa: NPY002  the common one is what is meant
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            yield
+    finally:
+        random.setstate(drawn[0])
+        np.random.set_state(drawn[1])  # noqa: NPY002
+        if os.environ != environment:
+            os.environ.clear()
+            os.environ.update(environment)
+        if folder is not None and _folder() != folder:
+            with contextlib.suppress(OSError):
+                os.chdir(folder)
+
+
+def _folder() -> str | None:
+    """The working folder; None where it was removed."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return None
+
+
+POINTS = 24  # points that a record keeps of the way to the estimate
+CANDIDATES = 64  # states evaluated at once while warming up: what population methods ask for
+
+
+def heads(study: str, task: Task) -> list[Record]:
+    """What the records of a task say of where they come from."""
+    shared = {"study": study, "setting": task.setting, "trial": task.trial}
+    return [
+        {**shared, "method": method, "fingerprint": key}
+        for method, key in zip(task.methods, task.fingerprints, strict=True)
+    ]
+
+
+def trial_records(study: Study, task: Task) -> Iterator[Record | None]:
+    """Records of some methods in one trial of a setting, as they are made; None once the trial itself is.
+
+    A method that changed the problem all share is a failure, and those after it get the problem made anew.
+    """
+    waiting = heads(study.name, task)
+    while waiting:
+        try:
+            made = study.settings[task.setting].trial(study.trial_seed(task.trial))
+            rows = warm_up(made.problem)
+            before = _state(made.problem)
+        except _caught() as error:  # a cell out of reach fails every method, and the study goes on
+            yield from ({**head, **failed(said(error))} for head in waiting)
+            return
+        yield None
+        intact = True
+        while waiting and intact:
+            head = waiting.pop(0)
+            record = _measured(study, made, head["method"], task.trial, rows)
+            intact = _unchanged(made.problem, before)
+            yield {**head, **(record if intact else failed("Changed: the method changed the problem that all share"))}
+
+
+def perform(study: Study, task: Task) -> list[Record]:
+    """Records of a task."""
+    return [record for record in trial_records(study, task) if record is not None]
+
+
+def _caught() -> tuple[type[BaseException], ...]:
+    """What a method may raise that is a failure of its own: in a process that no keyboard reaches, everything."""
+    if multiprocessing.parent_process() is not None:
+        return (BaseException,)
+    return (Exception, SystemExit)
+
+
+def _state(problem: LeastSquares) -> list[Array]:
+    """What methods see of a problem, to be compared."""
+    with np.errstate(all="ignore"):
+        return [problem.x0.copy(), problem.prior_std.copy(), problem.start_std.copy(), problem.residual(problem.x0)]
+
+
+def _unchanged(problem: LeastSquares, before: list[Array]) -> bool:
+    try:
+        return all(
+            np.array_equal(one, other, equal_nan=True) for one, other in zip(_state(problem), before, strict=True)
+        )
+    except _caught():
+        return False
+
+
+def warm_up(problem: LeastSquares) -> dict[str, float]:
+    """Use every function of a problem once, and return what a row of residuals and of Jacobian costs, in seconds."""
+    x, many = problem.x0, np.tile(problem.x0, (CANDIDATES, 1))
+    problem.normal(x)
+    problem.costs(many)
+    problem.costs(many[:1])
+    problem.row(0, np.tile(x, (2 * problem.unknowns, 1)))
+    problem.row_jacobian(0, x)
+    per = {"residual_row": problem.residual, "jacobian_row": problem.jacobian}
+    return {name: min(_seconds(call, x) for _ in range(5)) / problem.rows for name, call in per.items()}
+
+
+def _measured(study: Study, made: Trial, method: str, trial: int, rows: dict[str, float]) -> Record:
+    metered, run = Metered(made.problem), study.method(method)
+    seed = study.method_seed(trial, method)
+    began, began_cpu = time.perf_counter(), time.process_time()
+    try:
+        with undone(seed):
+            outcome = run(metered, seed)
+        spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
+        with np.errstate(all="ignore"):  # what overflows is found below, and said in a sentence
+            result = as_result(outcome, made.problem, method)
+            figures = dict(made.judge(result))
+            detail = _detail(made, metered, result, trial) if trial < study.details else {}
+    except _caught() as error:  # failures are rows with their message
+        spent = {"solve": time.perf_counter() - began, "cpu": time.process_time() - began_cpu, **rows}
+        return {**failed(said(error)), TIMINGS: spent}
+    counts = (metered.residual_rows, metered.jacobian_rows)
+    if metered.used_graph:  # its evaluations happen inside the solver, which counts them itself
+        counts = (result.residual_rows, result.jacobian_rows)
+    return {
+        "status": result.status.name,
+        "converged": result.converged,
+        "error": None,
+        "figures": {name: float(value) for name, value in figures.items()},
+        "counts": {"steps": int(result.steps), "residual_rows": counts[0], "jacobian_rows": counts[1]},
+        **detail,
+        TIMINGS: spent,
+    }
+
+
+def failed(message: str) -> Record:
+    """The record of a method that gave no answer, and what it said instead."""
+    return {"status": "FAILED", "converged": False, "error": message, "figures": {}, "counts": {}, TIMINGS: {}}
+
+
+def _detail(made: Trial, metered: Metered, result: Result, trial: int) -> Record:
+    # estimates of one trial show what a parameter table looks like; curves need some
+    kept = {"detail": dict(made.detail(result))} if trial == 0 else {}
+    return {**kept, "trace": _trace(made.problem, metered, result)}
+
+
+def _trace(problem: LeastSquares, metered: Metered, result: Result) -> list[list[float]]:
+    """The objective on the way: rows of residuals, rows of Jacobian, objective.
+
+    Best so far as the harness saw it; for a filter, the objective over all rows at its estimate so far; for a solver
+    on the symbolic form, what it says itself, evenly over its evaluations.
+    """
+    if metered.used_graph:
+        costs = np.asarray(result.trace.get("cost", np.zeros(0)))
+        parts = np.arange(1, costs.size + 1) / max(costs.size, 1)
+        return _thinned(
+            [[p * result.residual_rows, p * result.jacobian_rows, c] for p, c in zip(parts, costs, strict=True)]
+        )
+    path = result.trace.get("filter_x", result.trace.get("x"))
+    seen = [list(map(float, point)) for point in metered.best]
+    seen += [[float(metered.residual_rows), float(metered.jacobian_rows), seen[-1][2]]] if seen else []
+    if path is None:
+        return _thinned(seen)
+    # rows of the filter alone: before the first whole evaluation, if one followed
+    spent = (metered.residual_rows, metered.jacobian_rows)
+    rows = spent if not metered.best else tuple(max(count - problem.rows, 0) for count in metered.best[0][:2])
+    chosen = np.unique(np.linspace(0, len(path) - 1, POINTS).astype(int))
+    parts = chosen / max(len(path) - 1, 1)
+    passed = [[p * rows[0], p * rows[1], problem.cost(path[k])] for k, p in zip(chosen, parts, strict=True)]
+    return passed + _thinned(seen)
+
+
+def _thinned(points: list[list[float]]) -> list[list[float]]:
+    if len(points) <= POINTS:
+        return points
+    chosen = np.unique(np.geomspace(1, len(points), POINTS).astype(int) - 1)
+    return [points[k] for k in chosen]
+
+
+def _seconds(call: Callable[[Array], Any], x: Array) -> float:
+    began = time.perf_counter()
+    call(x)
+    return time.perf_counter() - began

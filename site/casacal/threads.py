@@ -1,0 +1,76 @@
+"""How many threads share the work: rows are worth it in thousands, the matrices of an arm never."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import TypeVar
+
+from casacal.errors import ProblemError
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+VARIABLE = "CASACAL_THREADS"
+ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+def one_thread_each() -> None:
+    """Let linear algebra of processes started from here, and of this one where NumPy is not yet loaded, use one thread.
+
+    Threads that share a matrix of thirty unknowns mostly wait for one another. A user's own setting stands.
+    """
+    for name in ALGEBRA:
+        os.environ.setdefault(name, "1")
+
+
+def thread_count(asked: int | None = None) -> int:
+    """Threads that may share rows: what was asked for, else CASACAL_THREADS, else the processors at hand.
+
+    Raises ProblemError for less than one, or what is not a number.
+    """
+    given = os.environ.get(VARIABLE) if asked is None else str(asked)
+    if not given:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not given.isdecimal() or int(given) < 1:
+        raise ProblemError(f"{given!r} threads were asked for", "Give one or more")
+    return int(given)
+
+
+def shared_out(task: Callable[[Item], Made], items: Iterable[Item], threads: int) -> list[Made]:
+    """What a task makes of each item, in the order of the items; the calling thread takes its share.
+
+    A thread that has finished an item takes the next one, for processors are seldom equally fast.
+    """
+    waiting = list(items)
+    count = min(threads, len(waiting))
+    if count <= 1:
+        return [task(item) for item in waiting]
+    made: dict[int, Made] = {}
+    remaining = deque(enumerate(waiting))
+
+    def work() -> None:
+        while True:
+            try:
+                k, item = remaining.popleft()
+            except IndexError:
+                return
+            made[k] = task(item)
+
+    others = [_pool(count - 1).submit(work) for _ in range(1, count)]
+    try:
+        work()
+    finally:  # whatever happened, no thread goes on with what the caller may change
+        remaining.clear()
+        wait(others)
+    for other in others:
+        other.result()
+    return [made[k] for k in range(len(waiting))]
+
+
+@functools.cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, thread_name_prefix="casacal")

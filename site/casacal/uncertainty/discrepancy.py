@@ -1,0 +1,178 @@
+"""What arm and cell do beside their geometry, brought into a fit: effects of expected sizes, and sizes as found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
+from casacal.discrepancy.effect import Effect, Site
+from casacal.discrepancy.smooth import JointField
+from casacal.estimators import lm
+from casacal.least_squares.arrow import Arrow
+from casacal.problem.problem import Problem
+from casacal.uncertainty.effect_sizes import Sizes, Told, effect_sizes, told
+from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_err, with_joints
+
+ENOUGH = 300  # rows from which on a field of many unknowns can be told
+NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
+
+PART = 0.05
+"""Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""
+
+
+def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = True) -> BoundProblem:
+    """The same rows with the effects that any arm is expected to have, sizes and noise as the rows show them.
+
+    Sizes are those at which the rows are likeliest (restricted marginal likelihood) where the geometry stands. Noise is
+    never less than stated; where many rows err together by more than each does alone, all errors of a row together are
+    not. Itself where nothing is unknown, where faces are so many that each has too few rows to say, and where the
+    geometry cannot be fitted.
+
+    Args:
+        bound: of the geometry alone, with the noise as it was found without effects.
+        problem: the same geometry; its effects, or those to expect of any arm where it has none.
+        find_noise: whether noise is found beside the sizes; else it stays as it is.
+
+    """
+    if bound.groups is not None or not bound.unknowns:
+        return bound
+    geometry = lm(bound)
+    if not geometry.converged:
+        return bound
+    standard = _Linear.of(bound, problem.with_kit, geometry.x)
+    many = find_noise and not problem.effects and bound.rows > ENOUGH
+    if many and _errs_together(standard.sized(PART)):
+        found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
+        if err_as_stated(found):
+            return found
+    return standard.sized(1.0 if find_noise else None)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The rows under a problem with effects where the geometry stands, with noise as it was and, second, all alike.
+
+    Faces that differed in noise may differ in what effects do to them instead: what makes the rows likelier is taken.
+    """
+
+    x: Array
+    ways: tuple[tuple[BoundProblem, Told], ...]
+
+    @staticmethod
+    def of(bound: BoundProblem, problem: Problem, geometry: Array) -> _Linear:
+        """Of the geometry alone, which stands at x (n,)."""
+        whole = bound.under(problem)
+        x = whole.x0.copy()
+        x[[j for j, key in enumerate(whole.beside) if not key]] = geometry
+        ways, scale = [whole], whole.scale
+        if set(scale) - {OTHERS, SHARED}:
+            ways.append(whole.with_noise({OTHERS: min(by_face(scale).values()), **of_repeats(scale)}))
+        return _Linear(x, tuple((way, told(way, x)) for way in ways))
+
+    def sized(self, least: float | None) -> BoundProblem:
+        """Sizes and noise as found, the noise at least a part of what was stated; None holds it.
+
+        What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
+        """
+        ways = self.ways if least is not None else self.ways[:1]
+        best = max((self._likeliest(*way, least) for way in ways), key=_evidence)
+        faces = len(by_face(best.rows.scale))
+        faces_differ = faces > 1  # some of which see more of the joints than others
+        if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
+            return best.rows
+        parts = [(way, told(way, self.x)) for way in with_joints(self.ways[0][0], best.rows)]
+        if not parts:
+            return best.rows
+        looks = [self._sizes(*part, least, start=best.times, search=False) for part in parts]
+        likely = [look.evidence + beforehand(way) for look, (way, _) in zip(looks, parts, strict=True)]
+        found = self._likeliest(*parts[int(np.argmax(likely))], least, start=best.times)
+        # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
+        against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
+        return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
+
+    def _likeliest(
+        self, whole: BoundProblem, seen: Told, least: float | None, *, start: Mapping[str, float] | None = None
+    ) -> _Found:
+        """At the sizes and the noise that make the rows likeliest."""
+        sizes = self._sizes(whole, seen, least, start=start)
+        rows = whole.with_sizes(sizes.times, noise=times(whole.scale, sizes.noise) if sizes.noise != 1 else None)
+        return _Found(sizes.evidence, rows, sizes.times, seen.with_noise(sizes.noise))
+
+    def _sizes(
+        self,
+        whole: BoundProblem,
+        seen: Told,
+        least: float | None,
+        *,
+        start: Mapping[str, float] | None = None,
+        search: bool = True,
+    ) -> Sizes:
+        """The likeliest sizes and noise, and how likely the rows are, as densities of readings; see `effect_sizes`."""
+        stated = 1 / min(by_face(whole.scale).values(), default=1.0)
+        known = {effect.key: (effect.doubt, effect.most) for effect in whole.problem.effects}
+        sizes = effect_sizes(
+            whole, self.x, whole.beside, known, stated=stated, least=least, seen=seen, start=start, search=search
+        )
+        density = float(np.log(whole.noise).sum())
+        return replace(sizes, evidence=sizes.evidence - density)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The rows at some sizes and noise, and the logarithm of how likely they are so."""
+
+    evidence: float
+    rows: BoundProblem
+    times: Mapping[str, float]
+    told: Told
+
+
+def _evidence(found: _Found) -> float:
+    return found.evidence
+
+
+def _errs_together(whole: BoundProblem) -> bool:
+    """Whether rows err together by more than each does alone."""
+    sizes = [slot.unknown.prior_stds[0] for slot in whole.slots if slot.beside == JointField.key]
+    return bool(sizes) and float(sizes[0]) > float(np.median(whole.noise))
+
+
+def times_found(whole: BoundProblem) -> dict[str, float]:
+    """Times by which each effect came out larger than it was expected to be, by key."""
+    problem, found = whole.problem, {}
+    for effect in problem.effects:
+        slot = next((slot for slot in whole.slots if slot.beside == effect.key), None)
+        for instrument in problem.instruments:
+            expected = effect.unknowns(Site(problem.robot, instrument))
+            if slot is not None and effect.key in expected:
+                found[effect.key] = float(slot.unknown.prior_stds[0]) / float(expected[effect.key].prior_stds[0])
+                break
+    return found
+
+
+def at_most(whole: BoundProblem) -> tuple[Effect, ...]:
+    """Effects that are as large as they may be: no arm is so bad, and something else may stand behind them."""
+    found = times_found(whole)
+    return tuple(each for each in whole.problem.effects if found.get(each.key, 0.0) > NEARLY * each.most)
+
+
+def errors_are_shared(whole: BoundProblem) -> bool:
+    """Whether rows have less noise of their own than was stated, and with what they share as much or more."""
+    own, stated = (float(np.median(each.noise)) for each in (whole, whole.with_noise()))
+    return own < stated and err_as_stated(whole)
+
+
+def err_as_stated(whole: BoundProblem) -> bool:
+    """Whether noise and all effects of a row together, root mean square, are as much as was stated, or more."""
+    beside = np.array(whole.beside, dtype=bool)
+    normal = whole.normal(whole.x0).information
+    told = np.diagonal(normal.dense() if isinstance(normal, Arrow) else normal)
+    noise = float(np.median(whole.noise))
+    together = noise * float(np.sqrt(1 + told[beside] @ whole.prior_std[beside] ** 2 / whole.rows))
+    return together >= float(np.median(whole.with_noise().noise))

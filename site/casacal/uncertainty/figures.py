@@ -1,0 +1,127 @@
+"""Figures of a fit: residuals on planes, found over stated noise, how much each row pulls its own fitted value."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.elimination import taken_out
+from casacal.least_squares.information import determined
+from casacal.least_squares.losses import Loss
+from casacal.least_squares.objective import LeastSquares
+from casacal.least_squares.result import Result
+
+TOGETHER = 16_384  # rows whose Jacobian is held at a time
+LARGE = 50_000  # rows among which it is no matter whether an unknown more or less was determined
+
+
+def effective_unknowns(problem: LeastSquares, x: Array, loss: Loss | None = None) -> float:
+    """How many unknowns the data determined at x (n,): the trace of the hat matrix, right under any mix of priors."""
+    information = problem.normal(x, loss).information
+    if isinstance(information, Arrow) or problem.rows > LARGE:
+        return determined(information, problem.prior_std)
+    rows = problem.weighted_rows(x, loss)
+    if not np.isfinite(rows).all():
+        return 0.0
+    return float(((rows @ _inverse_root(rows, problem.prior_information)) ** 2).sum())
+
+
+def leverages(bound: BoundProblem, result: Result) -> Array:
+    """Leverage (rows,) of each row: w J (J'WJ + Lambda)^-1 J', W the weights of a robust loss.
+
+    By an orthonormal basis of what the rows and the prior see, scaled column by column: right under flat priors too,
+    where a covariance holds variances that no digit survives.
+    """
+    if bound.groups is not None:
+        return np.clip(_by_group(bound, result), 0.0, 1.0)
+    held = _inverse_root(bound.weighted_rows(result.x, result.loss), bound.prior_information)
+    count, found = len(bound.measured), []
+    for rows in np.array_split(np.arange(count), 1 + count // TOGETHER):
+        part = bound if rows.size == count else bound.take(rows)
+        found.append(((part.jacobian(result.x) @ held) ** 2).sum(axis=1))
+    return np.asarray(np.clip(np.concatenate(found) * result.weights, 0.0, 1.0))
+
+
+def _inverse_root(rows: Array, prior: Array) -> Array:
+    """A matrix T (n, r) with T T' = (A'A + Lambda)^+, by singular values of the rows A (k, n) themselves."""
+    stacked = np.vstack([rows, np.diag(np.sqrt(prior))])
+    sizes = np.linalg.norm(stacked, axis=0)
+    scale = 1.0 / np.where(sizes > 0, sizes, 1.0)
+    _, values, right = np.linalg.svd(stacked * scale, full_matrices=False)
+    seen = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
+    return np.asarray(scale[:, None] * right[seen].T / values[seen])
+
+
+def _by_group(bound: BoundProblem, result: Result) -> Array:
+    """The same where groups are many: of the shared unknowns, and of a group's own with these known."""
+    covariance, found = result.spread[0], np.zeros(bound.rows)
+    held = np.where(np.isfinite(covariance), covariance, 0.0)
+    for part in bound.group_rows(result.x, result.loss):
+        out = taken_out(part.held(bound.prior_information[part.members]))
+        beyond = part.shared - part.own @ out.along
+        found[part.rows] = ((beyond @ held) * beyond).sum(axis=1) + ((part.own @ out.inverse) * part.own).sum(axis=1)
+    return found
+
+
+HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
+
+
+def residual_figures(residuals: Array) -> dict[str, float]:
+    """RMSE, MAE, STD (about the mean) and MAX of residuals (N,) in mm.
+
+    Each by its right definition; the paper's eqs (30), (31) are not (errata E17, E18).
+    """
+    size = np.abs(residuals)
+    return {
+        "rmse_mm": math.sqrt(float((residuals**2).mean())),
+        "mae_mm": float(size.mean()),
+        "std_mm": float(residuals.std()),
+        "max_mm": float(size.max()),
+    }
+
+
+def noise_interval(result: Result) -> tuple[float, float, float]:
+    """Found over stated noise: the estimate and its 95 % interval, from the whitened residuals of a result.
+
+    The residuals' sum of squares over its degrees of freedom, rows less the unknowns that the data determined. Rows of
+    which a robust loss left less than half do not count.
+    """
+    problem, r = result.problem, result.problem.residual(result.x)
+    kept = result.weights >= HALF_WEIGHT
+    counting = None if kept.all() else _counting(result.loss)
+    free = max(int(kept.sum()) - effective_unknowns(problem, result.x, counting), 1.0)
+    return ratio_interval(float((r[kept] ** 2).sum()), free)
+
+
+def ratio_interval(total: float, free: float) -> tuple[float, float, float]:
+    """Root of a sum of squares over its degrees of freedom, and its 95 % interval by chi-square."""
+    from scipy.special import gammaincinv  # scipy.stats takes half a second to import
+
+    low, high = (total / (2 * float(gammaincinv(free / 2, p))) for p in (0.975, 0.025))
+    return math.sqrt(total / free), math.sqrt(low), math.sqrt(high)
+
+
+def _counting(loss: Loss | None) -> Loss:
+    """A loss that counts rows of which another leaves half or more, and no others."""
+    assert loss is not None
+
+    def weight(r: Array) -> Array:
+        return np.asarray((loss.weight(r) >= HALF_WEIGHT).astype(np.float64))
+
+    return Loss("counting", lambda r: weight(r) * r**2 / 2, weight)
+
+
+def chance_beyond(square: float, freedom: float) -> float:
+    """Chance that chi-square of `freedom` degrees of freedom exceeds `square`."""
+    from scipy.special import gammaincc  # scipy.stats takes half a second to import
+
+    return float(gammaincc(freedom / 2, square / 2))
+
+
+def nees(error: Array, covariance: Array) -> float:
+    """Normalised estimation error squared: error' covariance^-1 error, chi-square with n degrees of freedom."""
+    return float(error @ np.linalg.solve(covariance, error))

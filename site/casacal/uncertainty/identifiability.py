@@ -1,0 +1,220 @@
+"""What the data can and cannot tell: rank, null directions by kind, weak directions.
+
+NumPy on the `LeastSquares` seam and a tip Jacobian; it does not know where either came from. Definition, so that
+figures can be compared: the whitened Jacobian at the nominal; its rank at 1e-9 of the largest singular value, columns
+times 1 mrad and 1 mm, whatever the priors say; in the space that it sees, columns times prior standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.least_squares.linalg import correlation
+from casacal.least_squares.objective import LeastSquares
+from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
+
+Kind = Literal["invisible", "rigid", "scale", "blind"]
+
+PERTURBATIONS = 2  # random parameter errors at which a structural null direction must still be null
+SAME_DIRECTION = 0.9  # fraction of a null direction that must lie in the null space there
+
+CORRELATED = 0.95
+
+LEVER = 1000.0  # millimetres at which an angle counts when unknowns are named by their part in a direction
+
+NATURAL_UNITS = {"rad": 1e-3, "mm": 1.0}
+MEANING: dict[Kind, str] = {
+    "invisible": "has no effect on the arm",
+    "rigid": "only moves base frame and planes together",
+    "scale": "makes the whole arm larger or smaller; no length was measured",
+    "blind": "moves the tip elsewhere in the workspace but not in these samples",
+}
+
+
+KNOWN_FROM = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
+"""Verdicts on parameters, as people read them."""
+
+WEAK = "better known from the priors than from these samples"
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """A combination of unknowns (n,) that the samples do not see, in units of prior standard deviations."""
+
+    kind: Kind
+    direction: Array
+    words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip, apart from the position of the base: mm RMS over the
+    workspace."""
+    structural: bool
+    """Whether it stays null when the parameters move; otherwise only these values of them hide it."""
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination of unknowns (n,) of which the prior knows more than the data (whitened singular value < 1)."""
+
+    singular_value: float
+    direction: Array
+    words: str
+    tip_mm: float
+    """What one prior standard deviation along it does to the tip, as for null directions."""
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Rank and null space of a bound problem at its nominal."""
+
+    unknowns: int
+    rank: int
+    condition: float
+    """Largest over smallest singular value that is not null."""
+    singular_values: Array
+    null: tuple[NullDirection, ...]
+    weak: tuple[WeakDirection, ...]
+
+    def count(self, kind: Kind) -> int:
+        """Number of null directions of one kind."""
+        return sum(direction.kind == kind for direction in self.null)
+
+
+def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> Identifiability:
+    """Rank, null directions and weak directions of a problem at its nominal.
+
+    Args:
+        problem: its Jacobian at x0 is judged.
+        tip_jacobian: of the workspace tips by x, (3 N, n), mm per unit of x.
+        tips: those tips (N, 3), mm, in the frame whose origin scale keeps in place.
+
+    """
+    scale, natural = prior_scale(problem), natural_scale(problem)
+    # what takes part is judged by how far it moves things, an angle at a lever of a metre
+    lever = np.where(np.array(problem.units) == "rad", LEVER, 1.0)
+    rank, seen = seen_space(problem.compact_jacobian(problem.x0) * natural)
+    field = tip_jacobian * scale
+    elsewhere = [_null_projector(problem, seed) for seed in range(PERTURBATIONS)]
+
+    def cost(direction: Array) -> float:
+        return tip_rms(without_rigid(field @ (direction / np.linalg.norm(direction)), tips))
+
+    null = []
+    for kind, basis in split_null_space(seen[rank:].T, tip_jacobian * natural, tips):
+        for change in sparse_basis(basis).T:
+            kept = [float(np.linalg.norm(project @ change) / np.linalg.norm(change)) for project in elsewhere]
+            words = f"{_named(change * natural * lever, problem.names)}: {MEANING[kind]}"
+            direction = change * natural / scale
+            null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
+    sizes, right = _seen_directions(problem, seen[rank:].T * (natural / scale)[:, None], scale)
+    weak = [
+        WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
+        for size, each in zip(sizes, right, strict=True)
+        if size < 1
+    ]
+    condition = float(sizes[0] / sizes[-1]) if rank else float("inf")
+    values = np.concatenate([sizes, np.zeros(problem.unknowns - rank)])
+    return Identifiability(problem.unknowns, rank, condition, values, tuple(null), tuple(weak))
+
+
+def natural_scale(problem: LeastSquares) -> Array:
+    """What counts as a small change of each unknown (n,), whatever its prior: 1 mrad, 1 mm."""
+    return np.array([NATURAL_UNITS.get(unit, 1.0) for unit in problem.units])
+
+
+def prior_scale(problem: LeastSquares) -> Array:
+    """Prior standard deviation of each unknown (n,), or its natural scale where the prior is flat."""
+    return np.where(np.isfinite(problem.prior_std), problem.prior_std, natural_scale(problem))
+
+
+def correlated_pairs(covariance: Array, names: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Pairs of unknowns whose posterior correlation exceeds 0.95 in size, strongest first."""
+    matrix = correlation(covariance)
+    rows, columns = np.nonzero(np.triu(np.abs(matrix) > CORRELATED, k=1))
+    pairs = [(names[int(i)], names[int(j)], float(matrix[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return sorted(pairs, key=lambda pair: -abs(pair[2]))
+
+
+def _seen_directions(problem: LeastSquares, null: Array, scale: Array) -> tuple[Array, Array]:
+    """Singular values (rank,) and vectors (rank, n; rows) of the scaled Jacobian beside a null space (n, k)."""
+    basis, _ = np.linalg.qr(np.column_stack([null, np.eye(problem.unknowns)]))
+    rest = basis[:, null.shape[1] :]
+    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
+    return sizes, within @ rest.T
+
+
+def _null_projector(problem: LeastSquares, seed: int) -> Array:
+    """Projector (n, n) on the null space, on natural scales, where parameters are off by random errors of that size."""
+    natural = natural_scale(problem)
+    size = np.minimum(prior_scale(problem), natural)
+    x = problem.x0 + size * np.random.default_rng(seed).normal(size=problem.unknowns)
+    rank, right = seen_space(problem.compact_jacobian(x) * natural)
+    return np.asarray(right[rank:].T @ right[rank:])
+
+
+def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tuple[Kind, Array]]:
+    """Split a null space (n, k) by what it does to the tips: one basis (n, k_i) per kind, each kind inside the next.
+
+    First what no tip shows (invisible), then what is a rigid motion of all tips, then what is that and a scale of the
+    tips' field, the rest is blind.
+    """
+    field = tip_jacobian @ null
+    size = FIELD_TOLERANCE * max(float(np.linalg.norm(tip_jacobian, axis=0).max(initial=0.0)), 1e-300)
+    bent = without_rigid(field, tips)
+    growth = without_rigid(tips.ravel(), tips)
+    growth = growth / np.linalg.norm(growth)
+    rest = bent - np.outer(growth, growth @ bent)
+    taken, parts = np.zeros((null.shape[1], 0)), []
+    stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
+    for kind, seen in stages:
+        _, sizes, right = np.linalg.svd(seen, full_matrices=len(seen) < seen.shape[1])
+        sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
+        kernel = right[sizes < size].T
+        parts.append((kind, _beyond(kernel, taken)))
+        taken = kernel
+    parts.append(("blind", _beyond(np.eye(null.shape[1]), taken)))
+    return [(kind, null @ basis) for kind, basis in parts]
+
+
+def sparse_basis(basis: Array) -> Array:
+    """Another basis (n, k) of the same space in which each vector names few unknowns.
+
+    Gauss-Jordan elimination with complete pivoting: each vector has an unknown of its own, at size one.
+    """
+    work = basis.copy()
+    for j in range(work.shape[1]):
+        i, pivot = np.unravel_index(np.argmax(np.abs(work[:, j:])), work[:, j:].shape)
+        work[:, [j, j + int(pivot)]] = work[:, [j + int(pivot), j]]
+        work[:, j] /= work[i, j]
+        others = [k for k in range(work.shape[1]) if k != j]
+        work[:, others] -= np.outer(work[:, j], work[i, others])
+    work[np.abs(work) < 1e-9] = 0.0
+    return work
+
+
+def verdict(posterior_std: float, prior_std: float) -> Literal["data", "prior", "no"]:
+    """Who determined a parameter: "data" (posterior/prior std < 0.5), "prior" (to 0.95) or nobody ("no")."""
+    if not np.isfinite(posterior_std):
+        return "no"
+    ratio = posterior_std / prior_std if np.isfinite(prior_std) else 0.0
+    return "data" if ratio < 0.5 else "prior" if ratio <= 0.95 else "no"
+
+
+def _beyond(space: Array, inner: Array) -> Array:
+    """Orthonormal basis of the part of `space` (k, a) orthogonal to `inner` (k, b), which it contains."""
+    remaining = space - inner @ (inner.T @ space)
+    left, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(left[:, sizes > 0.5])
+
+
+def _named(direction: Array, names: Sequence[str], most: int = 4) -> str:
+    """The unknowns that take part most, in words."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    strong = [i for i in order if abs(direction[i]) > 0.1 * abs(direction[order[0]])]
+    shown = [names[i] for i in strong[:most]]
+    more = f" and {len(strong) - most} more" if len(strong) > most else ""
+    return f"{', '.join(shown)}{more} change together" if len(strong) > 1 else f"{shown[0]} changes alone"

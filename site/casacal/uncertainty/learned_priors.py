@@ -1,0 +1,220 @@
+"""Priors: the defaults, scaled to a maker's accuracy, or learned from arms that were calibrated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.errors import CasacalError, ProblemError, came
+from casacal.least_squares.result import Result
+from casacal.problem.problem import Problem
+from casacal.uncertainty.effect_sizes import Told, evidence, told
+from casacal.uncertainty.workspace import without_rigid, workspace_joints
+from casacal.values import FrozenMapping, Value
+
+
+def prior_tip_rms(problem: Problem) -> float:
+    """Tip error (mm RMS over the workspace) that the priors of the arm's parameters predict.
+
+    Apart from where the base stands. The instrument's own unknowns, such as its tool, do not count; flat priors make
+    it infinite.
+    """
+    model, joints = problem.models[0], workspace_joints(problem.robot)
+    z = np.zeros(model.tip_jacobian.numel_in(0))
+    data = np.zeros((len(joints), model.tip_jacobian.numel_in(2)))
+    data[:, : joints.shape[1]] = joints
+    tips, slopes = model.batch.tip_jacobian(z, np.zeros(model.tip_jacobian.numel_in(1)), data)
+    arm = sum(unknown.size for unknown in problem.robot.parameters.values())
+    field = without_rigid(slopes.reshape(3 * len(joints), -1)[:, :arm], tips)
+    stds = np.concatenate([unknown.prior_stds for unknown in problem.robot.parameters.values()] or [np.zeros(0)])
+    if not np.isfinite(stds).all():
+        return math.inf
+    return math.sqrt(float(((field * stds) ** 2).sum()) / len(tips))
+
+
+def scaled_to_accuracy(problem: Problem, accuracy: float) -> Problem:
+    """Copy whose arm priors, all scaled alike, predict a tip error of `accuracy` mm RMS, as the maker states it.
+
+    Raises ProblemError unless the accuracy is positive and the priors are finite and move the tip.
+    """
+    if not 0 < accuracy < math.inf:
+        raise ProblemError(f"The maker's accuracy is {accuracy:g} mm", "Give a positive number of mm")
+    present = prior_tip_rms(problem)
+    if not 0 < present < math.inf:
+        raise ProblemError(
+            f"The arm's priors predict a tip error of {present:g} mm", "Give finite priors before scaling them"
+        )
+    factor = accuracy / present
+    stds = {
+        name: factor * float(std)
+        for key, unknown in problem.robot.parameters.items()
+        for name, std in zip(unknown.names(key), unknown.prior_stds, strict=True)
+    }
+    return problem.with_prior(stds)
+
+
+MOST = math.log(100.0)  # logarithm of the times beyond which no prior is scaled
+
+ROUNDS, SETTLED = 6, 1e-3
+"""How often fits are moved to where they stand under the scaled priors, and change of the logarithms that is none."""
+
+STEP = 0.05  # step of the logarithms for the curvature, from which the intervals come
+NORMAL_95 = 1.959964  # quantile of the normal distribution for 95 %
+
+Indices = NDArray[np.intp]
+
+
+class Fitted(Protocol):
+    """What a calibration has that was made in this process."""
+
+    @property
+    def fit(self) -> BoundProblem:
+        """Its rows."""
+
+    @property
+    def result(self) -> Result:
+        """Its fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPriors(Value):
+    """Times by which prior standard deviations of the arm's parameters should be scaled, by unit.
+
+    times: such as {"mm": 0.4, "rad": 1.8}. intervals: 95 % of each. arms: how many calibrations say so.
+    """
+
+    times: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    arms: int
+
+    def of(self, problem: Problem) -> Problem:
+        """Copy of a problem with the arm's finite priors scaled so."""
+        stds = {
+            name: self.times.get(unit, 1.0) * float(std)
+            for key, unknown in problem.robot.parameters.items()
+            for name, unit, std in zip(unknown.names(key), unknown.units, unknown.prior_stds, strict=True)
+            if math.isfinite(std)
+        }
+        return problem.with_prior(stds)
+
+    def __repr__(self) -> str:
+        said = [
+            f"{unit} times {self.times[unit]:.2g} ({low:.2g} to {high:.2g})"
+            for unit, (low, high) in self.intervals.items()
+        ]
+        return (
+            f"<Priors as {self.arms} arm{'s' * (self.arms != 1)} show{'s' * (self.arms == 1)} them: {', '.join(said)}>"
+        )
+
+
+def learned_priors(calibrations: Iterable[Fitted]) -> LearnedPriors:
+    """How far arms of a make are from their drawing, as calibrations of some of them show, over what their priors say.
+
+    All lengths of the arms have one factor and all angles another: those at which the rows of all arms together are
+    likeliest, everything else integrated out (restricted marginal likelihood). One arm says little; its interval says
+    how little. Noise and effects stand as each calibration found them.
+
+    Args:
+        calibrations: as `calibrate` returns them, of one problem with the same priors, on one arm each.
+
+    Raises CasacalError for none, for what is no calibration, and where priors differ, are flat or all held.
+
+    """
+    given = list(calibrations) if np.iterable(calibrations) else [calibrations]
+    if not given:
+        raise CasacalError("No calibrations came", "Give those of one arm or more")
+    if wrong := [each for each in given if not hasattr(each, "fit")]:
+        said = f"Got {came(wrong[0])} as a calibration"
+        raise CasacalError(said, "Give what calibrate returns; files do not hold the rows")
+    arms = [_Arm.of(each.fit, each.result.x) for each in given]
+    units = sorted(arms[0].units)
+    if not units:
+        raise CasacalError("The arm has no parameter with a finite prior", "Give priors before scaling them")
+    if any(not arms[0].alike(arm) for arm in arms[1:]):
+        raise CasacalError("The calibrations are of arms with different priors", "Give those of one problem")
+    if any(one.fit.measured == two.fit.measured for one, two in combinations(given, 2)):
+        raise CasacalError("Two calibrations are of the same rows", "Give one for each arm")
+
+    def unlikely(logs: Array) -> float:
+        times = dict(zip(units, np.exp(logs), strict=True))
+        return -sum(arm.evidence(times) for arm in arms)
+
+    best = np.zeros(len(units))
+    for _ in range(ROUNDS):
+        last, best = best, minimize(unlikely, best, method="Nelder-Mead", bounds=[(-MOST, MOST)] * len(units)).x
+        arms = [arm.moved(dict(zip(units, np.exp(best), strict=True))) for arm in arms]
+        if np.abs(best - last).max() < SETTLED:
+            break
+    spread = _spread(unlikely, np.asarray(best))
+    intervals = {
+        unit: (math.exp(log - NORMAL_95 * std), math.exp(log + NORMAL_95 * std)) if std < MOST else (0.0, math.inf)
+        for unit, log, std in zip(units, best, spread, strict=True)
+    }
+    times = {unit: float(np.exp(log)) for unit, log in zip(units, best, strict=True)}
+    return LearnedPriors(FrozenMapping(times), FrozenMapping(intervals), len(arms))
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """What the rows of one arm say where its fit stands, its prior's information (n,), and whose units are where."""
+
+    fit: BoundProblem
+    rows: Told
+    prior: Array
+    units: Mapping[str, Indices]
+
+    @staticmethod
+    def of(fit: BoundProblem, x: Array) -> _Arm:
+        keys = set(fit.problem.robot.parameters)
+        held = fit.prior_information
+        found: dict[str, list[int]] = {}
+        for j in (j for slot in fit.slots if slot.key in keys for j in slot.columns):
+            if held[j] > 0:
+                found.setdefault(fit.units[j], []).append(j)
+        return _Arm(fit, told(fit, x), held, {unit: np.array(places) for unit, places in found.items()})
+
+    def scaled(self, times: Mapping[str, float]) -> Array:
+        """The prior's information (n,) where it is so many times as wide."""
+        prior = self.prior.copy()
+        for unit, places in self.units.items():
+            prior[places] /= times[unit] ** 2
+        return prior
+
+    def evidence(self, times: Mapping[str, float]) -> float:
+        """Logarithm of the likelihood of the rows where priors are so many times as wide, but for a constant."""
+        return evidence(self.rows, self.scaled(times))
+
+    def moved(self, times: Mapping[str, float]) -> _Arm:
+        """The same rows where the fit stands under that prior: a fit under a tight one is bent."""
+        posterior = self.rows.information + np.diag(self.scaled(times))
+        x: Array = np.asarray(np.linalg.solve(posterior, self.rows.toward), dtype=np.float64)
+        return replace(self, rows=told(self.fit, x))
+
+    def alike(self, other: _Arm) -> bool:
+        """Whether both have the same priors."""
+        return self.units.keys() == other.units.keys() and all(
+            mine.size == other.units[unit].size and np.allclose(self.prior[mine], other.prior[other.units[unit]])
+            for unit, mine in self.units.items()
+        )
+
+
+def _spread(cost: Callable[[Array], float], at: Array) -> Array:
+    """Standard deviations by the curvature of -log p; infinite where it does not bend upwards."""
+    count = len(at)
+    bend, steps = np.zeros((count, count)), np.eye(count) * STEP
+    for i in range(count):
+        for j in range(count):
+            ends = [(a, b, cost(at + a * steps[i] + b * steps[j])) for a in (1, -1) for b in (1, -1)]
+            bend[i, j] = sum(a * b * value for a, b, value in ends) / (4 * STEP**2)
+    if not np.isfinite(bend).all() or np.linalg.eigvalsh(bend).min() <= 0:
+        return np.full(count, np.inf)
+    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(bend))))

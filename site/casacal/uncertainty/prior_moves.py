@@ -1,0 +1,133 @@
+"""Whether unknowns moved farther than their priors allow, or residuals lie nearer than priors would let them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.marginal import Seen
+from casacal.least_squares.elimination import taken_out, triangle
+from casacal.uncertainty.figures import chance_beyond
+
+DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
+
+
+@dataclass(frozen=True)
+class PriorMoves:
+    """How far the arm and its tool moved, all together."""
+
+    factor: float
+    """Root mean square move over what the priors allow: one where they fit this arm."""
+    decided: float
+    """Unknowns that the samples decide, of those with a prior."""
+    chance: float
+    """Chance of moves as large as these, where priors and model are right."""
+
+
+def chance_of_move(bound: Seen, x: Array, covariance: Array, own: NDArray[np.intp]) -> float:
+    """Chance that some unknowns (k,) move as far as they did: chi-square of x'(P - C)^+ x, P their priors' covariance.
+
+    What the samples do not see has not moved and does not count. One where a prior is flat.
+    """
+    prior, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
+    if not own.size or not np.isfinite(prior).all() or not np.isfinite(spread).all():
+        return 1.0
+    gained, moved = np.eye(own.size) - spread / np.outer(prior, prior), (x - bound.x0)[own] / prior
+    values, along = np.linalg.eigh(gained)
+    seen = values > DULL
+    if not seen.any():
+        return 1.0
+    return chance_beyond(float((((along[:, seen].T @ moved) ** 2) / values[seen]).sum()), float(seen.sum()))
+
+
+def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
+    """Moves of all unknowns with a finite prior, but for those that only say where the touched thing stands.
+
+    The sum of squares is one of independent normal numbers, weighted with eigenvalues; two moments of it are matched
+    (Satterthwaite).
+
+    Args:
+        bound: the problem.
+        x: its estimate (n,).
+        covariance: of that estimate (n, n).
+
+    """
+    own = np.flatnonzero(np.isfinite(bound.prior_std) & ~bound.datum)
+    std, spread = bound.prior_std[own], covariance[np.ix_(own, own)]
+    if not np.isfinite(spread).all():  # what nothing holds drags others along
+        return PriorMoves(0.0, 0.0, 1.0)
+    weights = np.clip(np.linalg.eigvalsh(np.eye(own.size) - spread / np.outer(std, std)), 0.0, 1.0)
+    total, decided = float((((x - bound.x0)[own] / std) ** 2).sum()), float(weights.sum())
+    if decided <= 0:
+        return PriorMoves(0.0, 0.0, 1.0)
+    freedom = decided**2 / float((weights**2).sum())
+    return PriorMoves(math.sqrt(total / decided), decided, chance_beyond(freedom * total / decided, freedom))
+
+
+MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
+
+
+@dataclass(frozen=True)
+class PriorScatter:
+    """What prior errors of the arm and the noise predict for the residuals of the drawn arm, planes fitted."""
+
+    rms: float
+    """Root mean square residual to expect, mm."""
+    freedom: float
+    """Degrees of freedom of a chi-square with the same mean and variance as the mean square, scaled."""
+
+    def chance_below(self, rms: float) -> float:
+        """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
+        from scipy.special import gammainc  # scipy.stats takes half a second to import
+
+        return float(gammainc(self.freedom / 2, self.freedom * (rms / self.rms) ** 2 / 2))
+
+
+def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
+    """The scatter at the nominal; a flat prior of the arm counts as none, so that it is never overstated.
+
+    Where it must not be understated, `flat_counts`, a flat prior counts as wide as filters start it.
+
+    The mean square residual is a sum of squares of independent normal numbers, weighted with eigenvalues; two moments
+    of it are matched (Satterthwaite).
+    """
+    stds = bound.start_std if flat_counts else bound.prior_std
+    if bound.groups is not None:
+        return _of_many_faces(bound, stds)
+    if len(bound.measured) > MOST_ROWS:
+        bound = bound.take(np.unique(np.linspace(0, len(bound.measured) - 1, MOST_ROWS).astype(int)))
+    noise = bound.noise
+    slopes = bound.jacobian(bound.x0) * noise[:, None]
+    stands = bound.datum.copy()  # faces, and what else is of one label alone, such as where a dial was set to zero
+    for slot in bound.slots:
+        stands[slot.columns] |= slot.label is not None
+    arm = ~stands & np.isfinite(stds)
+    moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
+    left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
+    return _matched(left.T @ left / len(noise), noise)
+
+
+def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
+    """The same, faces taken out one by one."""
+    noise = bound.noise
+    parts = []
+    for part in bound.group_rows(bound.x0):
+        plain = replace(part, own=part.own * noise[part.rows, None], shared=part.shared * noise[part.rows, None])
+        parts.append(taken_out(plain).rows)
+    assert bound.groups is not None
+    shared = bound.groups.shared
+    arm = np.isfinite(stds[shared]) & ~bound.datum[shared]
+    moved = triangle(parts, shared.size)[:, arm] * stds[shared][arm]
+    return _matched(moved.T @ moved / len(noise), noise)
+
+
+def _matched(powers: Array, noise: Array) -> PriorScatter:
+    """From the mean square residual as a quadratic form of independent prior errors, and the noise of each row."""
+    mean = float(np.trace(powers) + (noise**2).mean())
+    variance = float((powers**2).sum() + (noise**4).mean() / len(noise))
+    return PriorScatter(math.sqrt(mean), mean**2 / variance)

@@ -1,0 +1,245 @@
+"""What every kind of unknown provides."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from casacal.array_types import Array
+from casacal.errors import ProblemError
+
+Expression: TypeAlias = Any
+
+PRIOR_STD = {"mm": 0.7, "rad": 1e-3}
+"""Prior of a number whose user gives none: what machining and assembly leave of an industrial arm; see `priors`."""
+
+LARGEST_STD = 1e12  # a standard deviation beyond which, or below whose inverse, arithmetic ends before knowledge does
+
+START_STD = {"mm": 10.0, "rad": 0.01}
+"""Where a filter or a population starts an unknown with a flat prior (10 mm, 10 mrad); never part of the cost."""
+
+
+class Unknown(ABC):
+    """A nominal value and a smooth map to values from `size` local coordinates, zero at the nominal.
+
+    A kind is described twice, on purpose. `at` is the map from local coordinates, which every estimator uses.
+    `raw_*` is a second, redundant description (a normal as a free 3-vector with a unit-norm constraint, say),
+    which only the IPOPT reference uses, so that agreement between the two means something.
+    """
+
+    per: str | None
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of free local coordinates."""
+
+    @property
+    @abstractmethod
+    def units(self) -> tuple[str, ...]:
+        """Unit of each local coordinate: "mm", "rad" or the user's own."""
+
+    @property
+    @abstractmethod
+    def prior_stds(self) -> Array:
+        """Prior standard deviation of each local coordinate (size,); infinite where the prior is flat."""
+
+    @property
+    @abstractmethod
+    def start_stds(self) -> Array:
+        """Where filters and populations start (size,): the prior, or `start_std` where that is flat."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> Array | None:
+        """Numbers (nominal_size,) that fix the nominal value, or None when the data must propose it."""
+
+    @property
+    @abstractmethod
+    def nominal_size(self) -> int:
+        """How many numbers fix a nominal value."""
+
+    @property
+    @abstractmethod
+    def raw_size(self) -> int:
+        """Number of raw coordinates."""
+
+    @abstractmethod
+    def names(self, key: str) -> tuple[str, ...]:
+        """Names of the free local coordinates when the unknown itself is called `key`."""
+
+    @abstractmethod
+    def at(self, nominal: Expression, local: Expression) -> Expression:
+        """Value at local coordinates (size,) about a nominal; symbols or floats."""
+
+    def nominal_plane(self, nominal: Array) -> tuple[Array, Array] | None:
+        """Unit normal (3,) and a point (3, mm) where the unknown is a plane; None otherwise."""
+        del nominal
+        return None
+
+    def growth(self, nominal: Array) -> Array:
+        """Change of the local coordinates (size,) where all that it says of places grows by a part of one; none here.
+
+        A `Parameter` is not asked: only its robot knows which of its numbers are lengths.
+        """
+        del nominal
+        return np.zeros(self.size)
+
+    def packed(self, value: Expression) -> Expression:
+        """A value as one matrix."""
+        return value
+
+    def unpacked(self, matrix: Expression) -> Expression:
+        """The value that such a matrix is of."""
+        return matrix
+
+    def shown(self, nominal: Array, local: Array) -> tuple[str, Any]:
+        """What result.json says of it at local coordinates (size,): under which heading, and the numbers.
+
+        No heading for numbers, which stand among the parameters.
+        """
+        del nominal, local
+        return "", None
+
+    @abstractmethod
+    def placed(self, near: Array, normal: Array) -> Array:
+        """Numbers of a nominal for a simulated thing whose place is not stated.
+
+        Near a point (3, mm); where it is flat, it looks along `normal` (3).
+        """
+
+    @abstractmethod
+    def raw_start(self, nominal: Array) -> Array:
+        """Raw coordinates of the nominal."""
+
+    @abstractmethod
+    def raw_value(self, nominal: Expression, raw: Expression) -> Expression:
+        """Value at raw coordinates."""
+
+    @abstractmethod
+    def raw_local(self, nominal: Expression, raw: Expression) -> Expression:
+        """Local coordinates (size,) of a raw point that meets the constraints."""
+
+    def raw_constraints(self, raw: Expression) -> list[Expression]:
+        """Expressions that vanish where raw coordinates are valid."""
+        del raw
+        return []
+
+    @abstractmethod
+    def with_free(self, free: Sequence[bool]) -> Unknown:
+        """Copy with only the flagged of its present free coordinates left free."""
+
+    def component_names(self, key: str) -> tuple[str, ...]:
+        """Names of all components, free or held, that can be freed one by one; none by default."""
+        del key
+        return ()
+
+    def freed(self, component: str | None = None) -> Unknown:
+        """Copy that is estimated as a whole, or one more component of it, by what its name adds to the key's."""
+        del component
+        if is_dataclass(self) and "free" in {each.name for each in fields(self)}:
+            return replace(self, free=True)
+        raise ProblemError(f"{type(self).__name__} cannot be freed", "Declare it free in the problem")
+
+    @abstractmethod
+    def with_prior(self, stds: Sequence[float]) -> Unknown:
+        """Copy with another prior standard deviation for each free coordinate."""
+
+
+def spread(values: float | Sequence[float], count: int, what: str) -> Array:
+    """One number for all, or one each: an array (count,).
+
+    Raises ProblemError when the number of values fits neither.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim == 0:
+        return np.full(count, float(array))
+    if array.shape != (count,):
+        raise ProblemError(f"{what} has {array.size} values for {count} components", "Give one value, or one each")
+    return array.copy()
+
+
+def check_stds(stds: Array, what: str) -> None:
+    """Refuse standard deviations that are not positive; infinity means a flat prior."""
+    if np.isnan(stds).any() or (stds <= 0).any():
+        raise ProblemError(
+            f"{what} is {_shown(stds)}",
+            "A standard deviation is positive, or math.inf for a flat prior; use free=False to hold a value",
+        )
+    absurd = np.isfinite(stds) & ((stds > LARGEST_STD) | (stds < 1 / LARGEST_STD))
+    if absurd.any():
+        raise ProblemError(
+            f"{what} is {stds[absurd][0]:g}, which no prior knowledge is",
+            "Give math.inf (inf on the command line) for a flat prior, or free=False (--fix) to hold a value",
+        )
+
+
+def start_stds(prior: Array, start: Array | None, units: tuple[str, ...], what: str) -> Array:
+    """Standard deviations (n,) where filters start: the prior's, or where that is flat `start` (10 mm, 10 mrad)."""
+    result = prior.copy()
+    for j in np.flatnonzero(~np.isfinite(prior)):
+        if start is not None:
+            result[j] = start[j]
+        elif units[j] in START_STD:
+            result[j] = START_STD[units[j]]
+        else:
+            raise ProblemError(f"{what} has a flat prior and the unit '{units[j]}'", "Give it a start_std")
+    if not np.isfinite(result).all() or (result <= 0).any():
+        raise ProblemError(f"start_std of {what} is {_shown(result)}", "Give positive finite numbers")
+    return result
+
+
+def all_or_nothing(free: Sequence[bool], what: str) -> bool:
+    """Whether an unknown that cannot be split stays free; raises ProblemError for a part of it."""
+    if len(set(free)) > 1:
+        raise ProblemError(f"Only a part of {what} would be held", f"Hold or free {what} as a whole")
+    return bool(free) and bool(free[0])
+
+
+def shared_std(stds: Sequence[float], present: Array) -> float:
+    """One standard deviation for coordinates that share it: that of a changed one, so that naming any sets them all."""
+    changed = [float(new) for new, old in zip(stds, present, strict=True) if new != old]
+    return max(changed) if changed else float(present[0])
+
+
+def stereographic(local: Expression) -> tuple[Expression, Expression]:
+    """Point of the unit sphere at local coordinates u: (along the pole, across it).
+
+    Inverse stereographic projection, smooth without square roots: ((1 - s), u) / (1 + s) with s = |u|^2 / 4.
+    To second order |u| is the angle in rad (|u| = 2 tan(angle / 2)).
+    """
+    s = ca.dot(local, local) / 4
+    return (1 - s) / (1 + s), local / (1 + s)
+
+
+def stereographic_local(along: Expression, across: Expression) -> Expression:
+    """Local coordinates of a point of the unit sphere: 2 across / (1 + along), the inverse of `stereographic`."""
+    return 2 * across / (1 + along)
+
+
+def tangent_basis(unit: Array) -> Array:
+    """Two unit vectors (3, 2) that complete a unit vector (3,) to a right-handed orthonormal basis."""
+    helper = np.zeros(3)
+    helper[int(np.argmin(np.abs(unit)))] = 1.0
+    first = np.cross(unit, helper)
+    first /= math.sqrt(float(first @ first))
+    return np.column_stack([first, np.cross(unit, first)])
+
+
+def unit_vector(values: Sequence[float] | Array, what: str) -> Array:
+    """Normalise a 3-vector; raises ProblemError when it has no direction."""
+    vector = np.asarray(values, dtype=np.float64)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else math.nan
+    if not math.isfinite(length) or length < 1e-12:
+        raise ProblemError(f"{what} is {_shown(vector)}", "Give three numbers that are not all zero")
+    return np.asarray(vector / length)
+
+
+def _shown(values: Array) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in np.ravel(values)[:8]) + "]"

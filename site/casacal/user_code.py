@@ -1,0 +1,142 @@
+"""Python files of a user: run with the modules beside them, and classes that travel to other processes as source."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import pickle
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from casacal.errors import CasacalError, said
+
+BESIDE = "__casacal_beside__"  # under which a module that `run_file` made holds the files beside it that it imported
+
+_IMPORTING = threading.RLock()
+"""The import system is one for all threads: one file runs at a time, and those that it loads itself."""
+
+
+def run_file(path: str | Path, text: str | None = None) -> ModuleType:
+    """Run a Python file as a module of its own, with the modules beside it importable; returns the module.
+
+    Neither the file nor what it imports from its folder stays in `sys.modules`, so that files of the same name in other
+    folders do not meet. Lets pass whatever the file raises.
+
+    Args:
+        path: of the file; it need not exist where `text` is given.
+        text: its text, where that is known already.
+
+    """
+    file = Path(path)
+    source = file.read_bytes() if text is None else text.encode("utf-8")
+    module = ModuleType(f"casacal_user_{hashlib.sha256(str(file).encode() + source).hexdigest()[:16]}")
+    module.__file__ = str(file)
+    with _IMPORTING, _folder_first(file.resolve().parent) as beside:
+        sys.modules[module.__name__] = module  # dataclasses look there for the names in annotations
+        try:
+            exec(compile(source, str(file), "exec"), vars(module))
+        finally:
+            sys.modules.pop(module.__name__, None)
+    vars(module)[BESIDE] = tuple(beside)
+    return module
+
+
+def line_of(file: Path, error: BaseException) -> str:
+    """A user's file, and the last line of it that was running when an error came: "problem.py, line 3"."""
+    frames = traceback.extract_tb(error.__traceback__)
+    places = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
+    line = error.lineno if isinstance(error, SyntaxError) else (places or [None])[-1]
+    return f"{file}, line {line}" if line else str(file)
+
+
+@contextmanager
+def _folder_first(folder: Path) -> Iterator[list[str]]:
+    """Let imports find what lies in a folder before anything else; afterwards all is as it was.
+
+    Yields a list that in the end holds the files that were imported from there.
+    """
+    beside = {entry.stem for entry in folder.glob("*.py")} | {entry.parent.name for entry in folder.glob("*/*.py")}
+    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in beside - _running()}
+    sys.path.insert(0, str(folder))
+    loaded: list[str] = []
+    try:
+        yield loaded
+    finally:
+        sys.path.remove(str(folder))
+        for name in [name for name in sys.modules if name.split(".")[0] in beside - _running()]:
+            loaded.append(str(getattr(sys.modules.pop(name), "__file__", None) or ""))
+        sys.modules.update(aside)
+
+
+def _running() -> frozenset[str]:
+    """Names that stay whatever lies in a folder: Python's own, casacal and what it runs on."""
+    return frozenset(sys.stdlib_module_names) | {"casacal", "casadi", "numpy", "scipy", "pandas", "matplotlib"}
+
+
+class Portable:
+    """Base of classes whose instances pickle although a user's file, which nobody can import, defines the class.
+
+    The file travels with the instance as text and is run where it arrives, unless it ran there before.
+    """
+
+    _defined_in: str | None = None
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._defined_in = getattr(sys.modules.get(cls.__module__), "__file__", None)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        cls = type(self)
+        if _importable(cls):
+            return super().__reduce_ex__(protocol)
+        if cls._defined_in is None or "<locals>" in cls.__qualname__:
+            raise pickle.PicklingError(
+                f"{cls.__qualname__} is defined inside a function or a session. "
+                "Put the class into a file of its own, or into problem.py."
+            )
+        text = Path(cls._defined_in).read_text(encoding="utf-8")
+        return _instance, (cls._defined_in, text, cls.__qualname__, dict(vars(self)))
+
+    def __copy__(self) -> Any:
+        return self  # a value
+
+    def __deepcopy__(self, memo: object) -> Any:
+        return self
+
+
+def _importable(cls: type) -> bool:
+    """Whether another process finds a class by its module's name."""
+    found: Any = sys.modules.get(cls.__module__)
+    for name in cls.__qualname__.split("."):
+        found = getattr(found, name, None)
+    return found is cls
+
+
+@functools.lru_cache(maxsize=64)
+def _class_from(path: str, text: str, name: str) -> type:
+    found: Any = run_file(path, text)
+    for part in name.split("."):
+        found = getattr(found, part)
+    assert isinstance(found, type)
+    return found
+
+
+def _instance(path: str, text: str, name: str, state: dict[str, Any]) -> Any:
+    """An instance of a class that a user's file defines; raises CasacalError where the file does not run here."""
+    try:
+        cls = _class_from(path, text, name)
+    except Exception as error:  # a user's file may raise anything
+        raise CasacalError(
+            f"{path}, which defines {name}, does not run here: {said(error)}",
+            "Put what it needs beside it, or the class into a module that can be imported in both places",
+        ) from error
+    made: Any = object.__new__(cls)
+    for key, item in state.items():
+        object.__setattr__(made, key, item)
+    return made

@@ -1,0 +1,133 @@
+"""Values: frozen dataclasses that compare, pickle and copy by their fields alone, with read-only arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class FrozenMapping(Mapping[K, V]):
+    """A mapping that nobody can change: it pickles, and equals any mapping with the same items."""
+
+    def __init__(self, items: Mapping[K, V]) -> None:
+        object.__setattr__(self, "_items", dict(items))
+
+    def __getitem__(self, key: K) -> V:
+        return self._items[key]  # type: ignore[attr-defined, no-any-return]
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._items)  # type: ignore[attr-defined]
+
+    def __len__(self) -> int:
+        return len(self._items)  # type: ignore[attr-defined]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mapping) and alike(dict(self), dict(other))
+
+    __hash__ = None  # type: ignore[assignment]  # compared by its items
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError("a frozen mapping does not change")
+
+    def __reduce__(self) -> tuple[type, tuple[dict[K, V]]]:
+        return FrozenMapping, (dict(self),)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
+
+
+class Value:
+    """Base of the frozen dataclasses (`eq=False`) that hold arrays and mappings.
+
+    What a value remembers beside its fields (compiled functions, figures once asked for) is neither compared nor
+    pickled: it follows from the fields and is found again when it is asked for. A copy of a value is the value itself.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(alike(one, two) for one, two in zip(_state(self).values(), _state(other).values(), strict=True))
+
+    def __hash__(self) -> int:
+        raise TypeError(f"a {type(self).__name__} holds arrays, so it has no hash")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return _state(self)
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        for name, item in state.items():
+            object.__setattr__(self, name, frozen(item))
+
+    def __copy__(self) -> Any:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Any:
+        return self
+
+
+def frozen(item: Any) -> Any:
+    """The item with its arrays, at any depth of mappings and tuples, made read-only in place."""
+    if isinstance(item, np.ndarray):
+        item.setflags(write=False)
+    elif isinstance(item, Mapping):
+        return FrozenMapping({key: frozen(value) for key, value in item.items()})
+    elif type(item) is tuple:
+        return tuple(frozen(value) for value in item)
+    return item
+
+
+def read_only(values: Any) -> Any:
+    """A read-only array with the same numbers: the array itself where nobody can write to it, else a copy."""
+    array = np.asarray(values)
+    if array.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
+    return array
+
+
+def plain(item: Any) -> Any:
+    """A list or an array as a tuple, at any depth, and NumPy's numbers as Python's: what nobody can change."""
+    if isinstance(item, (np.ndarray, np.generic)):
+        item = item.tolist()
+    return tuple(plain(value) for value in item) if isinstance(item, (list, tuple)) else item
+
+
+def alike(one: Any, two: Any) -> bool:
+    """Whether two values are equal, with arrays compared element by element (NaN equals NaN)."""
+    if isinstance(one, np.ndarray) or isinstance(two, np.ndarray):
+        a, b = np.asarray(one), np.asarray(two)
+        return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
+    if isinstance(one, Mapping) and isinstance(two, Mapping):
+        return one.keys() == two.keys() and all(alike(value, two[key]) for key, value in one.items())
+    if isinstance(one, (tuple, list)) and isinstance(two, (tuple, list)):
+        return len(one) == len(two) and all(alike(a, b) for a, b in zip(one, two, strict=True))
+    return bool(one is two or one == two)
+
+
+def short(items: Sequence[Any], most: int = 6) -> str:
+    """The first few of many items, for a `repr` of a line."""
+    shown = ", ".join(map(str, items[:most]))
+    return shown + (f", ... ({len(items)} in all)" if len(items) > most else "")
+
+
+def _state(value: Any) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+
+
+def is_real(value: object) -> bool:
+    """Whether something is one real number, Python's or NumPy's; True and False are none."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def is_finite(value: object) -> bool:
+    """Whether something is one real number, and neither infinite nor not a number."""
+    return is_real(value) and math.isfinite(value)  # type: ignore[arg-type]

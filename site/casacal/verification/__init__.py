@@ -1,0 +1,1 @@
+"""Verification: fresh rows, judged without fitting the arm again."""

@@ -1,0 +1,234 @@
+"""The arm's error in what an instrument sees, from fresh rows: overall, by face and by region, with intervals.
+
+The measurand is the RMS, over postures of the kind that were measured, of what the instrument would read without noise
+and with the rows' own unknowns (faces, where a tracker stands) fitted: of the length of it where a row has several
+components. The rows are a sample of such postures. Their residuals are y = N (e + n), e the arm's error, n noise, N
+what fitting the own unknowns leaves; so the mean square of y is divided by that of N's rows, which gives back what the
+fit absorbed, and the instrument's own noise is taken off.
+
+Nothing is assumed of what causes e, nor that rows err apart from one another: given the arm, it is the postures that
+are drawn. How far their mean square may lie from that of all postures follows from how unlike their squares are. A
+few rows show that badly, and some postures err much more than most, so that it is taken together with what is usual.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from casacal.array_types import Array
+from casacal.compensation.arm import CalibratedArm
+from casacal.uncertainty.fresh_rows import spanned
+from casacal.verification.decision import Scatter
+from casacal.verification.figures import ErrorInterval, PartError
+from casacal.verification.fresh import Fresh, guesses
+
+USUAL, AS_ROWS = 5.0, 20.0
+"""Variance of the squares of one component over the square of their mean, as it may well be, and how many rows that
+counts as. It is 2 of a normal distribution; of four arms calibrated from planes half had 2 to 4, a few over 10."""
+
+SURE = 0.01  # chance below which residuals are too small for the noise that was stated
+ALONE = 0.3  # standard deviation of the arm's error over that of noise below which a direction holds noise alone
+TENTH = 0.9  # found over stated noise below which the calibration's rows say so
+BEYOND = 0.025  # chance that the error lies beyond either end of its interval
+FEWEST = 12  # rows of a part that are told with an interval of their own
+NARROW = 0.25  # part of the longest side of the volume below which another side is not divided
+ROUND = 10.0  # multiple of mm at which the volume is divided
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What some fresh rows see of the arm's error.
+
+    fresh: the rows, and the arm. kept: which of the residuals (k,) count. quieter: part of the stated noise, as a
+    standard deviation, that the rows let stand.
+    """
+
+    fresh: Fresh
+    kept: NDArray[np.intp]
+    quieter: float = 1.0
+
+    @cached_property
+    def basis(self) -> Array:
+        """Orthonormal basis (k + g, o) of what the own unknowns absorb, whitened; g guesses of them beforehand."""
+        _, held = guesses(self.fresh.bound, self.fresh.known)
+        return spanned(np.vstack([self.fresh.jacobian[self.kept], held])[:, ~self.fresh.known])
+
+    @cached_property
+    def used(self) -> Array:
+        """Noise (k,) as the calibration used it."""
+        return np.asarray(self.fresh.bound.noise[self.kept])
+
+    @cached_property
+    def stated(self) -> Array:
+        """The instrument's own (k,): as it was stated, or less."""
+        return np.asarray(self.quieter * np.minimum(self.fresh.bound.with_noise().noise[self.kept], self.used))
+
+    @cached_property
+    def leading(self) -> NDArray[np.bool_]:
+        """Residuals (k,) in mm where a row has others as well."""
+        return self.fresh.bound.leading[self.kept]
+
+    @cached_property
+    def sample_of(self) -> NDArray[np.intp]:
+        """The row that each residual (k,) is of."""
+        return np.asarray(self.fresh.bound.sample_of[self.kept], dtype=np.intp)
+
+    @cached_property
+    def given(self) -> Array:
+        """How much (k,) of an error of one size everywhere the fit of the own unknowns leaves, squared."""
+        return self._left(np.where(self.leading, 1.0, 0.0), 0.0)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Square (k,) of the instrument's own noise that is left, mm^2."""
+        return self._left(self.stated**2, 1.0)
+
+    @cached_property
+    def most(self) -> Array:
+        """The same of noise as the calibration used it."""
+        return self._left(self.used**2, 1.0)
+
+    def _left(self, squares: Array, guess: float) -> Array:
+        """Mean square (k,) that is left of independent errors with mean squares (k,), and of guesses, whitened."""
+        count = len(self.kept)
+        whitened = np.concatenate([squares / self.used**2, np.full(len(self.basis) - count, guess)])
+        across = self.basis.T @ (whitened[:, None] * self.basis)
+        beside = 1 - 2 * (self.basis**2).sum(axis=1)
+        left = whitened * beside + ((self.basis @ across) * self.basis).sum(axis=1)
+        return np.asarray(self.used**2 * np.maximum(left[:count], 0.0))
+
+    def residual(self, x: Array) -> Array:
+        """Residuals (k,), mm, of an arm x with the own unknowns fitted to these rows."""
+        count = len(self.kept)
+        plain = np.zeros(len(self.basis))
+        plain[:count] = self.fresh.bound.residual(x)[self.kept]
+        # at x, own unknowns are at their minimum over all rows: of some of them it is elsewhere
+        if count < self.fresh.bound.rows:
+            plain = plain - self.basis @ (self.basis.T @ plain)
+        return np.asarray(plain[:count] * self.used)
+
+    def scatter(self, residual: Array, rows: NDArray[np.intp] | None = None) -> Scatter | None:
+        """What residuals (k,), mm, say of the arm's error, of all or some rows; None where they say nothing."""
+        counts = self._counted(rows)
+        places, which = np.unique(self.sample_of[counts], return_inverse=True)
+        if not places.size:
+            return None
+        parts = int(counts.sum()) / places.size
+        given = float(self.given[counts].sum()) / parts
+        if given < 1e-6 * places.size:
+            return None
+        squares = np.bincount(which, residual[counts] ** 2)
+        noise, most = (float(each[counts].sum()) / given for each in (self.noise, self.most))
+        again = np.unique(self.fresh.bound.repeats.codes[places], return_counts=True)[1]
+        alike = float((again**2).sum()) / places.size  # touches in one posture are one of its kind
+        mean = float(squares.mean())
+        found = max(float(squares.var()) / mean**2 if mean > 0 else 0.0, 2 / parts)
+        uneven = (places.size * found + AS_ROWS * USUAL / parts) / (places.size + AS_ROWS)
+        return Scatter(float(squares.sum()) / given, min(noise, most), most, 2 * given / (uneven * alike))
+
+    def _counted(self, rows: NDArray[np.intp] | None) -> NDArray[np.bool_]:
+        """Which residuals (k,) are of some rows, or of all, and in mm."""
+        return self.leading if rows is None else self.leading & np.isin(self.sample_of, rows)
+
+    def given_rows(self) -> float:
+        """Rows less what their own unknowns absorbed of them."""
+        parts = int(self.leading.sum()) / max(np.unique(self.sample_of[self.leading]).size, 1)
+        return float(self.given[self.leading].sum()) / max(parts, 1.0)
+
+    def noises_mm(self) -> tuple[float, float, float]:
+        """Noise of a row, RMS: what is taken off, the most that it may be, and as it was stated."""
+        places = np.unique(self.sample_of).size
+        stated = self.fresh.bound.with_noise().noise[self.kept]
+        each = (self.stated, self.used, stated)
+        taken, most, said = (math.sqrt(float((one[self.leading] ** 2).sum()) / places) for one in each)
+        return taken, most, said
+
+    @cached_property
+    def promised(self) -> Array:
+        """Mean square (k,) that the calibration expects of the arm's error, mm^2."""
+        across = self.fresh.some(self.kept).across[: len(self.kept)]
+        return np.asarray(self.used**2 * (across**2).sum(axis=1))
+
+    def promised_mm(self, rows: NDArray[np.intp]) -> float:
+        """Error that the calibration expects of some rows, RMS."""
+        counts = self._counted(rows)
+        places = np.unique(self.sample_of[counts]).size
+        given = float(self.given[counts].sum()) * places / max(int(counts.sum()), 1)
+        return math.sqrt(float(self.promised[counts].sum()) / given) if given > 0 else math.nan
+
+
+def seen_by_rows(arm: CalibratedArm, fresh: Fresh, without: NDArray[np.intp] | None = None) -> Seen:
+    """What fresh rows see of the arm's error, all of them or without some residuals.
+
+    Part of the stated noise may not be taken off, as it would hide the arm's error, where it was surely stated too
+    large. The calibration says so by what it found over what was stated, and the fresh rows by residuals that are too
+    small where nothing but noise is expected; then the lower end of either is what counts.
+    """
+    noise = arm.document.get("noise") or {}
+    low, high = noise.get("low"), noise.get("high")
+    quieter = float(low) if low and high and high < TENTH and not fresh.other else 1.0
+    bound, rows, (directions, sizes) = fresh.bound, fresh.linear, fresh.linear.directions
+    expected = directions[:, sizes > ALONE]
+    louder = float(np.median((bound.noise / bound.with_noise().noise) ** 2))  # as used over as stated
+    square = louder * max(float(rows.left @ rows.left) - float(((expected.T @ rows.left) ** 2).sum()), 0.0)
+    half = (rows.freedom - expected.shape[1]) / 2
+    if half and square < 2 * float(gammaincinv(half, SURE)):
+        quieter = min(quieter, math.sqrt(square / (2 * float(gammaincinv(half, 1 - SURE)))))
+    return Seen(fresh, np.setdiff1d(np.arange(bound.rows), [] if without is None else without), quieter)
+
+
+def errors_by_part(seen: Seen, drawn: Array) -> tuple[PartError, ...]:
+    """Errors of all rows, then of faces and of regions where there are several with rows enough.
+
+    Args:
+        seen: what the rows see.
+        drawn: unknowns (n,) of the arm as drawn, those of the rows fitted.
+
+    """
+    bound, x = seen.fresh.bound, seen.fresh.x
+    pair = seen.residual(drawn), seen.residual(x)
+    faces = bound.block.samples.faces(bound.problem.instrument.groups)
+    everything: NDArray[np.intp] = np.arange(len(faces))
+    asked = [("all", "all rows", everything)]
+    if len(faces.names) > 1:
+        asked += [("face", label, rows) for label, rows in faces.rows().items() if len(rows) >= FEWEST]
+    asked += [("region", label, rows) for label, rows in blocks(bound.tips(x, bound.block.samples.joints)).items()]
+    found = []
+    for kind, label, rows in asked:
+        before, after = (seen.scatter(residual, rows) for residual in pair)
+        if before is not None and after is not None:
+            drawn_as, as_calibrated = (
+                ErrorInterval(each.measured_mm, each.lower_mm(BEYOND), each.upper_mm(BEYOND))
+                for each in (before, after)
+            )
+            found.append(PartError(kind, label, len(rows), drawn_as, as_calibrated, seen.promised_mm(rows)))
+    return tuple(found)
+
+
+def blocks(tips: Array) -> dict[str, NDArray[np.intp]]:
+    """Rows of each block of the volume of some tips (N, 3; mm in the base frame), by its name.
+
+    The two longest sides are halved at a round number near the median, or the longest alone; nothing where a half has
+    too few rows.
+    """
+    sides = np.quantile(tips, 0.95, axis=0) - np.quantile(tips, 0.05, axis=0)
+    longest = [int(k) for k in np.argsort(-sides, kind="stable")[:2] if sides[k] > max(NARROW * sides.max(), ROUND)]
+    for axes in (longest, longest[:1]):
+        at = {k: ROUND * round(float(np.median(tips[:, k])) / ROUND) for k in axes}
+        found = {}
+        for halves in product((False, True), repeat=len(axes)):
+            inside = np.all([(tips[:, k] > at[k]) == far for k, far in zip(axes, halves, strict=True)], axis=0)
+            words = [
+                f"{'xyz'[k]} {'above' if far else 'up to'} {at[k]:.0f} mm" for k, far in zip(at, halves, strict=True)
+            ]
+            found[", ".join(words)] = np.flatnonzero(np.broadcast_to(inside, len(tips)))
+        if len(found) > 1 and all(len(rows) >= FEWEST for rows in found.values()):
+            return found
+    return {}

@@ -1,0 +1,233 @@
+"""Fresh rows bound to an arm as it was calibrated: what is known of it, and what these rows alone know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casacal.array_types import Array
+from casacal.binding.bound_problem import BoundProblem
+from casacal.binding.noise_scale import OTHERS, REPEATABILITY
+from casacal.binding.slots import make_slots
+from casacal.compensation.arm import CalibratedArm, corrected_values, known_motion, sizes_of
+from casacal.errors import CasacalError, SamplesError, UnknownNameError
+from casacal.estimators import lm
+from casacal.least_squares.restricted import Restricted
+from casacal.problem.problem import Problem
+from casacal.samples.samples import Samples
+from casacal.uncertainty.fresh_rows import FreshRows, covariance_root
+from casacal.uncertainty.identifiability import prior_scale
+from casacal.unknowns import Unknown
+from casacal.wording import counted
+
+MOST = 30_000_000  # elements of a Jacobian that is held as a whole
+
+
+@dataclass(frozen=True, eq=False)
+class Fresh:
+    """Rows of an instrument, and where the result says that everything stands.
+
+    known: which unknowns (n,) the result knows; the others belong to these rows. at: the estimate (n,), zero of those
+    that it does not. covariance: of the known ones (k, k). other: whether it is another instrument than that of the
+    calibration.
+    """
+
+    bound: BoundProblem
+    known: NDArray[np.bool_]
+    at: Array
+    covariance: Array
+    other: bool = False
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Which of the known (k,) neither samples nor prior held: nothing is promised along these."""
+        return ~np.isfinite(np.diagonal(self.covariance))
+
+    @property
+    def of_arm(self) -> NDArray[np.intp]:
+        """Positions in x of what is known of the arm."""
+        keys = self.bound.problem.robot.parameters
+        of_arm = np.array([slot.key in keys for slot in self.bound.slots for _ in slot.columns], dtype=bool)
+        return np.flatnonzero(of_arm & self.known)
+
+    @property
+    def own_names(self) -> tuple[str, ...]:
+        """Unknowns that these rows alone know."""
+        return tuple(name for name, known in zip(self.bound.names, self.known, strict=True) if not known)
+
+    @cached_property
+    def x(self) -> Array:
+        """All unknowns (n,): the arm as calibrated, what the rows alone know fitted to them."""
+        return self.fitted(self.at)
+
+    def fitted(self, at: Array) -> Array:
+        """The same with what is known held elsewhere (n,)."""
+        part = Restricted(self.bound, ~self.known, at)
+        return np.asarray(part.expand(lm(part).x))
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Whitened (m, n) at x."""
+        return self.bound.jacobian(self.x)
+
+    @cached_property
+    def linear(self) -> FreshRows:
+        """All residuals, linear about x, and after them a row for each prior of what these rows alone know.
+
+        A guess beforehand counts like a reading.
+        """
+        bound, lost = self.bound, self.lost
+        firm, held = guesses(bound, self.known)
+        slopes = np.vstack([self.jacobian, held])
+        off = (self.x[firm] - bound.x0[firm]) / bound.prior_std[firm]
+        free = ~self.known
+        free[np.flatnonzero(self.known)[lost]] = True
+        spread = slopes[:, ~free] @ covariance_root(self.covariance[np.ix_(~lost, ~lost)])
+        return FreshRows(np.concatenate([bound.residual(self.x), off]), spread, slopes[:, free])
+
+    def some(self, rows: NDArray[np.intp]) -> FreshRows:
+        """The same of some residuals alone, with all priors."""
+        return self.linear.take(np.concatenate([rows, np.arange(self.bound.rows, len(self.linear.residual))]))
+
+    def scaled_arm(self) -> Array:
+        """Derivative of the same rows by the arm's unknowns, in units of their priors (1 mm, 1 mrad if flat)."""
+        columns, more = self.of_arm, len(self.linear.residual) - self.bound.rows
+        return np.vstack([self.jacobian[:, columns] * prior_scale(self.bound)[columns], np.zeros((more, columns.size))])
+
+
+def guesses(bound: BoundProblem, known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+    """Unknowns (g,) that rows alone know and that have a prior, and the whitened rows (g, n) that these priors are."""
+    firm = np.flatnonzero(~known & np.isfinite(bound.prior_std))
+    held = np.zeros((firm.size, bound.unknowns))
+    held[np.arange(firm.size), firm] = 1.0 / bound.prior_std[firm]
+    return firm, held
+
+
+def fresh_rows(
+    result: CalibratedArm, problem: Problem, samples: Samples, *, other: bool, standing: Collection[str]
+) -> Fresh:
+    """Bind fresh rows to a result.
+
+    Args:
+        result: the arm as calibrated.
+        problem: that arm, and the instrument of the rows.
+        samples: the rows.
+        other: whether it is another instrument than that of the calibration.
+        standing: labels of faces, or keys of unknowns, that stand where the calibration found them.
+
+    Raises CasacalError for what cannot be standing, SamplesError for too few rows or too many.
+
+    """
+    kept = _kept(result, problem, samples, standing)
+    bound = _bound(result, problem, samples, kept, other=other)
+    rows, (covariance, names) = result.document["parameters"], known_motion(result)
+    values = {row["name"]: float(row["estimate"]) - float(row["nominal"]) for row in rows}
+    values |= {row["name"]: float(row["value"]) for row in result.document.get("unknowns", [])}
+    places, corrected = {name: j for j, name in enumerate(names)}, corrected_values(result)
+    known, at = np.zeros(bound.unknowns, dtype=bool), np.zeros(bound.unknowns)
+    for slot in bound.slots:
+        if slot.beside:
+            known[slot.columns] = True
+            at[slot.columns] = [corrected.get(bound.names[j], 0.0) for j in slot.columns]
+            continue
+        of_arm = slot.key in problem.robot.parameters
+        remains = not (other or slot.datum) and slot.unknown.nominal is not None  # as a tool does, unlike a face
+        if not (of_arm or slot.name in kept or remains):
+            continue
+        for j, name in zip(slot.columns, slot.unknown.names(slot.name), strict=True):
+            if name in places and name in values:
+                known[j], at[j] = True, values[name]
+            elif of_arm or slot.name in kept:
+                fix = "Calibrate again with this version" if of_arm else "Leave it out of --standing"
+                raise CasacalError(f"{result.file}: it does not say how well '{name}' is known", fix)
+    own = int((~known).sum())
+    if bound.rows <= own:
+        raise SamplesError(
+            samples.file,
+            f"{counted(len(samples), 'row')} for {own} unknowns that these rows alone know",
+            "Take more rows, or name with --standing what has not moved since the calibration",
+        )
+    # geometry and corrections are known as the result says, other effects by their sizes
+    found, columns = np.diag(bound.prior_std[known] ** 2), np.flatnonzero(known)
+    said = np.flatnonzero([not bound.beside[j] or bound.names[j] in corrected for j in columns])
+    index = [places[bound.names[j]] for j in columns[said]]
+    found[np.ix_(said, said)] = covariance[np.ix_(index, index)]
+    return Fresh(bound, known, at, found, other)
+
+
+def _bound(
+    result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
+) -> BoundProblem:
+    """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    slots = make_slots(problem, [samples], kept)
+    for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
+        if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
+            raise CasacalError(
+                f"'{slot.name}' was held in the calibration, and its position now is not known",
+                "Calibrate without --fix, or name it with --standing if it has not moved",
+            )
+    bound = BoundProblem(problem, slots, (samples,))
+    if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
+        bound = bound.under(problem.with_kit).with_sizes(times)
+    factors = _noise_used(result, bound, other=other)
+    bound = bound.with_noise(factors) if factors else bound
+    if bound.rows * bound.unknowns > MOST:
+        most = MOST // bound.unknowns
+        raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
+    return bound
+
+
+def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
+    """Nominal values of what stands where it was calibrated, by name of its slot."""
+    instrument, proposed, kept = problem.instrument, result.document.get("proposed") or {}, {}
+    there: dict[str, list[str]] = {}
+    unknowns: dict[str, Unknown] = {}
+    for key, unknown in instrument.unknowns.items():
+        labels = [] if unknown.per is None else samples.labels[unknown.per].names
+        for label in dict.fromkeys(instrument.instance(key, label) for label in labels):
+            name = f"{key}.{label}"
+            unknowns[name] = unknown
+            for word in (key, label, name):
+                there.setdefault(word, []).append(name)
+        if unknown.per is None and (unknown.size or unknown.nominal is None):
+            unknowns[key] = unknown
+            there.setdefault(key, []).append(key)
+    for word in standing:
+        if word not in there:
+            raise UnknownNameError("face or unknown of these rows", word, there)
+        for name in there[word]:
+            nominal = unknowns[name].nominal
+            if nominal is None and len(proposed.get(name, ())) != unknowns[name].nominal_size:
+                raise CasacalError(
+                    f"{result.file}: it does not give the position of '{word}'",
+                    "Leave it out of --standing, or calibrate again",
+                )
+            kept[name] = np.array(proposed[name]) if nominal is None else nominal
+    return kept
+
+
+def _noise_used(result: CalibratedArm, bound: BoundProblem, *, other: bool) -> dict[str, float]:
+    """Factor of each face's noise over what was stated, as the calibration used it; "" stands for other faces.
+
+    New faces get the mean square of the calibrated ones. Another instrument keeps its own noise, and what every face
+    showed beside the calibration's instrument is added: joints that do not repeat err whoever watches, while a face
+    that is not flat errs alone.
+    """
+    noise = result.document.get("noise") or {}
+    faces = (noise.get("by_face") or {}).items()
+    alone = "without_joints_mm"  # lacking in files from before joints were told apart
+    pairs = {name: (float(face["stated_mm"]), float(face.get(alone, face["used_mm"]))) for name, face in faces}
+    if not pairs:
+        return {}
+    joints = {REPEATABILITY: rad} if (rad := float(noise.get("joints_rad", 0.0))) > 0 else {}
+    if other:
+        excess = min(used**2 - stated**2 for stated, used in pairs.values())
+        stated = float(np.median(bound.block.noise))
+        return {OTHERS: math.sqrt(1 + max(excess, 0.0) / stated**2), **joints}
+    factors = {name: used / stated for name, (stated, used) in pairs.items()}
+    return {OTHERS: math.sqrt(float(np.mean([factor**2 for factor in factors.values()]))), **factors, **joints}

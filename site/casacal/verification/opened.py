@@ -1,0 +1,199 @@
+"""Fresh rows and the result that they are to be judged by, from any form in which people have them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casacal.calibration.given import samples_of
+from casacal.calibration.saved import AsArm
+from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.result_file import read_result
+from casacal.compensation.seen_by import seen_by
+from casacal.errors import CasacalError, SamplesError, came
+from casacal.problem.problem import Problem
+from casacal.problem.problem_file import ProblemFile, load_problem
+from casacal.robots.joint_space import random_joints
+from casacal.robots.robot import Robot
+from casacal.samples.repeats import copies, fitted_among
+from casacal.samples.samples import Samples
+from casacal.verification.fresh import Fresh, fresh_rows
+
+SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
+COMPARED = 8  # random joint values at which they are compared
+SPENT = 0.5  # part of the rows that are those of the calibration, from which on they verify nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A result as the instrument of some rows sees it, those rows that count, and lines of those that do not."""
+
+    arm: CalibratedArm
+    source: ProblemFile
+    rows: Samples
+    copied: tuple[int, ...]
+    fitted: tuple[int, ...]
+    other: bool
+    """Whether another instrument than the calibration's took the rows."""
+
+    def fresh(self, standing: Collection[str]) -> Fresh:
+        """Rows bound to the arm; raises CasacalError as `fresh_rows`, SamplesError for what is not finite."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            fresh = fresh_rows(self.arm, self.source.problem, self.rows, other=self.other, standing=standing)
+            if not np.isfinite(fresh.bound.residual(fresh.x)).all() or not np.isfinite(fresh.jacobian).all():
+                raise SamplesError(
+                    self.rows.file, "the residuals of some rows are not finite", "Check their values with check"
+                )
+        return fresh
+
+    @property
+    def noise_freedom(self) -> float:
+        """Degrees of freedom of the noise where the calibration found it itself, infinite where it was stated.
+
+        The logarithm of a standard deviation from nu degrees of freedom has the variance 1 / (2 nu).
+        """
+        noise = self.arm.document.get("noise") or {}
+        used = any(face["used_mm"] > face["stated_mm"] for face in (noise.get("by_face") or {}).values())
+        low, high = noise.get("low"), noise.get("high")
+        if not used or not low or not high or not high > low:
+            return math.inf
+        return 0.5 / (math.log(high / low) / (2 * 1.96)) ** 2
+
+    def about(self, fresh: Fresh, standing: tuple[str, ...]) -> dict[str, Any]:
+        """The fields of `Judged`."""
+        verdict = self.arm.document.get("verdict") or {}
+        return {
+            "robot": self.source.problem.robot.name,
+            "result": self.arm.file,
+            "verdict": (str(verdict.get("level", "")), str(verdict.get("words", ""))),
+            "samples": self.rows.file,
+            "sha256": self.rows.sha256,
+            "rows": len(self.rows),
+            "own": fresh.own_names,
+            "standing": standing,
+            "copied_lines": self.copied,
+            "fitted_lines": self.fitted,
+        }
+
+
+def opened(
+    result: AsArm | CalibratedArm | str | Path,
+    samples: Samples | Any,
+    *,
+    problem: Problem | ProblemFile | str | Path | None,
+    instrument: str | None,
+    standing: Collection[str],
+) -> Opened:
+    """Read what is judged and by what; raises CasacalError as `verify` does."""
+    if isinstance(standing, str):
+        raise CasacalError(f"Got the text '{standing}' as the list of what has not moved", f"Give ['{standing}']")
+    if isinstance(result, (str, Path)):
+        result = read_result(result)
+    elif isinstance(result, AsArm):
+        result = result.arm
+    if not isinstance(result, CalibratedArm):
+        raise CasacalError(f"Got {came(result)} as the result", "Give a calibration, or the path of its result.json")
+    arm = seen_by(result, instrument if problem is not None else measured_by(result, samples, instrument))
+    source = arm.source if problem is None else ProblemFile.of(_with_instrument(arm, problem))
+    return _fresh_among(arm, source, samples_of(samples, source, 0), other=problem is not None)
+
+
+def measured_by(arm: CalibratedArm, samples: Any, instrument: str | None) -> str | None:
+    """Which instrument of a calibration took some rows: the one that is named, else the one that reads most of them.
+
+    Raises CasacalError where none could have, or several as well.
+    """
+    problem, fits = arm.source.problem, dict[str, int]()
+    if instrument is not None or len(problem.instruments) == 1:
+        return instrument
+    if isinstance(samples, (str, Path)) and not Path(samples).is_file():
+        raise CasacalError(f"There is no file '{samples}' of fresh rows", "Name one that is there")
+    reasons = []
+    for i, name in enumerate(problem.names):
+        try:
+            rows = samples_of(samples, arm.source, i)
+            labelled = [column for column, labels in rows.labels.items() if labels.names != (column,)]
+            fits[name] = len(rows.columns) + len(labelled)
+        except CasacalError as error:
+            reasons.append(f"for the {name}: {error.what}")
+    best = [name for name, count in fits.items() if count == max(fits.values())]
+    if len(best) == 1:
+        return best[0]
+    if best:
+        fix = f"Name it: instrument='{best[0]}', or --instrument {best[0]}"
+        raise CasacalError(f"These rows may be of {' or '.join(best)}", fix)
+    raise CasacalError(f"These rows fit none of the instruments: {'; '.join(reasons)}", "Correct the columns")
+
+
+def _with_instrument(arm: CalibratedArm, given: Problem | ProblemFile | str | Path) -> Problem:
+    """The result's arm with another problem's instrument; raises CasacalError where that is of another arm."""
+    if isinstance(given, (str, Path)):
+        given = load_problem(given)
+    other = given.problem if isinstance(given, ProblemFile) else given
+    if not isinstance(other, Problem):
+        raise CasacalError(f"Got {came(given)} as the problem", "Give a Problem, what load_problem returns, or a path")
+    robot = arm.source.problem.robot
+    if not _same_arm(robot, other.robot):
+        raise CasacalError(
+            f"{arm.file}: the arm of the problem ({other.robot.name}) is not the calibrated one ({robot.name})",
+            "Give a problem whose robot is that of the calibration, parameter by parameter",
+        )
+    return Problem(robot, other.instrument)
+
+
+def _same_arm(one: Robot, two: Robot) -> bool:
+    """Whether two arms have the same parameters, and the same poses wherever these move a little."""
+    if [axis.turns for axis in one.axes] != [axis.turns for axis in two.axes] or set(one.parameters) != set(
+        two.parameters
+    ):
+        return False
+    rng = np.random.default_rng(0)
+    for q in random_joints(one, COMPARED, rng):
+        poses = []
+        moved = {key: rng.normal(size=u.nominal_size) * 1e-3 for key, u in one.parameters.items()}
+        for robot in (one, two):
+            values = []
+            for key, unknown in robot.traced.unknowns.items():
+                if unknown.nominal is None or np.size(unknown.nominal) != moved[key].size:
+                    return False
+                value = unknown.at(ca.DM(np.ravel(unknown.nominal) + moved[key]), ca.DM.zeros(unknown.size))
+                values.append(unknown.packed(value))
+            pose = ca.DM.eye(4)
+            for factor in robot.traced.graph.call([*values, ca.DM(q)]):
+                pose = pose @ factor
+            poses.append(np.array(pose))
+        if not np.abs(poses[0] - poses[1]).max() < SAME:
+            return False
+    return True
+
+
+def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, other: bool) -> Opened:
+    """Without copies of others, and without rows that the arm was calibrated from.
+
+    Raises SamplesError where half of the rows or more are those that were fitted.
+    """
+    again = copies(rows)
+    once, data = rows.take(np.flatnonzero(~again)), arm.document.get("data") or {}
+    seen, part = np.zeros(len(once), dtype=bool), 0.0
+    if data.get("fitted_rows") is not None:
+        seen, part = fitted_among(once, source.problem.layout(), data["fitted_rows"])
+    elif data.get("sha256") == rows.sha256 and arm.document.get("method") != "truth":
+        part = 1.0  # a result from before results held their rows
+    if part >= SPENT:
+        said = "these are the rows" if seen.all() or not seen.any() else "half of the rows or more are those"
+        raise SamplesError(
+            rows.file,
+            f"{said} that the arm was calibrated from, which verifies nothing",
+            "Take fresh rows, in other postures",
+        )
+    copied, fitted = (
+        tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
+        for some, which in ((rows, again), (once, seen))
+    )
+    return Opened(arm, source, once.take(np.flatnonzero(~seen)), copied, fitted, other)

@@ -1,0 +1,178 @@
+"""How often is a fault of realistic size noticed, by its own test, and how often could any test notice it?
+
+The HSR-JR680 of the paper's cell with one fault at a time, and without any. Every trial asks the score tests of
+`casacal check` for their chances. Beside the power stands the most that any unbiased test can have which knows the
+fault's very shape in these rows, but not its size or sign: geometry hides part of every fault, and noise the rest.
+
+    casacal study studies/powers.py [--quick] [--trials N] [--workers N] [--out DIR]
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from casacal import BoundProblem, Cell, Method, Problem, Result, Run, Study, bind, lm, load_problem, simulate
+from casacal.study.statistics import Interval, success_rate
+from casacal.uncertainty.discrepancy import with_effects
+from casacal.uncertainty.noise import found_noise
+from casacal.uncertainty.score_tests import score_tests
+from studies.reporting import PROBLEMS, figure, palette, percent, save, script, table
+
+ARMS, ROWS, LEVEL = 200, 120, 0.05
+SOURCE = load_problem(PROBLEMS / "hsr_jr680")
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Fields of a `Cell`, the test that should notice it, and the power that was asked of that."""
+
+    key: str
+    fields: dict[str, Any]
+    asked: float = math.nan
+    fixed: bool = True
+    """Whether all that it does is the same however often it is measured, so that it has a shape in the rows."""
+
+
+FAULTS = {
+    NONE: Fault("", {}),
+    "dial gain 0.2 %": Fault("gain", {"dial_gain": 0.002}, 0.84),
+    "dial cycle 5 um": Fault("cycle", {"dial_cycle": 0.005}, 0.95),
+    "gear waves, 2nd order, 0.1 mrad": Fault("wave2", {"gear_waves": ((2, 1e-4),)}, 0.68),
+    "compliance 0.5 mm": Fault("give", {"compliance": 0.5}, 0.80),
+    "drift 20 um": Fault("drift", {"drift": 0.02}, 1.0),
+    "backlash 60 urad": Fault("play", {"backlash": 60e-6}, 1.0),
+    "joint repeatability 20 urad": Fault("repeatability", {"joint_std": 20e-6}, fixed=False),
+    "faces 50 um off flat": Fault("form", {"flatness": 0.05}),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Samples with a fault, and the most that a test can notice of it."""
+
+    problem: BoundProblem
+    most: float
+
+    def judge(self, result: Result) -> dict[str, float]:
+        """Chances of all tests by key, and the power of the best."""
+        return {"most": self.most, **{key: float(values[0]) for key, values in result.trace.items()}}
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """A cell with a fault in it."""
+
+    fault: Fault
+    problem: Problem = SOURCE.problem
+
+    def trial(self, seed: int) -> Trial:
+        """The same arm for the same seed."""
+        cell = dataclasses.replace(SOURCE.cell, **self.fault.fields)
+        bound = bind(self.problem, simulate(self.problem, cell, samples=ROWS, seed=seed).samples)
+        return Trial(bound, self._most(cell, seed) if self.fault.fixed and self.fault.fields else math.nan)
+
+    def _most(self, cell: Cell, seed: int) -> float:
+        """Power of the test that knows the shape: what the fault alone does to the rows, where geometry is unknown."""
+        made = simulate(self.problem, dataclasses.replace(cell, repeatability=1e-9), samples=ROWS, seed=seed)
+        bound = bind(self.problem, made.samples)
+        x = made.truth(bound)
+        shape, rows = bound.residual(x), bound.jacobian(x)
+        known = np.linalg.inv(rows.T @ rows + np.diag(bound.prior_information))
+        toward = rows.T @ shape
+        size = math.sqrt(max(float(shape @ shape - toward @ known @ toward), 0.0))
+        limit = norm.isf(LEVEL / 2)
+        return float(norm.sf(limit - size) + norm.sf(limit + size))
+
+
+def chances(problem: BoundProblem) -> Result:
+    """What `casacal check` finds of each effect, in place of the trace of a fit of the geometry."""
+    bound = problem.problem
+    noisy = bound.with_noise(found_noise(bound).scale)
+    noisy = noisy.with_noise(with_effects(noisy, bound.problem).scale)
+    trace = {test.key: np.array([test.p]) for test in score_tests(noisy, bound.problem)}
+    return dataclasses.replace(lm(noisy), trace=trace)
+
+
+METHODS = {"score tests": Method(chances)}
+study = Study("powers", {name: Faulty(fault) for name, fault in FAULTS.items()}, METHODS, trials=ARMS, details=0)
+few = {name: Faulty(FAULTS[name]) for name in (NONE, "drift 20 um")}
+quick = dataclasses.replace(study, settings=few, trials=3)
+
+
+def report(run: Run) -> list[str]:
+    """Powers by fault, beside what can be reached, and false alarms."""
+    draw(run, run.out / "powers.png")
+    lines = [
+        "# How often a fault is noticed",
+        "",
+        f"Simulated HSR-JR680, three faces, {ROWS} touches, noise 0.01 mm, {run.study.trials} arms for each line.",
+        f"*Noticed*: share of arms in which the fault's own score test has a chance below {LEVEL:g}; *at 5 % of clean",
+        "arms*: the same where the limit is that which 5 % of the clean arms fall below. *Best*: mean power of a test",
+        "that knows what the fault does to every row of that arm, but for size and sign, and of the geometry its",
+        "priors alone. Where the fault is random from row to row there is no such shape. *Asked* are the powers that",
+        "were set as a target beforehand. Intervals are Clopper and Pearson's.",
+        "",
+        "![powers](powers.png)",
+        "",
+    ]
+    rows = []
+    for name in run.study.settings:
+        fault = FAULTS[name]
+        if not fault.key:
+            continue
+        plain, level = (_noticed(run, name, limit) for limit in (LEVEL, limit_of(run, fault.key)))
+        best = float(np.mean(run.values(name, "score tests", "most")))
+        asked = "-" if math.isnan(fault.asked) else percent_of(fault.asked)
+        rows.append((name, percent(plain), percent(level), "-" if math.isnan(best) else percent_of(best), asked))
+    lines += table(("fault", "noticed", "at 5 % of clean arms", "best", "asked"), rows)
+    alarms = [(key, percent(_noticed(run, NONE, LEVEL, key))) for key in (*TESTS, *ROW_FORMS)]
+    return [*lines, "", "## False alarms", "", f"Share of clean arms with a chance below {LEVEL:g}, by test.", "",
+            *table(("test", "alarms"), alarms)]  # fmt: skip
+
+
+def percent_of(share: float) -> str:
+    """A share as people read it."""
+    return f"{100 * share:.0f} %"
+
+
+TESTS = ("gain", "cycle", "wave1", "wave2", "give", "play", "form", "field", "drift", "growth")
+"""Effects that are tested, by key."""
+ROW_FORMS = ("succession", "neighbours", "repeatability")
+"""Rows that err together or err more, which are tested, too."""
+
+
+def limit_of(run: Run, key: str) -> float:
+    """The chance below which 5 % of the clean arms fall."""
+    return float(np.quantile(run.values(NONE, "score tests", key), LEVEL))
+
+
+def _noticed(run: Run, setting: str, limit: float, key: str | None = None) -> Interval:
+    found = run.values(setting, "score tests", key or FAULTS[setting].key)
+    return success_rate(int((found < limit).sum()), len(found))
+
+
+def draw(run: Run, path: Path) -> None:
+    """Power of each test, and the most there could be."""
+    names = [name for name in run.study.settings if name != NONE]
+    made = figure(7, 0.34 * len(names) + 1.2)
+    axes = made.subplots()
+    known, best = palette(2)
+    found = [_noticed(run, name, limit_of(run, FAULTS[name].key)).value for name in names]
+    axes.plot([100 * each for each in found], range(len(names)), "o", color=known, label="its own test")
+    most = [100 * float(np.mean(run.values(name, "score tests", "most"))) for name in names]
+    axes.plot(most, range(len(names)), "|", ms=12, color=best, label="best")
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlabel("noticed at 5 % false alarms, %")
+    axes.legend(frameon=False, fontsize=8)
+    save(made, path)
+
+
+if __name__ == "__main__":
+    script(__file__)

@@ -1,0 +1,453 @@
+"""A result from an old one and fresh rows: against a dense solve, the true tip, the file, and the command line."""
+
+import dataclasses
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from scipy.optimize import least_squares
+from test_changed import off, robot, touched
+
+from casacal import (
+    CasacalError,
+    Conventions,
+    Problem,
+    Robot,
+    TrackedPoint,
+    bind,
+    calibrate,
+    changed,
+    load,
+    load_problem,
+    read_result,
+    simulate,
+    tool_point,
+    updated,
+    verify,
+)
+from casacal.changes.causes import JOINTS, joint_direction, shift_columns, with_shifts
+from casacal.cli.main import main
+from casacal.samples.write import write_samples
+from casacal.simulation.simulate import simulate_one
+from casacal.simulation.true_arm import Draw
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
+
+HSR = ROOT / "problems" / "hsr_jr680"
+
+
+@cache
+def plain(seed=3):
+    """A calibration of geometry alone, with the noise as stated: what a dense solve can follow."""
+    source, cell, _ = robot("hsr_jr680")
+    rows = simulate(source.problem, cell, samples=120, seed=seed).samples
+    return calibrate(source.problem, rows, reference=False, noise="stated", discrepancy="none", method="lm").arm
+
+
+def values(document):
+    return {row["name"]: row["estimate"] - row["nominal"] for row in document["parameters"]}
+
+
+def dense(arm, rows, free=None):
+    """All that the result knows and its covariance by SciPy: old covariance as the prior, planes of the rows free."""
+    bound = bind(arm.source.problem, rows)
+    names = arm.document.get("covariance_of") or [row["name"] for row in arm.document["unknowns"]]
+    arms = [name for name in bound.names if not name.startswith("plane")]
+    keys = [*arms, *(name for name in names if name not in bound.names)]
+    places = [names.index(name) for name in keys]
+    covariance = np.array(arm.document["covariance"], dtype=float)[np.ix_(places, places)]
+    weight = np.linalg.inv(np.linalg.cholesky(covariance))
+    known = {row["name"]: row["value"] for row in arm.document["unknowns"]}
+    was, count, of_arm = np.array([known[name] for name in keys]), len(keys), len(arms)
+    step = np.zeros(count)
+    if free is not None:
+        step[keys.index(free)] = 1.0
+
+    def misses(state):
+        away = state[:count] - was - step * (state[-1] if free else 0.0)
+        x = np.concatenate([state[:of_arm], state[count : count + bound.unknowns - of_arm]])
+        return np.concatenate([bound.residual(x), weight @ away])
+
+    start = np.concatenate([was, np.zeros(bound.unknowns - of_arm + (free is not None))])
+    scale = np.concatenate(
+        [
+            bound.start_std[:of_arm],
+            np.full(count - of_arm, 1e-2),
+            bound.start_std[of_arm:],
+            np.full(int(free is not None), 1e-3),
+        ]
+    )
+
+    def slopes(z):  # by steps of a size of their own: SciPy's are parts of z, which may be nothing
+        steps = 1e-3 * np.eye(z.size)
+        return np.stack([(misses((z + h) * scale) - misses((z - h) * scale)) / 2e-3 for h in steps], axis=1)
+
+    found = least_squares(
+        lambda z: misses(z * scale), start / scale, slopes, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
+    spread = np.linalg.inv(found.jac.T @ found.jac) * np.outer(scale, scale)
+    return dict(zip(keys, (found.x * scale)[:count], strict=True)), spread[:count, :count]
+
+
+@pytest.mark.parametrize(("joint", "shift", "hidden"), [(None, 0.0, ""), (3, 2e-3, ""), (None, 0.0, "side")])
+def test_an_update_is_the_minimum_that_a_dense_solve_finds(joint, shift, hidden):
+    """Also of a face that no fresh row touches: it moves with what is learnt of the arm."""
+    rows = touched("hsr_jr680", 40, session=2, joint=joint, shift=shift)
+    rows = rows.take(np.flatnonzero([label != hidden for label in rows.labels["plane"]]))
+    new = updated(plain(), rows).arm.document
+    found, spread = dense(plain(), rows, free=None if joint is None else f"theta{joint + 1}")
+    stds = np.sqrt(np.diag(spread))
+    mine = {row["name"]: row["value"] for row in new["unknowns"]}
+    assert ("plane.side.offset" in found) == bool(hidden)
+    assert (new["updated_from"]["changed"] != []) == (joint is not None)
+    for (name, value), std in zip(found.items(), stds, strict=True):
+        assert abs(mine[name] - value) < 2e-3 * std, name
+    index = [new["covariance_of"].index(name) for name in found]
+    covariance = np.array(new["covariance"])[np.ix_(index, index)]
+    np.testing.assert_allclose(covariance / np.outer(stds, stds), spread / np.outer(stds, stds), atol=1e-2)
+    shown = {row["name"]: row["std"] for row in new["parameters"]}
+    for name, std in zip(found, stds, strict=True):
+        assert name not in shown or shown[name] == pytest.approx(std, rel=2e-3)
+    assert values(new)["theta4"] == pytest.approx(mine["theta4"])
+
+
+def true_error(name, arm, joint, shift):
+    """Of the tip over the workspace, mm RMS apart from the base: the true arm, whose joint stands elsewhere."""
+    source, cell, _ = robot(name)
+    sim = simulate(source.problem, cell, samples=120, seed=3)
+    joints = workspace_joints(source.problem.robot)
+    moved = joints.copy()
+    moved[:, joint] += shift
+    tips = sim.true_tips(moved)
+    return tip_rms(without_rigid((arm.predict(joints, frame="tip").positions - tips).ravel(), tips))
+
+
+@pytest.mark.long_unless("ur5-1-0.008")
+@pytest.mark.parametrize(("name", "joint", "shift"), [("hsr_jr680", 2, 8e-3), ("ur5", 1, 8e-3)])
+def test_an_update_brings_the_true_tip_back(name, joint, shift, tmp_path):
+    rows = touched(name, 40, session=3, joint=joint, shift=shift)
+    arm = robot(name)[2]
+    found = changed(arm, rows, standing=["plane"])
+    assert found.changed, found.summary()
+    new = updated(arm, rows, standing=["plane"], folder=tmp_path / "new")
+    before = true_error(name, load_of(arm), joint, 0.0)
+    lost, now = (true_error(name, each, joint, shift) for each in (load_of(arm), new))
+    assert lost > 3 * before
+    assert now < 1.3 * before
+    again = load(tmp_path / "new")
+    assert again.arm.document == new.arm.document
+    assert now < 3 * new.to_dict()["tip"]["expected_rms_mm"]
+    later = touched(name, 40, session=4, joint=joint, shift=shift)
+    assert verify(again, later, standing=["plane"]).kept
+    assert changed(again, later, standing=["plane"]).ended == "nothing"
+    assert not verify(arm, later, standing=["plane"]).kept
+    text = again.export("dh")
+    assert "WARNING" not in text
+    assert again.compensate(workspace_joints(arm.source.problem.robot, poses=3)).joints.shape == (3, 6)
+    assert again.to_dict()["verdict"]["level"] == "use with care"
+    assert "no fresh rows have verified it since" in again.to_dict()["verdict"]["words"]
+
+
+def load_of(arm):
+    from casacal.calibration.saved import SavedCalibration
+
+    return SavedCalibration(arm)
+
+
+def test_where_nothing_changed_it_is_known_better(tmp_path):
+    _, _, arm = robot("hsr_jr680")
+    rows = touched("hsr_jr680", 60, session=5)
+    new = updated(arm, rows, folder=tmp_path).to_dict()
+    assert new["tip"]["expected_rms_mm"] < arm.document["tip"]["expected_rms_mm"]
+    assert new["verdict"]["level"] == "calibrated"
+    old = {row["name"]: row["std"] for row in arm.document["parameters"]}
+    assert all(row["std"] <= old[row["name"]] * (1 + 1e-9) for row in new["parameters"])
+    assert new["data"]["fitted_rows"]["rows"] == 180
+    for some in (rows, simulate(arm.source.problem, robot("hsr_jr680")[1], samples=120, seed=3).samples):
+        with pytest.raises(CasacalError, match="calibrated from"):
+            changed(tmp_path, some)
+    wide = updated(arm, rows, drift={"theta": 1e-3, "alpha": 1e-3}).to_dict()
+    assert wide["tip"]["expected_rms_mm"] > new["tip"]["expected_rms_mm"]
+
+
+def test_the_expected_error_is_worked_out_as_a_calibration_does():
+    """Of the old result, by the way an update takes: the same figure."""
+    from casacal.changes.document import _tip
+
+    for name in ("hsr_jr680", "ur5"):
+        document = robot(name)[2].document
+        assert _tip(robot(name)[2], document)["expected_rms_mm"] == pytest.approx(
+            document["tip"]["expected_rms_mm"], rel=0.05
+        )
+
+
+def test_a_face_that_moved_is_fitted_anew_and_others_stay(tmp_path):
+    _, _, arm = robot("hsr_jr680")
+    moves = []
+    for session in (1, 2, 3):  # where a face stands is known to 0.2 mm from one session: their mean is nearer
+        rows = touched("hsr_jr680", 45, session=session)
+        readings = rows.columns["reading"].copy()
+        readings[[label == "wall" for label in rows.labels["plane"]]] += 0.4
+        rows = dataclasses.replace(rows, columns={"reading": readings})
+        new = updated(arm, rows, standing=["floor", "wall", "side"], folder=tmp_path / str(session)).to_dict()
+        old = arm.document["planes"]
+        moves.append(
+            [
+                np.dot(np.subtract(new["planes"][label]["point_mm"], old[label]["point_mm"]), old[label]["normal"])
+                for label in ("wall", "floor", "side")
+            ]
+        )
+        assert new["updated_from"]["changed"][0]["name"] == "plane.wall"
+    wall, floor, side = np.abs(np.mean(moves, axis=0))
+    assert wall == pytest.approx(0.4, abs=0.1)
+    assert max(floor, side) < 0.1
+    later = touched("hsr_jr680", 30, session=7)
+    later = later.take(np.flatnonzero([label != "wall" for label in later.labels["plane"]]))
+    assert changed(tmp_path / "1", later, standing=["floor", "side"]).ended == "nothing"
+
+
+def test_faces_that_no_fresh_row_touches_stay_known(tmp_path):
+    rows = touched("hsr_jr680", 45, session=8)
+    rows = rows.take(np.flatnonzero([label != "side" for label in rows.labels["plane"]]))
+    _, _, arm = robot("hsr_jr680")
+    new = updated(arm, rows, standing=["floor", "wall"], folder=tmp_path).to_dict()
+    assert {"plane.side.tilt1", "plane.side.offset"} <= set(new["covariance_of"])
+    assert set(new["planes"]) == {"floor", "wall", "side"}
+    later = touched("hsr_jr680", 30, session=9)
+    assert changed(tmp_path, later, standing=["plane"]).ended == "nothing"
+
+
+def test_what_cannot_be_updated_is_refused_and_nothing_is_written(tmp_path):
+    _, cell, arm = robot("hsr_jr680")
+    rows = touched("hsr_jr680", 24, session=10)
+    with pytest.raises(CasacalError, match="line 6 is off"):
+        updated(arm, off(rows, rows.lines.index(6), 1.0), folder=tmp_path / "a")
+    twice = dataclasses.replace(rows, joints=rows.joints - np.array([0, 0, 3e-3, 0, 5e-3, 0]))
+    with pytest.raises(CasacalError, match="do not show what changed"):
+        updated(arm, twice, standing=["plane"], folder=tmp_path / "b")
+    dial = arm.source.problem.instrument
+    tool = dataclasses.replace(dial, tool=dataclasses.replace(dial.tool, values=(0.7, -0.5, 0.3)))
+    other = simulate_one(Problem(arm.source.problem.robot, tool), cell, 60, Draw(3, session=5)).samples
+    with pytest.raises(CasacalError, match="this problem holds it"):
+        updated(arm, other, standing=["plane"], folder=tmp_path / "c")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
+    source, cell, _ = robot("hsr_jr680")
+    rows = simulate(source.problem, cell, samples=120, seed=3).samples
+    held = calibrate(source.problem.fix("theta3", "d1"), rows, reference=False, discrepancy="none").arm
+    shifted = touched("hsr_jr680", 60, session=3, joint=2, shift=60e-3)
+    found = changed(held, shifted, standing=["plane"])
+    if found.ended == "changed":
+        with pytest.raises(CasacalError, match="no free unknown"):
+            updated(held, shifted, standing=["plane"], folder=tmp_path / "d")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "adept_cobra600"])
+def test_a_joint_shifts_along_its_own_offset(name):
+    """In a DH table: theta of a joint that turns, d of one that slides, by the joint's sign."""
+    source, cell, _ = robot(name)
+    rows = simulate(source.problem, cell, samples=40, seed=1).samples
+    bound = with_shifts(bind(source.problem, rows))
+    keys = source.problem.robot.parameters
+    arm = np.zeros(bound.unknowns, dtype=bool)
+    for slot in bound.slots:
+        arm[slot.columns] = slot.key in keys
+    for i, (axis, column) in enumerate(zip(source.problem.robot.axes, shift_columns(bound, JOINTS), strict=True)):
+        way = joint_direction(bound, bound.x0, int(column), arm)
+        if way is None:
+            continue
+        named = {bound.names[j] for j in np.flatnonzero(way)}
+        if len(named) == 1:
+            assert named <= {f"{'theta' if axis.turns else 'd'}{i + 1}", "zero"}
+            assert way[np.flatnonzero(way)] == pytest.approx(1.0)
+
+
+@pytest.mark.long
+def test_a_joint_that_counts_backwards_or_moves_another_shifts_them():
+    """Signs, and a third joint that is measured against the ground: two offsets for one shift."""
+    lengths = {"a": (250.0, 900.0, -206.0, 0, 0, 0), "d": (653.0, 0, 0, 1030.0, 0, 200.0)}
+    turns = {"alpha": np.radians([-90, 0, 90, -90, 90, 0]).tolist(), "theta": [0.0, -1.5, 3.0, 0, 1.5, 0]}
+    how = Conventions((1, -1, 1, 1, 1, -1), (0.0,) * 6, ((3, 2, -1.0),))
+    arm = Robot.from_dh("backwards", **lengths, **turns, conventions=how)
+    problem = Problem(arm, TrackedPoint(noise_std=0.05, tool=tool_point(40, 10, 30)))
+    bound = with_shifts(bind(problem, simulate(problem, samples=30, seed=1).samples))
+    of_arm = np.zeros(bound.unknowns, dtype=bool)
+    for slot in bound.slots:
+        of_arm[slot.columns] = slot.key in arm.parameters
+    wanted = [{1: 1.0}, {2: -1.0, 3: -1.0}, {3: 1.0}, {4: 1.0}, {5: 1.0}, {6: -1.0}]
+    for column, offsets in zip(shift_columns(bound, JOINTS), wanted, strict=True):
+        way = joint_direction(bound, bound.x0, int(column), of_arm)
+        found = {bound.names[j]: way[j] for j in np.flatnonzero(np.abs(way) > 1e-6)}
+        assert found == pytest.approx({f"theta{i}": size for i, size in offsets.items()}, rel=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------ the command
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a result, fresh rows of the same arm, and of one whose joint has shifted."""
+    folder = tmp_path_factory.mktemp("changed")
+    source, cell, arm = robot("hsr_jr680")
+    rows = simulate(source.problem, cell, samples=120, seed=3).samples
+    calibrate(source.problem, rows, reference=False).save(folder / "first")
+    write_samples(folder / "same.csv", source.problem.layout(), touched("hsr_jr680", 24, session=11), [])
+    other = touched("hsr_jr680", 40, session=12, joint=3, shift=2e-3)
+    write_samples(folder / "other.csv", source.problem.layout(), other, [])
+    del arm
+    return folder
+
+
+def test_the_command_says_it_and_ends_as_it_should(place, capsys):
+    result = str(place / "first")
+    assert main(["changed", result, str(place / "same.csv")]) == 0
+    assert capsys.readouterr().out.startswith("No change found: 24 fresh rows")
+    assert main(["changed", result, str(place / "other.csv"), "--alarm", "0.05"]) == 1
+    told = capsys.readouterr().out
+    assert told.startswith("Changed: the zero of joint 4, by +")
+    assert "5 %" in told
+    assert main(["changed", result, str(place / "other.csv"), "--json", "--update", str(place / "new")]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["ended"] == "changed"
+    assert answer["changed"] is True
+    assert [name.rsplit("/", 1)[1] for name in answer["written"]] == ["result.json"]
+    new = read_result(place / "new")
+    assert new.document["updated_from"]["result"] == "../first/result.json"
+    assert new.document["data"]["file"] == "../other.csv"
+    assert main(["changed", str(place / "new"), str(place / "same.csv")]) == 1, "it is another arm now"
+    capsys.readouterr()
+    assert main(["predict", str(place / "new"), str(place / "same.csv"), "--std", "--out", str(place / "p.csv")]) == 0
+    assert main(["changed", result, str(place / "other.csv"), "--drift", "theta4=5e-3"]) == 0
+
+
+def test_an_update_that_is_refused_comes_after_what_was_found(place, capsys):
+    source, _, _ = robot("hsr_jr680")
+    wrong = off(touched("hsr_jr680", 24, session=13), 4, 1.0)
+    write_samples(place / "wrong.csv", source.problem.layout(), wrong, [])
+    words = ["changed", str(place / "first"), str(place / "wrong.csv"), "--update", str(place / "never")]
+    assert main(words) == 1
+    told = capsys.readouterr()
+    assert told.out.startswith("Look at line ")
+    assert "is off, so nothing was updated" in told.out
+    assert told.err == ""
+    assert main([*words, "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["written"] == []
+    assert "nothing was updated" in answer["refused"]
+    assert not (place / "never").exists()
+
+
+def test_touches_are_not_written_where_none_are_needed(place, capsys):
+    out = place / "touches.csv"
+    assert main(["changed", str(place / "first"), str(place / "same.csv"), "--touches", str(out)]) == 0
+    assert "was not written" in capsys.readouterr().out
+    assert not out.exists()
+
+
+@pytest.mark.long
+def test_touches_that_tell_are_written_as_a_plan(place, capsys):
+    source, _, arm = robot("hsr_jr680")
+    for session in range(1, 40):
+        rows = touched("hsr_jr680", 15, session=session, joint=2, shift=1.6e-3)
+        if changed(arm, rows, touches=6).touches is not None:
+            break
+    write_samples(place / "few.csv", source.problem.layout(), rows, [])
+    out = place / "tell.csv"
+    assert main(["changed", str(place / "first"), str(place / "few.csv"), "--touches", str(out)]) == 1
+    assert f"Written: {out.as_posix()}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
+    lines = out.read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("# touches that would settle what changed")
+    header = next(line for line in lines if not line.startswith("#"))
+    assert header.startswith("touch,purpose,q1_deg")
+    assert "expected_reading_mm" in header
+    assert sum(line.split(",")[1] == "fit" for line in lines if "," in line and not line.startswith("#")) == 6
+    assert main(["changed", str(place / "first"), str(out)]) == 2, "a plan is no measurement"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere", "same.csv"], "no such file"),
+        (["first", "nowhere.csv"], "nowhere.csv"),
+        (["first", ""], "SAMPLES is empty"),
+        (["same.csv", "same.csv"], "not a result"),
+        (["first", "empty.csv"], "empty.csv"),
+        (["first", "same.csv", "--alarm", "1"], "false alarm rate"),
+        (["first", "same.csv", "--alarm", "one"], "alarm"),
+        (["first", "same.csv", "--drift", "theta4"], "--drift theta4 is not NAME=STD"),
+        (["first", "same.csv", "--drift", "thetta=1e-5"], "thetta"),
+        (["first", "same.csv", "--standing", "ceiling"], "ceiling"),
+        (["first", "same.csv", "--standing", ","], "--standing is empty"),
+        (["first", "same.csv", "--instrument", "tracker"], "tracker"),
+        (["first", "same.csv", "--update", "same.csv"], "no folder"),
+        (["first", "same.csv", "--update", "first"], "what the command reads"),
+        (["first", "same.csv", "--touches", "same.csv"], "what the command reads"),
+        (["first", "same.csv", "--problem", "UR5"], "not the calibrated one"),
+    ],
+)
+def test_bad_input_is_one_sentence(place, words, said, capsys, monkeypatch):
+    monkeypatch.chdir(place)
+    (place / "empty.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,reading_mm,plane\n", encoding="utf-8")
+    before = sorted(path.name for path in place.rglob("*"))
+    words = [str(ROOT / "problems" / "ur5") if word == "UR5" else word for word in words]
+    assert main(["changed", *words]) == 2
+    told = capsys.readouterr()
+    assert said in told.err
+    assert told.out == ""
+    assert told.err.count("\n") == 1
+    assert sorted(path.name for path in place.rglob("*")) == before
+
+
+# ------------------------------------------------------------------------------------------------ beside the geometry
+
+
+@pytest.mark.long
+def test_what_is_corrected_is_updated_too(tmp_path):
+    """A small arm that sags, whose give is corrected: its value and its covariance follow the rows."""
+    source = load_problem(ROOT / "problems" / "ur5")
+    soft = dataclasses.replace(source.cell, compliance=0.3)
+    made = simulate(source.problem, soft, samples=120, seed=1)
+    old = calibrate(source, made.samples, reference=False).arm
+    assert old.document["discrepancy"]["corrected"] == ["give"]
+    rows = simulate(source.problem, soft, samples=60, seed=1).samples
+    found = changed(old, rows, standing=["plane"])
+    assert found.ended == "nothing", found.summary()
+    new = updated(old, rows, standing=["plane"], folder=tmp_path)
+    before, after = (arm.document["discrepancy"] for arm in (old, load(tmp_path).arm))
+    was, now = ({row["name"]: row["value"] for row in part["unknowns"]} for part in (before, after))
+    stds = [
+        dict(zip(part["covariance_of"], np.sqrt(np.diag(np.array(part["covariance"], dtype=float))), strict=True))
+        for part in (before, after)
+    ]
+    give = [row["name"] for row in before["unknowns"] if row["effect"] == "give" and row["value"]]
+    assert give
+    for name in give:
+        assert now[name] != was[name]
+        assert abs(now[name] - was[name]) < 4 * stds[0][name]
+        assert stds[1][name] < stds[0][name]
+    assert set(before["covariance_of"]) == set(after["covariance_of"])
+    held = {row["name"]: row["value"] for row in new.to_dict()["unknowns"]}
+    moved = {row["name"]: row["value"] for row in after["without_corrections"]}
+    alone = {row["name"]: row["value"] for row in before["without_corrections"]}
+    first = {row["name"]: row["value"] for row in old.document["unknowns"]}
+    for name in ("a2", "theta5"):  # what is best without corrections moves as the geometry does
+        assert moved[name] - alone[name] == pytest.approx(held[name] - first[name], abs=1e-12)
+        assert held[name] != first[name]
+    joints = workspace_joints(source.problem.robot)
+    tips = made.true_tips(joints)
+    errors = [
+        tip_rms(without_rigid((load_of(arm).predict(joints, frame="tip").positions - tips).ravel(), tips))
+        for arm in (old, new.arm)
+    ]
+    assert errors[1] < 1.2 * errors[0]
+    later = simulate(source.problem, soft, samples=72, seed=1).samples
+    assert verify(tmp_path, later).kept
+    assert (
+        new.predict(joints, frame="tip", std=True).std.mean()
+        < load_of(old).predict(joints, frame="tip", std=True).std.mean()
+    )

@@ -1,0 +1,156 @@
+"""A robust loss in every method that minimises: one cost, the same number in each, against sums written out here."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from oracles import central_difference
+
+from casacal import CasacalError, annealing, bind, calibrate, evolution, huber, lm, load_problem, sckf, swarm, tukey
+from casacal.calibration.given import METHODS
+from casacal.cli.main import main
+from casacal.estimators import nlpsol, sckf_lm
+from casacal.estimators.ipopt_objective import Objective
+from casacal.estimators.population import Search
+from casacal.study.metering import Metered
+
+LOSSES = [huber(), tukey(4.0)]
+SEARCHES = {"annealing": annealing, "swarm": swarm, "evolution": evolution}
+
+
+def spoilt(name):
+    """The samples of a problem, every 17th reading wrong by a millimetre."""
+    folder = ROOT / "problems" / name
+    problem = load_problem(folder).problem
+    samples = problem.read(folder / "samples.csv")
+    reading = samples.columns["reading"].copy()
+    reading[::17] += 1.0
+    return problem, dataclasses.replace(samples, columns={"reading": reading})
+
+
+@pytest.fixture(scope="module", params=["hsr_jr680", "ur5"])
+def bound(request):
+    return bind(*spoilt(request.param))
+
+
+@pytest.fixture(params=LOSSES, ids=lambda loss: loss.name)
+def loss(request):
+    return request.param
+
+
+def written_out(problem, x, loss):
+    """Huber (1964) and Tukey's biweight, row by row, and the prior, unknown by unknown."""
+    total = 0.0
+    for r in map(abs, problem.residual(x).tolist()):
+        if loss.name == "huber":
+            total += r * r / 2 if r <= 1.345 else 1.345 * r - 1.345**2 / 2
+        else:
+            total += 16 / 6 * (1 - (1 - r * r / 16) ** 3 if r <= 4 else 1)
+    return total + sum((a - b) ** 2 / (2 * s * s) for a, b, s in zip(x, problem.x0, problem.prior_std, strict=True))
+
+
+def test_all_ways_to_ask_for_the_cost_give_one_number(bound, loss):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.2, 0.2, (3, bound.unknowns))
+    search = Search(bound, budget=10**6, width=4.0, loss=loss)
+    for point, found in zip(points, search.costs(points), strict=True):
+        x = bound.x0 + 4.0 * bound.start_std * point
+        expected = pytest.approx(written_out(bound, x, loss), rel=1e-12)
+        assert found == expected
+        assert bound.cost(x, loss) == expected
+        assert Metered(bound).costs(x[None], loss)[0] == expected
+        assert bound.normal(x, loss).cost + bound.prior_cost(x) == expected
+        slope = central_difference(lambda p: search.costs(p[None]), point, np.full(point.size, 1e-7))
+        np.testing.assert_allclose(search.gradient(point), slope.ravel(), rtol=1e-4, atol=1e-3 * np.abs(slope).max())
+
+
+def test_the_references_objective_is_the_same_number_and_its_gradient_the_differences(bound, loss):
+    objective = Objective(bound.graph, bound, loss)
+    y = 0.3 * np.random.default_rng(1).standard_normal(objective.start.size)
+    gradient = objective(y)[1]
+    x = np.asarray(bound.graph.local(objective.raw(0 * y))).ravel()
+    assert objective(0 * y)[0] == pytest.approx(written_out(bound, x, loss), rel=1e-9)
+    slope = central_difference(lambda v: np.array([objective(v)[0]]), y, np.full(y.size, 1e-6)).ravel()
+    np.testing.assert_allclose(gradient, slope, rtol=1e-4, atol=1e-5 * np.abs(slope).max())
+
+
+def test_the_minima_of_independent_solvers_cost_the_same(bound, loss):
+    found = lm(bound, loss=loss)
+    assert found.cost == pytest.approx(written_out(bound, found.x, loss), rel=1e-12)
+    solvers = ("ipopt", "fatrop") if bound.unknowns == 33 or loss.name == "huber" else ()  # of the UR5, tukey has many
+    for other in (nlpsol(bound, solver=solver, loss=loss) for solver in solvers):
+        assert other.converged
+        assert other.loss == loss
+        assert other.cost == pytest.approx(found.cost, rel=1e-9)
+        assert other.trace["cost"][-1] == pytest.approx(other.cost, rel=1e-9)
+    both = sckf_lm(bound, loss=loss)
+    assert both.converged
+    from_filter = lm(bound, start=both.trace["filter_x"][-1], loss=loss)
+    assert both.cost <= from_filter.cost * (1 + 1e-9)
+    assert both.cost <= found.cost * (1 + 1e-9), "where it starts elsewhere, tukey has a lower minimum"
+    assert both.cost < 0.9 * bound.cost(lm(bound).x, loss), "the loss matters"
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_searches_lower_the_stated_cost(name, loss):
+    bound = bind(*spoilt("hsr_jr680"))
+    found = SEARCHES[name](bound, seed=1, budget=60_000, loss=loss)
+    assert found.loss == loss
+    assert found.trace["cost"][-1] == pytest.approx(written_out(bound, found.x, loss), rel=1e-12)
+    assert found.cost == pytest.approx(found.trace["cost"][-1], rel=1e-12)
+    assert found.cost <= bound.cost(bound.x0, loss)
+    np.testing.assert_array_equal(found.information, bound.normal(found.x, loss).information)
+    plain = SEARCHES[name](bound, seed=1, budget=60_000)
+    assert plain.loss is None
+    assert plain.cost == pytest.approx(bound.cost(plain.x), rel=1e-12)
+
+
+@pytest.mark.parametrize("method", ["lm", "sckf-lm", "ipopt"])
+def test_the_cross_check_has_the_loss_too(method):
+    problem, samples = spoilt("hsr_jr680")
+    made = calibrate(problem, samples, method=method, loss=huber())
+    assert made.result.loss is not None
+    assert made.reference.solver == ("lm" if method == "ipopt" else "ipopt")
+    assert made.reference.agrees
+    assert made.reference.result.loss == made.result.loss
+    assert made.reference.cost == pytest.approx(written_out(made.fit, made.reference.result.x, huber()), rel=1e-8)
+    assert len(made.down_weighted) >= len(samples) // 17
+
+
+@pytest.mark.parametrize(
+    ("method", "says"),
+    [
+        (
+            "sckf",
+            "'sckf' takes no loss: it takes every row once.* Use one of lm, sckf-lm, annealing, swarm",
+        ),
+        ("ekf", "'ekf' takes no loss: it takes every row once"),
+        (sckf, "'sckf' takes no loss"),
+        ("plane-only", "'plane-only' takes no loss: it is the control"),
+        (lambda problem: problem.x0, "is a function of the problem alone.* problem.cost"),
+    ],
+)
+def test_who_takes_no_loss_says_why_and_what_to_take(hsr, method, says):
+    with pytest.raises(CasacalError, match=says):
+        calibrate(hsr, method=method, loss=huber())
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_calibration_by_search_has_the_loss(name, monkeypatch):
+    small = partial(SEARCHES[name], budget=24_000)
+    monkeypatch.setattr("casacal.calibration.given.METHODS", {**METHODS, name: small})
+    made = calibrate(*spoilt("hsr_jr680"), method=name, loss=huber(), reference=False)
+    assert made.result.loss is not None
+    assert made.cost == pytest.approx(written_out(made.fit, made.x, huber()), rel=1e-12)
+
+
+def test_the_command_takes_it(hsr, capsys):
+    words = ["calibrate", str(hsr.path), "--loss", "huber", "--method", "sckf-lm", "--verbose"]
+    assert main(words) == 0
+    assert "Reference: ipopt agrees" in capsys.readouterr().out
+    assert main(["calibrate", str(hsr.path), "--loss", "huber", "--method", "plane-only"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") <= 2
+    assert "takes no loss" in err

@@ -1,0 +1,442 @@
+"""Sessions: the filter's belief against other ways to it, slips against their names, and what a session must not do."""
+
+import math
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from measured_world import World, taken
+from scipy.optimize import least_squares
+from scipy.stats import multivariate_normal
+
+from casacal import CasacalError, Session, bind, lm, load_problem, plan
+from casacal.measuring.linear import LinearRows, error_below, expected_error, spectrum
+from casacal.measuring.touch import rows_of
+from casacal.planning.clearance import Clearance, nodes_of
+from casacal.uncertainty.expectation import expected_accuracy
+
+UR5, SCARA = (ROOT / "problems" / name for name in ("ur5", "adept_cobra600"))
+
+
+@pytest.fixture(scope="module")
+def route(hsr):
+    return plan(hsr.problem, hsr.cell, touches=50, pool=600, starts=1, check=0.1, seed=3)
+
+
+@pytest.fixture(scope="module")
+def world(hsr, route):
+    return World(hsr.problem, route, seed=5)
+
+
+@pytest.fixture(scope="module")
+def late(hsr, route, world):
+    """After forty touches."""
+    return taken(Session(hsr.problem, route), world, range(1, 41))
+
+
+def test_the_belief_is_what_least_squares_find(late):
+    """SciPy with the same prior, faces within what a filter starts with of where they began; LM and the tip error by
+    the formula of the reports, where faces may stand anywhere: that pulls the turn of the base by parts of a sigma.
+    """
+    rows = rows_of([touch for touch in late.touches if touch.purpose != "check"])
+    bound = bind(late.problem, rows)
+    found = lm(bound)
+    arm = [name for name in bound.names if not name.startswith("plane.")]
+    here = [late.names.index(name) for name in arm]
+    there = [bound.names.index(name) for name in arm]
+    std = np.sqrt(np.diagonal(found.covariance))[there]
+    spread = late.belief.root @ late.belief.root.T
+    known = late.known.bound
+    same = least_squares(
+        lambda v: np.concatenate([known.residual(known.x0 + known.start_std * v), v]), late.known.belief.mean
+    )
+    gap = np.linalg.cholesky(same.jac.T @ same.jac).T @ (late.known.belief.mean - same.x)
+    assert np.linalg.norm(gap) < 0.01, "standard deviations, in any direction"
+    assert (np.abs(late.belief.mean[here] - found.x[there]) < 0.05 * std).all()
+    assert (np.abs(late.belief.mean[here]) > 3 * std).any(), "touches told something"
+    assert np.sqrt(np.diagonal(spread))[here] == pytest.approx(std, rel=0.03)
+    assert late.tip_error == pytest.approx(expected_accuracy(bound, found.x)[1], rel=0.01)
+
+
+def test_it_expects_less_with_every_touch(hsr, route, world):
+    session, before = Session(hsr.problem, route), math.inf
+    assert session.tip_error is None
+    assert session.belief is None
+    assert not session.done
+    for number in range(1, 30):
+        session = session.take(*world.touch(number), number=number)
+        assert session.tip_error <= before * (1 + 1e-4)
+        before = session.tip_error
+    assert session.tip_error < 0.5 * 3.03, "what is known beforehand"
+
+
+def test_nineteen_of_twenty():
+    """Against two hundred thousand draws."""
+    rng = np.random.default_rng(2)
+    field, root = rng.normal(size=(30, 6)), np.tril(rng.normal(size=(6, 6))) * np.geomspace(1, 0.03, 6)
+    moves = (field @ root @ rng.normal(size=(6, 200_000))).reshape(10, 3, -1)
+    drawn = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
+    weights = spectrum(root, field)
+    assert expected_error(weights) == pytest.approx(np.sqrt((drawn**2).mean()), rel=0.01)
+    assert error_below(weights) == pytest.approx(np.quantile(drawn, 0.95), rel=0.01)
+    assert error_below(weights, 0.5) == pytest.approx(np.quantile(drawn, 0.5), rel=0.03)
+
+
+def slipped(kind, joints, reading, face):
+    other = joints.copy()
+    if kind == "sign":
+        return joints, -reading, face
+    if kind == "revolution":
+        return joints, reading - 1.0, face
+    if kind == "label":
+        return joints, reading, next(name for name in ("floor", "wall", "side") if name != face)
+    if kind == "digit":
+        return joints, reading + (3.0 if reading < 6 else -3.0), face
+    if kind == "unit":
+        return joints, reading / 25.4, face
+    if kind == "joints swapped":
+        other[[1, 2]] = other[[2, 1]]
+    if kind == "joint":
+        other[1] += math.radians(3.0)
+    return other, reading, face
+
+
+@pytest.mark.parametrize("kind", ["sign", "revolution", "label", "digit", "unit", "joints swapped", "joint"])
+def test_a_slip_is_named_and_put_right(late, world, kind):
+    told, first = [], []
+    for number in (41, 42, 43):
+        right = world.touch(number)
+        session = late.take(*slipped(kind, *right), number=number)
+        if session.planned(number).purpose == "check":
+            continue
+        assert session.alarm.touch == 40
+        assert abs(session.alarm.off) > 3 * session.alarm.std
+        assert session.state.off[0] == pytest.approx(session.alarm.off, rel=0.1), "said twice, on two ways"
+        assert session.belief.mean == pytest.approx(late.belief.mean, abs=1e-6), "what is in doubt is not believed"
+        assert session.undo().touches == late.touches
+        kept = session.keep()
+        assert kept.touches[-1].kept
+        assert len(kept) == 41
+        assert kept.alarm is None or kept.alarm.touch != 40, "the word of the operator stands"
+        suspects = [each for each in session.alarm.suspects if each.slip is not None and each.slip.kind == kind]
+        told.append(bool(suspects))
+        first.append(session.alarm.suspects[0] in suspects)
+        for suspect in suspects:
+            mended = session.correct(suspect)
+            touch = mended.touches[-1]
+            if (
+                mended.alarm is None
+                and touch.joints == pytest.approx(right[0], abs=2e-6)
+                and touch.labels["plane"] == right[2]
+            ):
+                assert touch.columns["reading"] == pytest.approx(right[1], abs=2e-3)
+                break
+        else:
+            told[-1] &= kind == "digit"  # of several that fit no data can say which
+    assert len(told) > 1
+    assert sum(told) >= len(told) - 1
+    assert kind in ("unit", "joint", "digit") or sum(first) >= len(first) - 1
+
+
+def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
+    """A turn of the pointer lost in the fifth touch: no larger than what the drawing may be wrong by, at first."""
+    session = taken(Session(hsr.problem, route), world, range(1, 5))
+    joints, reading, face = world.touch(5)
+    session = session.take(joints, reading - 1.0, face, number=5)
+    assert session.alarm is None
+    innocent = 0
+    for number in range(6, 46):
+        session = session.take(*world.touch(number), number=number)
+        while session.alarm is not None and all(suspect.touch != 4 for suspect in session.alarm.suspects):
+            session, innocent = session.keep(), innocent + 1
+        if session.alarm is not None:
+            break
+    named = next(suspect for suspect in session.alarm.suspects if suspect.touch == 4)
+    assert innocent <= 2
+    assert named.slip.kind == "revolution"
+    assert session.correct(named).alarm is None
+
+
+@pytest.mark.long
+def test_what_is_right_is_left_alone(hsr, route):
+    """Five arms, fifty touches each, faces elsewhere than planned: below one of a hundred is doubted."""
+    doubts = 0
+    for seed in range(5):
+        world = World(hsr.problem, route, seed=seed, faces=(8.0, 8e-3))
+        session = Session(hsr.problem, route)
+        for number in range(1, 51):
+            session = session.take(*world.touch(number), number=number)
+            while session.alarm is not None:
+                session, doubts = session.keep(), doubts + 1
+        off, std = session.checked()
+        assert len(off) == 5
+        assert (np.abs(off) < 4 * std).all()
+        assert session.noise == 1.0
+        assert session.next() is None
+    assert doubts <= 2
+
+
+def test_noise_beyond_the_stated_is_found_and_counted(hsr, route, late):
+    world = World(hsr.problem, route, seed=5, noise=6.0)
+    session = Session(hsr.problem, route)
+    for number in range(1, 51):
+        session = session.take(*world.touch(number), number=number)
+        while session.alarm is not None:
+            session = session.keep()
+    assert 3.5 < session.noise < 10
+    assert session.tip_error > 1.2 * late.tip_error
+
+
+def test_without_a_plan_it_waits_for_the_faces(hsr, route, world):
+    session, seen = Session(hsr.problem), {}
+    for number in range(1, 30):
+        joints, reading, face = world.touch(number)
+        session = session.take(joints, reading, face)
+        seen[face] = seen.get(face, 0) + 1
+        waiting = {session.touches[k].labels["plane"] for k in session.waiting}
+        assert waiting == {name for name, count in seen.items() if count < 4}
+    assert session.next() is None
+    assert session.alarm is None
+    assert session.tip_error < 2.5
+    assert rows_of(session.touches).faces().names == tuple(seen)
+
+
+def test_a_plunger_along_a_face_touches_nothing(hsr, route, late):
+    """At zero joint values the plunger points down, along both walls."""
+    for session in (late, Session(hsr.problem, route)):
+        for face in ("wall", "side"):
+            with pytest.raises(CasacalError, match=f"parallel to '{face}'"):
+                session.take(np.zeros(6), 3.2, face)
+        assert session.take(np.zeros(6), 3.2, "floor").alarm.touch == len(session)
+
+
+def test_steps_that_cannot_be_taken_are_refused(hsr, route, world, late):
+    joints, reading, face = world.touch(41)
+    doubtful = late.take(joints, -reading, face, number=41)
+    with pytest.raises(CasacalError, match=r"Touch 41 is in doubt. Answer first"):
+        doubtful.take(joints, reading, face)
+    stray = next(each for each in doubtful.alarm.suspects if each.slip is not None)
+    assert doubtful.correct(stray).alarm is None
+    for wrong, words in (
+        (lambda: late.keep(), "No touch is in doubt"),
+        (lambda: late.correct(), "No touch is in doubt"),
+        (lambda: late.take(joints[:5], reading, face), r"shape \(5,\)"),
+        (lambda: late.take(joints * np.nan, reading, face), "not finite"),
+        (lambda: late.take(joints * 1000, reading, face), "no robot can take"),
+        (lambda: late.take(joints, None, face), "Got nothing as the reading"),
+        (lambda: late.take(joints, "3.2", face), "Got a str as the reading"),
+        (lambda: late.take(joints, {"way": 3.2}, face), "'way'"),
+        (lambda: late.take(joints, reading, "flor"), "Did you mean 'floor'"),
+        (lambda: late.take(joints, reading), "has no plane"),
+        (lambda: late.take(joints, reading, face, number=51), "the plan has 1 to 50"),
+        (lambda: late.undo(40), "no touch 40"),
+        (lambda: Session(hsr.problem).undo(), "no touch to take back"),
+        (lambda: Session("arm"), "as the problem"),
+        (lambda: Session(hsr.problem, "plan.csv"), "as the plan"),
+        (lambda: Session(hsr.problem, tolerance=-1.0), "as the tolerance"),
+    ):
+        with pytest.raises(CasacalError, match=words):
+            wrong()
+
+
+def test_sessions_are_values(late, world):
+    again = pickle.loads(pickle.dumps(late))
+    assert again == late
+    assert again.tip_error == pytest.approx(late.tip_error, rel=1e-12)
+    with ThreadPoolExecutor(2) as pool:
+        both = list(pool.map(lambda number: late.take(*world.touch(number), number=number), (41, 42)))
+    assert [each.touches[-1].number for each in both] == [41, 42]
+    assert len(late) == 40
+    assert late.resumed(late.touches).belief.mean == pytest.approx(late.belief.mean, abs=1e-9)
+    assert late.undo().undo().touches == late.touches[:-2]
+    assert repr(late).startswith("<Session of 40 touches: tip error")
+
+
+def test_a_touch_may_be_left_out(hsr, route):
+    session = Session(hsr.problem, route)
+    assert session.next().number == 1
+    assert session.skip(1).skip(2).next().number == 3
+    assert session.next().number == 1
+
+
+@pytest.mark.long
+def test_beyond_the_plan_the_best_is_proposed_until_the_tolerance_is_met(hsr):
+    route = plan(hsr.problem, hsr.cell, touches=24, pool=400, starts=1, check=0.0, again=0.0)
+    world = World(hsr.problem, route, seed=1)
+    session = taken(Session(hsr.problem, route, tolerance=1.2, cell=hsr.cell), world, range(1, 25))
+    assert not session.done
+    needed, before = session.needed(), session.tip_error_below
+    assert 1 <= needed <= 30
+    touch = session.next()
+    assert touch.number is None
+    for _ in range(needed):
+        assert not session.done
+        touch = session.next()
+        rows = rows_of([touch])
+        off = world.bound.on(rows).plain_residual(world.x)
+        slope = (
+            world.bound.on(
+                rows_of([touch.__class__(touch.joints, {"reading": touch.columns["reading"] + 1e-3}, touch.labels)])
+            ).plain_residual(world.x)
+            - off
+        )
+        session = session.take(
+            touch.joints, touch.columns["reading"] - float((off / slope)[0]) * 1e-3, touch.labels["plane"]
+        )
+        assert session.alarm is None
+    assert session.done
+    assert session.next() is None
+    assert session.tip_error_below < before
+
+
+@pytest.mark.long
+def test_a_tolerance_that_cannot_be_met_is_said(hsr, route, late):
+    from dataclasses import replace
+
+    assert replace(late, tolerance=0.01).needed() is None
+    assert replace(late, tolerance=0.9 * late.tip_error_below).needed() > 0
+    assert replace(late, tolerance=1.1 * late.tip_error_below).done
+
+
+@pytest.mark.long
+def test_faces_of_few_touches_do_not_spoil_a_session():
+    """A UR5 errs by three millimetres, and a face begins with three touches near one another: nothing is doubted."""
+    source = load_problem(UR5)
+    route = plan(source.problem, source.cell, touches=52, pool=400, starts=1, seed=1)
+    doubts = 0
+    for seed in range(8):
+        world, session = World(source.problem, route, seed=seed), Session(source.problem, route)
+        for number in range(1, 53):
+            session = session.take(*world.touch(number), number=number)
+            while session.alarm is not None:
+                session, doubts = session.keep(), doubts + 1
+        assert session.noise == 1.0
+        assert world.tip_error(session.belief.mean) < 4 * session.tip_error
+    assert doubts <= 4, "one of a hundred"
+
+
+@pytest.mark.long
+def test_faces_that_nobody_planned_move_to_where_they_are():
+    """Four touches of an arm that errs by millimetres place a face badly; that is no knowledge to go by."""
+    source = load_problem(UR5)
+    route = plan(source.problem, source.cell, touches=52, pool=400, starts=1, seed=1)
+    errors = []
+    for seed in range(4):
+        world, session = World(source.problem, route, seed=seed), Session(source.problem)
+        for number in range(1, 53):
+            session = session.take(*world.touch(number))
+            while session.alarm is not None:
+                session = session.keep()
+        assert session.noise == 1.0
+        places = {name: k for k, name in enumerate(session.names)}
+        x = np.array([session.belief.mean[places[name]] for name in world.bound.names])
+        errors.append(world.tip_error(x) / session.tip_error)
+    assert max(errors) < 4
+
+
+def test_touches_on_a_line_wait(hsr, route, world):
+    """Nobody planned, and four touches of the floor lie on a line: where it is, they do not say."""
+    joints, session = next(q for q, _, face in map(world.touch, range(1, 51)) if face == "floor"), Session(hsr.problem)
+    for reading in (3.0, 3.1, 3.2, 3.3):
+        session = session.take(joints, reading, "floor")
+    assert len(session.waiting) == 4
+    assert session.alarm is None
+    assert session.tip_error is None
+
+
+def test_a_plan_gives_every_face_enough(hsr):
+    ur5 = load_problem(UR5)
+    for source, touches, starts in ((hsr, 20, 1), (hsr, 34, 1), (hsr, 20, 2), (ur5, 12, 2), (ur5, 24, 1)):
+        made = plan(source.problem, source.cell, touches=touches, pool=400, starts=starts)
+        faces = ["floor" if name == "block" else name for name in made.samples.labels["plane"]]  # it stands on that
+        fitted = [faces[k] for k, purpose in enumerate(made.purposes) if purpose == "fit"]
+        assert all(fitted.count(name) >= 4 for name in set(fitted))
+        checked = {faces[k] for k, purpose in enumerate(made.purposes) if purpose == "check"}
+        assert checked <= set(fitted)
+        session = Session(source.problem, made).take(*World(source.problem, made).touch(1), number=1)
+        assert not session.waiting
+
+
+@pytest.mark.parametrize("folder", [UR5, SCARA], ids=lambda folder: folder.name)
+def test_other_arms(folder):
+    source = load_problem(folder)
+    route = plan(source.problem, source.cell, touches=40, pool=300, starts=1, check=0.0, seed=1)
+    world = World(source.problem, route, seed=2, faces=(2.0, 2e-3))
+    session = taken(Session(source.problem, route), world, range(1, 31))
+    joints, reading, face = world.touch(31)
+    wrong = session.take(joints, -reading, face, number=31)
+    assert wrong.alarm.suspects[0].slip.kind == "sign"
+    assert world.tip_error(session.belief.mean) < 3 * session.tip_error
+
+
+def test_the_very_first_touch_may_be_wrong(hsr, route, world):
+    """On another face, some tenths of a metre away, before anything is known."""
+    named = 0
+    for number in range(1, 12):
+        joints, reading, face = world.touch(number)
+        for other in {"floor", "wall", "side"} - {face}:
+            session = Session(hsr.problem, route).take(joints, reading, other, number=number)
+            if session.alarm is None or route.purposes[number - 1] == "check":
+                continue
+            assert session.alarm.touch == 0
+            assert session.alarm.suspects[0].slip.kind == "label"
+            assert session.belief is None
+            assert session.correct().touches[0].labels["plane"] in {"floor", "wall", "side"} - {other}
+            assert len(session.undo()) == 0
+            named += 1
+    assert named > 3
+
+
+def test_the_best_of_the_plan_comes_first_where_that_is_asked(hsr, route, world):
+    """Each row's part in the tip error by an inverse of its own; fewer touches then leave less."""
+    wished, plain = Session(hsr.problem, route, best_first=True), Session(hsr.problem, route)
+    order = []
+    for count in range(1, 21):
+        touch = wished.next()
+        order.append(touch.number)
+        if count == 15:
+            known, left = wished.state.known, [k for k in range(1, 51) if k not in order[:-1]]
+            fit = [k for k in left if route.purposes[k - 1] == "fit"]
+            bound = known.bound.on(route.samples.take(np.array(fit) - 1))
+            slopes = bound.jacobian(known.x) * bound.start_std
+            information = np.linalg.inv(known.belief.root @ known.belief.root.T)
+            moves = wished.field.reshape(-1, slopes.shape[1])
+            errors = [np.trace(moves @ np.linalg.inv(information + np.outer(a, a)) @ moves.T) for a in slopes]
+            assert touch.number == fit[int(np.argmin(errors))]
+        wished = wished.take(*world.touch(touch.number), number=touch.number)
+        plain = plain.take(*world.touch(count), number=count)
+        assert wished.alarm is None
+    assert len(set(order)) == 20
+    assert order != list(range(1, 21))
+    assert wished.tip_error < 0.9 * plain.tip_error
+    assert all(route.purposes[number - 1] == "fit" for number in order)
+    while (touch := wished.next()) is not None:
+        assert touch.number is not None
+        wished = wished.skip(touch.number)
+
+
+def test_touches_beyond_the_plan_keep_clear(hsr, route, world):
+    made = taken(Session(hsr.problem, route, tolerance=0.05, cell=hsr.cell), world, range(1, 26))
+    for number in range(26, 51):
+        made = made.skip(number)
+    free = made.next()
+    wrist = nodes_of(hsr.problem.robot, free.joints[None])[0, -1]
+    box = tuple((float(value) - 60.0, float(value) + 60.0) for value in wrist)
+    kept = Session(hsr.problem, route, tolerance=0.05, cell=hsr.cell, clearance=Clearance((box,))).resumed(made.touches)
+    for number in range(26, 51):
+        kept = kept.skip(number)
+    there = nodes_of(hsr.problem.robot, kept.next().joints[None])[0, -1]
+    assert free.number is None
+    assert any(not low <= value <= high for value, (low, high) in zip(there, box, strict=True))
+
+
+def test_the_evidence_of_rows_is_their_density_with_the_arm_integrated_out():
+    """log N(r - J m; 0, I + J J'), dense, by SciPy; no formula shared."""
+    rng = np.random.default_rng(4)
+    r, slope, mean = rng.normal(size=(5, 2)), rng.normal(size=(5, 2, 4)), rng.normal(size=4)
+    flat = slope.reshape(10, 4)
+    dense = multivariate_normal(cov=np.eye(10) + flat @ flat.T).logpdf(r.ravel() - flat @ mean)
+    told = LinearRows(r, slope, np.ones((5, 2))).told(mean)
+    assert told.evidence == pytest.approx(dense + 5 * math.log(2 * math.pi), rel=1e-12)

@@ -1,0 +1,180 @@
+"""Mistakes of the cell that were once called by another name: each is named as what it is, and nothing beside it."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, simulate
+from casacal.calibration.verdict import verdict_of
+from casacal.checks.causes import _to_the_end, _Trial
+from casacal.checks.finding import Fault, Undone, misfit
+from casacal.checks.rows import outside
+from casacal.checks.setup import tells_a_wrong_sign
+from casacal.errors import CasacalError
+from casacal.tables.columns import Labels
+from studies.cell_mistakes import PROBLEMS
+
+REPLACE = dataclasses.replace
+
+
+@pytest.fixture(scope="module")
+def ur5():
+    """An arm with a block that stands on the floor, and 80 touches."""
+    source = load_problem(PROBLEMS / "ur5")
+    return source.problem, simulate(source.problem, source.cell, samples=80, seed=3).samples
+
+
+@pytest.fixture(scope="module")
+def scara():
+    source = load_problem(PROBLEMS / "adept_cobra600")
+    problem = Problem(source.problem.robot, DialOnPlane(noise_std=0.01, tool=source.problem.instrument.tool))
+    return problem, simulate(source.problem, source.cell, samples=60, seed=3).samples
+
+
+def errors(problem, samples):
+    return [finding for finding in check(problem, samples) if finding.severity == "error"]
+
+
+def labelled(samples, names):
+    return REPLACE(samples, labels={"plane": Labels.of(names)})
+
+
+def renamed(samples, names):
+    return labelled(samples, [names.get(label, label) for label in samples.labels["plane"]])
+
+
+def read(samples, change):
+    return REPLACE(samples, columns={"reading": change(samples.columns["reading"])})
+
+
+@pytest.mark.parametrize(("pair", "rows"), [(("floor", "wall"), 80), (("block", "floor"), 120)])
+def test_labels_of_two_faces_that_are_exchanged_throughout(pair, rows):
+    """A step in another's place does not fit; one in the place of its own floor may, with the normal turned round."""
+    source = load_problem(PROBLEMS / "ur5")
+    problem, samples = source.problem, simulate(source.problem, source.cell, samples=rows, seed=3).samples
+    wrong = renamed(samples, dict(zip(pair, pair[::-1], strict=True)))
+    (found,) = errors(problem, wrong)
+    assert found.about == "labels exchanged"
+    assert all(f"'{label}'" in found.cause for label in pair)
+    said = verdict_of(calibrate(problem, wrong, reference=False))
+    assert said.level == "do not use"
+    assert [reason.partition(":")[0] for reason in said.reasons] == ["Labels exchanged"]
+
+
+def test_a_step_down_is_no_mistake(ur5):
+    problem, samples = ur5
+    dial = REPLACE(problem.instrument, steps={"floor": Step(on="block", height=-100.0)})
+    assert not errors(Problem(problem.robot, dial), samples)
+
+
+def test_a_zero_a_quarter_turn_off(ur5):
+    problem, samples = ur5
+    wrong = REPLACE(samples, joints=samples.joints + math.pi / 2 * np.eye(6)[1])
+    (found,) = errors(problem, wrong)
+    assert found.about == "zero of joint 2"
+    assert "Add -90 degrees to column q2" in found.fix
+
+
+def test_the_other_convention_of_a_table(ur5):
+    problem, samples = ur5
+    (found,) = errors(Problem(problem.robot.in_other_convention(), problem.instrument), samples)
+    assert found.about == "DH convention"
+
+
+def test_a_column_of_labels_that_is_missing(scara):
+    problem, samples = scara
+    wrong = labelled(samples, ["plane"] * len(samples))
+    (found,) = errors(problem, wrong)
+    assert "there is no column 'plane'" in found.cause
+    said = verdict_of(calibrate(problem, wrong, reference=False))
+    assert said.reasons[0].startswith("Labels absent")
+
+
+def test_one_face_that_needs_no_labels_is_not_accused_of_having_none(scara):
+    """Measured sets of one anchor miss by some times their noise: an arm that errs, not a column that is missing."""
+    problem, samples = scara
+    rows = samples.take(samples.labels["plane"].rows()["near"])
+    noisy = rows.columns["reading"] + np.random.default_rng(1).normal(0, 0.1, len(rows))
+    (found,) = errors(problem, labelled(REPLACE(rows, columns={"reading": noisy}), ["plane"] * len(rows)))
+    assert found.about == "misfit"
+
+
+def test_half_of_the_rows_in_inches(scara):
+    problem, samples = scara
+    half = np.arange(len(samples)) % 2 == 0
+    (found,) = errors(problem, read(samples, lambda reading: np.where(half, reading / 25.4, reading)))
+    assert "readings up to 0.394 mm seem to be inches" in found.cause
+
+
+def test_readings_with_a_minus_have_one_cure(scara):
+    problem, samples = scara
+    (found,) = errors(problem, read(samples, np.negative))
+    assert found.about == "wrong dial sign"
+    assert found.fix == "Write the readings without the minus"
+    (found,) = errors(problem.with_settings({"sign": -problem.instrument.sign}), samples)
+    assert "--set sign=" in found.fix
+
+
+def test_a_unit_that_is_wrong_is_no_travel_to_declare(scara):
+    problem, samples = scara
+    (found,) = errors(problem, read(samples, lambda reading: 1000 * reading))
+    assert found.about == "unit of the readings"
+    assert "travel" not in str(found)
+
+
+def test_what_was_split_in_two_is_not_called_small(ur5):
+    """Where something moved, later rows count under other labels, which no reader has ever seen."""
+    problem, samples = ur5
+    later, faces = np.arange(len(samples)) >= 40, samples.labels["plane"]
+    shift = np.array([0.8, -1.4, 1.0, 0.6])[faces.codes] * later
+    found = check(problem, REPLACE(samples, columns={"reading": samples.columns["reading"] + shift}))
+    assert found[0].about == "something moved"
+    assert not [finding for finding in found if ", later" in str(finding)]
+
+
+def test_what_fits_any_joints_explains_nothing(scara):
+    """All rows at nearly one posture with one reading lie on any plane: little is left, and nothing was found."""
+    problem, samples = scara
+    first, fault = samples.joints[:1], Fault("none", "", "", lambda *_: None)
+    still = REPLACE(samples, joints=first + 1e-6 * (samples.joints - first), columns={"reading": np.ones(60)})
+    assert misfit(problem, still) < 2
+    assert _to_the_end(_Trial((fault,), Undone(problem, still), 0.0)).size == math.inf
+    assert _to_the_end(_Trial((fault,), Undone(problem, samples), 0.0)).size < 2
+
+
+@pytest.mark.parametrize("slip", ["Near", "ne ar"])
+def test_calibrate_names_a_label_that_is_a_slip(scara, slip):
+    problem, samples = scara
+    names, rows = list(samples.labels["plane"]), samples.labels["plane"].rows()["near"]
+    for row in rows[:6]:
+        names[row] = slip
+    said = verdict_of(calibrate(problem, labelled(samples, names), reference=False))
+    assert said.level == "use with care"
+    assert any(f"'{slip}' (6 rows) hardly differs from 'near'" in reason for reason in said.reasons)
+    for row in rows[2:6]:
+        names[row] = "near"
+    with pytest.raises(CasacalError, match=f"2 rows for 3 unknowns.*'{slip}'.*hardly differs.*Write 'near' there"):
+        calibrate(problem, labelled(samples, names), reference=False)
+
+
+def test_a_slope_far_beyond_two_is_no_wrong_sign():
+    assert not tells_a_wrong_sign(53.6, 9.7)
+    assert tells_a_wrong_sign(2.2, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "travel", "says"),
+    [
+        (-6.0, 2.0, (-5.0, 5.0), "--set travel=-6:5)"),
+        (0.0, 12.3, 10.0, "otherwise check these rows"),
+        (-4.0, 7.2, (-5.0, 5.0), "otherwise check these rows"),
+    ],
+)
+def test_advice_on_the_travel_keeps_the_other_end_and_leaves_room_for_a_slip(scara, low, high, travel, says):
+    problem, samples = scara
+    (found,) = outside(
+        problem.with_settings({"travel": travel}), read(samples, lambda r: np.linspace(low, high, len(r)))
+    )
+    assert says in found.fix

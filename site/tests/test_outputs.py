@@ -1,0 +1,277 @@
+"""What is written is whole, of one run, where it was asked for, and never over what was read."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from hears_signals import hears_signals
+
+from casacal import CasacalError
+from casacal.calibration.result_json import FILES
+from casacal.cli.main import main
+from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
+
+HSR = ROOT / "problems" / "hsr_jr680"
+KILLS = int(os.environ.get("CASACAL_KILLS", "2"))
+"""Kills of each kind; a hundred were run once."""
+WRITER = """
+import sys
+from pathlib import Path
+from casacal import calibrate
+made = {seed: calibrate(sys.argv[1], method="lm", reference=False, holdout=0.3, seed=seed) for seed in (1, 2)}
+print("ready", flush=True)
+while True:
+    for calibration in made.values():
+        calibration.save(sys.argv[2])
+"""
+
+
+def marks_of(folder):
+    """Which run each file of a folder is of, as far as it tells: seeds, by the held-out rows' figures."""
+    found = {}
+    if (folder / "result.json").exists():
+        found["result.json"] = json.loads((folder / "result.json").read_text())["seed"]
+    if (folder / "report.html").exists():
+        page = re.sub(r"<[^>]*>", " ", (folder / "report.html").read_text())
+        found["report.html"] = int(re.search(r"\bSeed\s+(\d)", page)[1])
+    return found
+
+
+def stop(process, number):
+    """Send a signal until it ends a process: Python may swallow one that comes while it tidies up."""
+    for _ in range(60):
+        process.send_signal(number)
+        try:
+            process.communicate(timeout=1)
+        except subprocess.TimeoutExpired:
+            continue
+        return
+    raise AssertionError("it does not end")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("kind", ["SIGINT", "SIGKILL", "SIGTERM"])
+def test_a_run_that_is_stopped_leaves_files_of_one_run(kind, tmp_path):
+    """Two results take turns in one folder, and the writer is stopped at any moment."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
+    seen = set()
+    for k in range(KILLS):
+        out = tmp_path / "out"
+        writer = subprocess.Popen([sys.executable, "-c", WRITER, str(HSR), str(out)], stdout=subprocess.PIPE,
+                                  stderr=subprocess.DEVNULL, env=environment, preexec_fn=hears_signals)  # fmt: skip
+        assert writer.stdout.readline() == b"ready\n"
+        time.sleep(0.05 + (k * 0.37) % 1.9)
+        stop(writer, getattr(signal, kind))
+        names = {path.name for path in out.iterdir()} if out.exists() else set()
+        visible = {name for name in names if not name.startswith(".")}
+        assert visible <= set(FILES)
+        if "result.json" in visible:
+            assert visible == set(FILES)
+        if kind == "SIGINT":  # the others leave Python no time to tidy up
+            assert names == visible
+        tables = {path.read_bytes() for path in (out / "parameters.csv",) if path.exists()}
+        seen |= tables
+        found = marks_of(out)
+        assert len(set(found.values())) <= 1, found
+        if tables and "result.json" in found:
+            rows = json.loads((out / "result.json").read_text())["parameters"]
+            line = next(iter(tables)).decode().splitlines()[1].split(",")
+            assert float(line[3]) == pytest.approx(rows[0]["estimate"], rel=1e-11)
+    assert main(["calibrate", str(HSR), "--method", "lm", "--no-reference", "--out", str(tmp_path / "out")]) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(FILES)  # leftovers are swept
+
+
+def test_all_files_take_their_places_or_none(tmp_path):
+    (tmp_path / "a").write_text("old")
+    (tmp_path / "mine").write_text("mine")
+    with pytest.raises(CasacalError, match="No space left"):
+        fill_the_disk(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "old", "mine": "mine"}
+    with together(tmp_path, ["c", "a", "b"]) as place:
+        (place / "b").write_text("new")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"b": "new", "mine": "mine"}
+    with pytest.raises(ZeroDivisionError), together(tmp_path / "deep" / "er", ["a"]):
+        raise ZeroDivisionError
+    assert not (tmp_path / "deep" / "er").exists()
+
+
+def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
+    moves, move = [], shutil.move
+
+    def slowly(source, target):
+        moves.append(target.name)
+        if len(moves) == 1:
+            signal.raise_signal(signal.SIGINT)
+        move(source, target)
+
+    monkeypatch.setattr(shutil, "move", slowly)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever started these tests may ignore it
+    with pytest.raises(KeyboardInterrupt):
+        write_pair(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.json"]
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+    place_in_thread = []
+    thread = threading.Thread(target=lambda: place_in_thread.append(write_set(tmp_path / "t")))
+    thread.start()
+    thread.join()
+    assert (tmp_path / "t" / "a").exists()
+
+
+def fill_the_disk(folder):
+    with together(folder, ["a", "b"]) as place:
+        (place / "a").write_text("new")
+        raise OSError(28, "No space left on device")
+
+
+def write_pair(folder):
+    with side_by_side([folder / "x.csv", folder / "x.json"]) as places:
+        for place in places:
+            place.write_text("new")
+
+
+def write_set(folder):
+    with together(folder, ["a"]) as place:
+        (place / "a").write_text("a")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")
+def test_a_run_that_is_turned_away_leaves_the_others_folder_alone(tmp_path, monkeypatch):
+    """The folder comes into being, with another run's file in it, between the look for it and the lock."""
+    made, mkdir = tmp_path / "out", Path.mkdir
+
+    def beaten(path, *given, **options):
+        mkdir(path, *given, **options)
+        (path / "theirs").write_text("theirs")
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(Path, "mkdir", beaten)
+    with pytest.raises(CasacalError, match="cannot be written"):
+        write_set(made)
+    assert (made / "theirs").read_text() == "theirs"
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name == "nt", reason="locks of POSIX")
+def test_two_runs_on_one_folder_meet_a_sentence(tmp_path, capsys):
+    with together(tmp_path, ["a"]):
+        assert main(["calibrate", str(HSR), "--method", "lm", "--no-reference", "--out", str(tmp_path)]) == 2
+        assert "Another run is writing into" in capsys.readouterr().err
+    assert main(["calibrate", str(HSR), "--method", "lm", "--no-reference", "--out", str(tmp_path)]) == 0
+
+
+def test_leftovers_of_runs_that_ended_are_swept_and_others_are_not(tmp_path):
+    mark = mark_of_this_run()
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    gone, kept = mark.rpartition("-")[0] + f"-{dead.pid}", mark
+    for name in (f"{PREFIX}{gone}-x", f"{PREFIX}{kept}-y", f"{PREFIX}someone-1-z"):
+        (tmp_path / name).mkdir()
+    (tmp_path / f".a.csv.{gone}-x.csv").write_text("left")
+    (tmp_path / f".b.csv.{gone}-x.csv").write_text("of another file")
+    write_set(tmp_path)
+    write_text(tmp_path / "a.csv", "new")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"a", "a.csv", f"{PREFIX}{kept}-y", f"{PREFIX}someone-1-z", f".b.csv.{gone}-x.csv"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes of POSIX")
+def test_modes_are_the_users_and_links_are_followed(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_text(tmp_path / "new.csv", "1")
+        write_set(tmp_path / "set")
+    finally:
+        os.umask(before)
+    for path in (tmp_path / "new.csv", tmp_path / "set" / "a"):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    (tmp_path / "new.csv").chmod(0o604)
+    write_text(tmp_path / "new.csv", "2")
+    assert stat.S_IMODE((tmp_path / "new.csv").stat().st_mode) == 0o604
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "set" / "a").unlink()
+    (tmp_path / "set" / "a").symlink_to(tmp_path / "elsewhere" / "real")
+    (tmp_path / "elsewhere" / "real").write_text("old")
+    write_set(tmp_path / "set")
+    assert (tmp_path / "set" / "a").is_symlink()
+    assert (tmp_path / "elsewhere" / "real").read_text() == "a"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A problem, a result of it that names its files by where they stand from there, and joints."""
+    place = tmp_path_factory.mktemp("made")
+    shutil.copytree(HSR, place / "p")
+    assert main(["calibrate", str(place / "p"), "--method", "lm", "--no-reference", "--out", str(place / "o")]) == 0
+    (place / "q.csv").write_text((HSR / "samples.csv").read_text())
+    return place
+
+
+@pytest.fixture
+def result(made, tmp_path):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "o" / "result.json"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["predict", "o/result.json", "q.csv", "--out", "q.csv"],
+        ["predict", "o/result.json", "q.csv", "--out", "o/../o/result.json"],
+        ["compensate", "o/result.json", "q.csv", "--out", "q.csv"],
+        ["export", "o/result.json", "--to", "dh", "--out", "o/result.json"],
+        ["export", "o/result.json", "--to", "dh", "--source", "q.csv", "--out", "q.csv"],
+        ["calibrate", "p", "o/parameters.csv", "--out", "o"],
+        ["simulate", "p", "--out", "p/problem.py"],
+        ["simulate", "p", "--out", "link.csv"],
+    ],
+    ids=" ".join,
+)
+def test_nothing_is_written_over_what_is_read(typed, result, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link.csv").symlink_to(tmp_path / "p" / "problem.py")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert main(typed) == 2
+    said = capsys.readouterr().err
+    assert "is what the command reads" in said or "was not simulated" in said
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_simulate_writes_both_files_or_neither(tmp_path, monkeypatch, capsys):
+    from casacal.calibration import result_json
+
+    def fails(*_, **__):
+        raise CasacalError("no truth", "none")
+
+    monkeypatch.setattr(result_json, "truth_document", fails)
+    assert main(["simulate", str(HSR), "--out", str(tmp_path / "x" / "s.csv")]) == 2
+    assert list(tmp_path.iterdir()) in ([], [tmp_path / "x"])
+    assert not (tmp_path / "x").exists()
+    monkeypatch.undo()
+    assert main(["simulate", str(HSR), "--out", str(tmp_path / "x" / "s.csv"), "--samples", "40"]) == 0
+    document = json.loads((tmp_path / "x" / "s.truth.json").read_text())
+    assert document["data"]["file"] == "s.csv"
+    assert sorted(path.name for path in (tmp_path / "x").iterdir()) == ["s.csv", "s.truth.json"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_a_pipe_gets_the_answer_and_stays_a_pipe(result, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    read = []
+    thread = threading.Thread(target=lambda: read.append((tmp_path / "pipe").read_text()))
+    thread.start()
+    assert main(["predict", str(result), str(tmp_path / "q.csv"), "--out", str(tmp_path / "pipe")]) == 0
+    thread.join(timeout=10)
+    assert read[0].startswith("x_mm,y_mm,z_mm")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    assert main(["simulate", str(HSR), "--out", str(tmp_path / "pipe")]) == 2

@@ -1,0 +1,165 @@
+"""The samples file: what is understood, and what is refused with file, line, column and fix."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT
+
+from casacal import calibrate
+from casacal.errors import SamplesError
+from casacal.samples.samples import Layout, Samples
+from casacal.samples.write import write_samples
+
+LAYOUT = Layout(("angle", "length"), {"reading": "length"}, ("plane",), {"force": "no force is measured"})
+GOOD = """# a comment
+q1_deg,q2_mm,reading_mm,plane,note
+
+10,200.5,1.25,left,hello
+-20.5,3e2,0.5,"right",
+"""
+
+
+@pytest.fixture(autouse=True, params=["small", "large"])
+def size(request, monkeypatch):
+    """Every test twice: as files of this size are read, and as those are that take pandas."""
+    if request.param == "large":
+        monkeypatch.setattr("casacal.tables.read.LARGE_FILE", 0)
+    return request.param
+
+
+def read(tmp_path, content, layout=LAYOUT):
+    file = tmp_path / "s.csv"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return Samples.from_csv(file, layout)
+
+
+def check_good(samples):
+    np.testing.assert_allclose(samples.joints, [[math.radians(10), 200.5], [math.radians(-20.5), 300]])
+    np.testing.assert_allclose(samples.columns["reading"], [1.25, 0.5])
+    assert samples.labels["plane"] == ("left", "right")
+
+
+def test_a_good_file(tmp_path, size):
+    samples = read(tmp_path, GOOD)
+    check_good(samples)
+    assert samples.lines == (4, 5)
+    assert samples.extra == ({"note": ("hello", "")} if size == "small" else {})
+    assert len(samples.sha256) == 64
+    with pytest.raises(ValueError, match="read-only"):
+        samples.joints[0, 0] = 1
+    assert samples.take([1]).lines == (5,)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        ("\ufeff" + GOOD).encode(),
+        GOOD.encode("utf-16"),
+        GOOD.replace("\n", "\r\n").encode(),
+        GOOD.replace(",", ";").encode(),
+        GOOD.replace(",", ";").replace(".", ",").encode(),
+        GOOD.replace(",", "\t").encode(),
+        GOOD.replace("q1_deg", "q1_rad")
+        .replace("10,", f"{math.radians(10)},")
+        .replace("-20.5", f"{math.radians(-20.5)}"),
+        GOOD.replace("reading_mm", "reading_um").replace("1.25", "1250").replace(",0.5", ",500"),
+        GOOD.replace("reading_mm", "reading_in")
+        .replace("1.25", repr(1.25 / 25.4))
+        .replace(",0.5", "," + repr(0.5 / 25.4)),
+    ],
+    ids=["bom", "utf-16", "crlf", "semicolon", "decimal comma", "tab", "radians", "micrometres", "inches"],
+)
+def test_other_spellings_of_the_same_file(tmp_path, content):
+    check_good(read(tmp_path, content))
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "column", "says"),
+    [
+        (GOOD.replace("200.5", "abc"), 4, "q2_mm", "'abc' is not a finite number"),
+        (GOOD.replace("200.5", "nan"), 4, "q2_mm", "not a finite number"),
+        (GOOD.replace("200.5", "inf"), 4, "q2_mm", "not a finite number"),
+        (GOOD.replace("200.5", "1e999"), 4, "q2_mm", "not a finite number"),
+        (GOOD.replace("200.5", "2_00"), 4, "q2_mm", "not a finite number"),
+        (GOOD.replace("200.5", ""), 4, "q2_mm", "empty"),
+        (GOOD.replace("10,", "1e6,"), 4, "q1_deg", "absurd"),
+        (GOOD.replace("10,200.5", "10"), 4, None, "4 cells where the header has 5"),
+        (GOOD.replace("hello", "hello,1"), 4, None, "6 cells"),
+        (GOOD.replace("left", ""), 4, "plane", "label is empty"),
+        (GOOD.replace("q2_mm", "q1_deg"), 2, "q1_deg", "twice"),
+        (GOOD.replace("q2_mm", "q2"), 2, "q2", "no unit"),
+        (GOOD.replace("q2_mm", "q2_deg"), 2, "q2_deg", "does not carry a unit"),
+        (GOOD.replace("q2_mm", "Q2_mm"), 2, None, "did you mean 'Q2_mm'"),
+        (GOOD.replace("note", "q1_rad"), 2, "q1_rad", "both give q1"),
+        (GOOD.replace("note", "q3_deg"), 2, "q3_deg", "2 joints"),
+        (GOOD.replace("note", "force_N"), 2, "force_N", "no force is measured"),
+        (GOOD.replace("reading_mm", "depth"), 2, None, "no column for reading"),
+        (GOOD.replace("note", ""), 2, None, "column 5 has no name"),
+        (GOOD.replace("q1_deg,q2_mm,reading_mm,plane,note\n", ""), 3, None, "not column names"),
+        ("q1_deg,q2_mm,reading_mm,plane\n", 1, None, "no line of data"),
+        (GOOD.replace(",", ";").replace("200.5", "200,5"), None, None, "mixed"),
+        (GOOD.replace('"right"', '"right'), 5, None, "quote"),
+        (GOOD.replace("hello", "h\xe9llo").encode("latin-1"), 4, None, "UTF-8"),
+        (b"", None, None, "empty"),
+        (b"\n# only a comment\n", None, None, "empty"),
+        (bytes(range(256)), None, None, "not a text file"),
+        (b"\x01\x02q1_deg\n", None, None, "control characters"),
+        (GOOD.encode("utf-16")[2:], None, None, "zero bytes"),
+    ],
+)
+def test_bad_files_are_refused_by_name(tmp_path, content, line, column, says):
+    with pytest.raises(SamplesError, match=says) as refusal:
+        read(tmp_path, content)
+    message = str(refusal.value)
+    assert str(tmp_path / "s.csv") in message
+    assert "\n" not in message
+    if line is not None:
+        assert f"line {line}" in message
+    if column is not None:
+        assert f"column '{column}'" in message
+    assert refusal.value.fix
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    for place in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(SamplesError):
+            Samples.from_csv(place, LAYOUT)
+
+
+def test_a_data_frame_reads_like_the_file(tmp_path):
+    frame = pd.DataFrame(
+        {"q1_deg": [10, -20.5], "q2_mm": [200.5, 300.0], "reading_mm": [1.25, 0.5], "plane": ["left", "right"]}
+    )
+    check_good(Samples.from_frame(frame, LAYOUT))
+    with pytest.raises(SamplesError, match="line 2, column 'q2_mm'"):
+        Samples.from_frame(frame.assign(q2_mm=[1.0, math.nan]), LAYOUT)
+
+
+def test_written_samples_read_back(tmp_path, hsr, corner_simulation):
+    odd = dataclasses.replace(corner_simulation.samples, labels={"plane": tuple(f'a "{i % 3}", b' for i in range(120))})
+    write_samples(tmp_path / "w.csv", hsr.problem.layout(), odd, ["a comment"])
+    again = hsr.problem.read(tmp_path / "w.csv")
+    assert again.labels["plane"] == odd.labels["plane"]
+    np.testing.assert_allclose(again.joints, odd.joints, atol=2e-9)
+    np.testing.assert_allclose(again.columns["reading"], odd.columns["reading"], atol=6e-5)
+
+
+def test_without_labels_all_rows_share_one(tmp_path):
+    assert read(tmp_path, "q1_deg,q2_mm,reading_mm\n1,2,3\n").labels["plane"] == ("plane",)
+
+
+def test_blank_lines_and_comments_between_rows_change_no_result(hsr, tmp_path):
+    """What comes after what is a matter of rows: drift and growth go by their order, not by the lines they stand on."""
+    text = (ROOT / "problems" / "hsr_jr680" / "samples.csv").read_text(encoding="utf-8")
+    lines = text.splitlines()
+    spread = tmp_path / "spread.csv"
+    spread.write_text("\n".join([*lines[:60], "", "", "# a pause", "", *lines[60:]]) + "\n", encoding="utf-8")
+    one, two = (
+        calibrate(hsr.problem, hsr.problem.read(path), method="lm", reference=False)
+        for path in (ROOT / "problems" / "hsr_jr680" / "samples.csv", spread)
+    )
+    assert one.cost == two.cost
+    np.testing.assert_array_equal(one.x, two.x)

@@ -1,0 +1,184 @@
+"""The simulated cell: the true tip touches, inside limits and travel; faults appear where and as large as asked."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from oracles import dh_chain
+
+from casacal import (
+    Cell,
+    DialOnPlane,
+    Direction,
+    Face,
+    Parameter,
+    Plane,
+    Problem,
+    Robot,
+    bind,
+    chain,
+    corner,
+    plate,
+    simulate,
+)
+from casacal.errors import SimulationError
+from casacal.kinematics import rotate_z, translate_x
+from casacal.problem.cell import flatness_din_876
+from casacal.simulation.faults import form_error
+from casacal.simulation.touches import default_cell
+
+
+def true_tips(simulation, joints, readings, sign=1):
+    """Tips (N, 3) and plunger directions of the true HSR-JR680 by NumPy alone."""
+    nominal, last = simulation.problem.robot.parameters, np.array([0, 0, 0, 0, 0, 1.0])
+    alpha, a, d, theta = (np.array(nominal[k].values) + simulation.local[k] for k in ("alpha", "a", "d", "theta"))
+    poses = [dh_chain(alpha, a, d + sign * r * last, theta + q) for q, r in zip(joints, readings, strict=True)]
+    return np.array([pose[:3, 3] for pose in poses]), np.array([pose[:3, 2] for pose in poses])
+
+
+def exact(cell, **changes):
+    return dataclasses.replace(cell, repeatability=0.0, resolution=0.0, **changes)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_true_tip_touches_the_face(hsr, sign):
+    problem = Problem(hsr.problem.robot, dataclasses.replace(hsr.problem.instruments[0], sign=sign))
+    simulation = simulate(problem, exact(hsr.cell), samples=60, seed=4)
+    rows = simulation.samples
+    tips, directions = true_tips(simulation, rows.joints, rows.columns["reading"], sign)
+    for label, face in {face.label: face for face in simulation.cell.faces}.items():
+        here = np.array(rows.labels["plane"]) == label
+        assert here.sum() == 20
+        across = (tips[here] - face.centre) @ face.axes.T
+        assert np.abs(across[:, 0]).max() < 1e-6
+        assert np.abs(across[:, 1:]).max() <= 300 + 1e-6
+        tilts = np.degrees(np.arccos(-directions[here] @ face.axes[0]))
+        assert tilts.max() <= 30 + 1e-4
+        assert tilts.max() > 20
+    limits = np.array([[joint.lower, joint.upper] for joint in problem.robot.axes])
+    assert ((rows.joints >= limits[:, 0]) & (rows.joints <= limits[:, 1])).all()
+    assert (rows.columns["reading"] > 0).all()
+    assert (rows.columns["reading"] < 10).all()
+
+
+def test_the_truth_makes_the_residual_vanish(hsr):
+    simulation = simulate(hsr.problem, exact(hsr.cell), seed=5)
+    bound = bind(hsr.problem, simulation.samples)
+    assert np.abs(bound.plain_residual(simulation.truth(bound))).max() < 1e-6
+    assert np.abs(bound.plain_residual(bound.x0)).max() > 0.05
+
+
+def test_the_same_seed_gives_the_same_samples_and_another_seed_does_not(hsr):
+    one, two, other = (simulate(hsr.problem, hsr.cell, samples=12, seed=seed).samples for seed in (6, 6, 7))
+    np.testing.assert_array_equal(one.joints, two.joints)
+    np.testing.assert_array_equal(one.columns["reading"], two.columns["reading"])
+    assert np.abs(one.joints - other.joints).max() > 0.01
+
+
+def test_noise_resolution_and_outliers_are_as_asked(hsr):
+    cell = dataclasses.replace(hsr.cell, repeatability=0.02, resolution=0.05)
+    rows = simulate(hsr.problem, cell, samples=600, seed=8)
+    readings = rows.samples.columns["reading"]
+    np.testing.assert_allclose(readings / 0.05, np.round(readings / 0.05), atol=1e-9)
+    bound = bind(hsr.problem, rows.samples)
+    whitened = bound.residual(rows.truth(bound)) * 0.01
+    assert whitened.std() == pytest.approx(math.sqrt(0.02**2 + 0.05**2 / 12), rel=0.1)
+    gross = simulate(hsr.problem, exact(hsr.cell, outliers=0.1, outlier_size=0.5), samples=300, seed=9)
+    bound = bind(hsr.problem, gross.samples)
+    off = np.abs(bound.residual(gross.truth(bound)) * 0.01) > 0.4
+    assert 15 <= off.sum() <= 45
+
+
+def test_what_the_model_lacks_leaves_a_residual_of_its_size(hsr):
+    for change, low, high in (
+        ({"compliance": 0.2}, 0.02, 0.3),
+        ({"flatness": 0.05}, 0.005, 0.05),
+        ({"joint_std": 30e-6}, 0.01, 0.1),
+    ):
+        simulation = simulate(hsr.problem, exact(hsr.cell, **change), seed=10)
+        bound = bind(hsr.problem, simulation.samples)
+        size = float(np.sqrt(np.mean(bound.plain_residual(simulation.truth(bound)) ** 2)))
+        assert low < size < high, (change, size)
+
+
+def test_the_tip_sags_down_by_as_much_as_asked(hsr):
+    """What is recorded are joints without sag: with these the tip stands above where it touched."""
+    touched = simulate(hsr.problem, exact(hsr.cell), seed=10)
+    recorded = simulate(hsr.problem, exact(hsr.cell, compliance=0.2), seed=10)
+    readings = touched.samples.columns["reading"]
+    np.testing.assert_array_equal(recorded.samples.columns["reading"], readings)
+    (low, _), (high, _) = (true_tips(made, made.samples.joints, readings) for made in (touched, recorded))
+    assert ((high - low)[:, 2] > 0).all()
+    assert math.sqrt(((high - low) ** 2).sum(axis=1).mean()) == pytest.approx(0.2, rel=0.01)
+
+
+def test_backlash_lags_half_of_itself_behind_the_last_move(hsr):
+    play = 40e-6
+    straight = simulate(hsr.problem, exact(hsr.cell), samples=30, seed=8).samples
+    loose = simulate(hsr.problem, exact(hsr.cell, backlash=play), samples=30, seed=8).samples
+    np.testing.assert_array_equal(loose.columns["reading"], straight.columns["reading"])
+    came_from = np.vstack([np.zeros(6), straight.joints[:-1]])
+    forward = straight.joints > came_from  # sent further than it went
+    np.testing.assert_allclose(loose.joints - straight.joints, np.where(forward, play / 2, -play / 2), atol=1e-12)
+
+
+def test_contact_without_a_dial_and_an_arm_without_a_cell(hsr):
+    problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.05, reading=False))
+    simulation = simulate(problem, default_cell(problem), samples=90, seed=11)
+    assert simulation.samples.columns == {}
+    bound = bind(problem, simulation.samples)
+    assert bound.plain_residual(simulation.truth(bound)).std() == pytest.approx(0.05, rel=0.3)
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (-2, 0, 0)])
+def test_a_problem_with_one_plane_is_touched_where_it_declares_it(normal):
+    def pose(p, q):
+        return chain(rotate_z(q[0]), translate_x(p.l1), rotate_z(q[1]), translate_x(p.l2))
+
+    lengths = {name: Parameter(value, unit="mm", prior_std=1.0) for name, value in (("l1", 400.0), ("l2", 300.0))}
+    robot, plane = Robot("two-link", joints=2, pose=pose, parameters=lengths), Plane(normal=normal, point=(500, 50, 0))
+    problem = Problem(robot, DialOnPlane(reading=False, noise_std=0.01, plunger=Direction((1, 0, 0)), plane=plane))
+    one, two = simulate(problem, exact(default_cell(problem), error_scale=0.0), samples=20, seed=3).samples.joints.T
+    np.testing.assert_allclose(400 * np.cos(one) + 300 * np.cos(one + two), 500, atol=1e-6)
+    assert (np.abs(400 * np.sin(one) + 300 * np.sin(one + two) - 50) < 150).all()
+    upwards = Problem(robot, DialOnPlane(reading=False, noise_std=0.01, plane=plane))
+    with pytest.raises(SimulationError, match="can touch one face"):
+        default_cell(upwards)
+
+
+def test_a_problem_with_one_plane_that_it_does_not_declare_is_touched_on_a_floor(hsr):
+    problem = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, plane=Plane()))
+    (face,) = default_cell(problem).faces
+    assert face.normal == (0.0, 0.0, 1.0)
+    assert len(simulate(problem, samples=12, seed=1).samples) == 12
+
+
+def test_faces_that_cannot_be_touched_are_refused(hsr):
+    with pytest.raises(SimulationError, match="'far'"):
+        simulate(hsr.problem, Cell(faces=(Face("far", (9000, 0, 0), (0, 0, 1)),)), samples=3)
+    with pytest.raises(SimulationError, match="no face"):
+        Cell(faces=())
+    with pytest.raises(SimulationError, match="share a label"):
+        Cell(faces=(*plate((1, 2, 3)), *plate((4, 5, 6))))
+    with pytest.raises(SimulationError, match="tilt"):
+        Cell(faces=plate((1, 2, 3)), tilt=2.0)
+
+
+def test_a_corner_looks_at_its_centre():
+    faces = corner((1000, 0, 500), size=400)
+    for face in faces:
+        assert np.dot(face.normal, np.array([1000, 0, 500]) - face.centre) == pytest.approx(200)
+    normals = np.array([face.normal for face in faces])
+    np.testing.assert_allclose(normals @ normals.T, np.eye(3), atol=1e-12)
+
+
+def test_form_errors_are_smooth_and_of_the_asked_height():
+    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41)), axis=-1).reshape(-1, 2)
+    field = form_error(np.random.default_rng(0), 0.02, grid)
+    assert np.ptp(field) == pytest.approx(0.02, rel=0.1)
+    assert np.abs(np.diff(field.reshape(41, 41), axis=1)).max() < 0.003
+    # DIN 876, grade I, 630 mm: 10 + 6.3 um
+    # DIN 876: 4, 10 and 20 micrometres times (1 + L / m)
+    for grade, micrometres in (("0", 4.0), ("I", 10.0), ("II", 20.0)):
+        assert flatness_din_876(grade, 630) == pytest.approx(micrometres * 1.63e-3)

@@ -1,0 +1,332 @@
+"""Effects that columns of a file tell: corrected where rows have these, counted where they lack them; oracle: NumPy."""
+
+import copy
+import ctypes
+import dataclasses
+import json
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import pytest
+from instruments_on_ur5 import ROBOT, TABLE, TOOL
+from instruments_on_ur5 import flanges as drawn
+
+from casacal import (
+    CasacalError,
+    Disturbances,
+    Problem,
+    ProblemError,
+    TrackedPoint,
+    bind,
+    calibrate,
+    load,
+    simulate,
+    tool_point,
+    verify,
+)
+from casacal.changes.update import updated
+from casacal.cli.main import main
+from casacal.compensation.document import check_document
+from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance
+from casacal.robots.links import Links
+
+GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
+PLAY = np.array([50.0, 80.0, 60.0, 100.0, 150.0, 90.0]) * 1e-6
+USUAL = np.array([2.0, 40.0, 20.0, 4.0, 3.0, 1.0])
+TORQUES = tuple(f"torque{j}_Nm" for j in range(1, 7))
+CAME = tuple(f"came{j}" for j in range(1, 7))
+NOISE = 0.02
+POINT = TrackedPoint(noise_std=NOISE, tool=tool_point(*TOOL, prior_std=1.0))
+WORDS = "joint compliance under measured torque"
+
+
+_errors = np.random.default_rng(11).normal(size=(4, 6)) * np.array([[3e-4], [0.3], [0.3], [3e-4]])
+_errors[2:, 0] = 0.0  # they would move the base, which no row shows
+WRONG = [values + error for values, error in zip(TABLE, _errors, strict=False)]
+
+
+def flanges(joints):
+    """Flange poses (N, 4, 4; mm) of an arm that is not quite as drawn, at joint values (N, 6; rad), by hand."""
+    found = np.tile(np.eye(4), (len(joints), 1, 1))
+    for turn, alpha, a, d, zero in zip(joints.T, *WRONG, _errors[3], strict=True):
+        c, s = np.cos(turn + zero), np.sin(turn + zero)
+        ca_, sa_, o = np.full_like(c, np.cos(alpha)), np.full_like(c, np.sin(alpha)), np.zeros_like(c)
+        link = [[c, -s * ca_, s * sa_, a * c], [s, c * ca_, -c * sa_, a * s], [o, sa_, ca_, o + d], [o, o, o, o + 1]]
+        found = found @ np.array(link).transpose(2, 0, 1)
+    return found
+
+
+def tips(joints):
+    return flanges(joints)[:, :3] @ np.array([*TOOL, 1.0])
+
+
+def measured(off, columns, count=80, seed=1):
+    """Rows of a drawn arm, tips by NumPy, whose joints stand `off`(joints) beside what the controller says."""
+    still = Disturbances(resolution=0.0, repeatability=0.0, error_scale=0.0)
+    samples = simulate(Problem(ROBOT, POINT), still, samples=count, seed=seed).samples
+    rng = np.random.default_rng(seed)
+    stands = tips(samples.joints + off(samples.joints)) + rng.normal(size=(count, 3)) * NOISE
+    text = {name: tuple(f"{value:.9f}" for value in values) for name, values in columns.items()}
+    return dataclasses.replace(samples, columns=dict(zip("xyz", stands.T, strict=True)), extra=text)
+
+
+def by_name(names, values):
+    return dict(zip(names, values.T, strict=True))
+
+
+def table(joints, **columns):
+    degrees = by_name([f"q{j}_deg" for j in range(1, 7)], np.degrees(joints))
+    return pd.DataFrame({**degrees, **columns})
+
+
+def postures(rng, count):
+    """Joint values far from singular ones."""
+    return rng.uniform(-0.6, 0.6, size=(count, 6)) + np.array([0.3, -1.0, 1.4, -1.0, -1.5, 0.1])
+
+
+def rms(errors):
+    return float(np.sqrt((np.asarray(errors) ** 2).sum(axis=-1).mean()))
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    rng = np.random.default_rng(6)
+    torques = rng.normal(size=(80, 6)) * USUAL
+    rows = measured(lambda _: GIVE * torques, by_name(TORQUES, torques))
+    return calibrate(Problem(ROBOT, POINT, effects=(TorqueCompliance(columns_of=TORQUES),)), rows, reference=False)
+
+
+@pytest.fixture(scope="module")
+def asked():
+    """New postures and torques, a table of them whose columns stand in another order, where the tip then is."""
+    rng = np.random.default_rng(9)
+    joints, torques = postures(rng, 24), rng.normal(size=(24, 6)) * USUAL
+    shuffled = table(joints, **by_name(TORQUES, torques))[[*TORQUES[::-1], *(f"q{j}_deg" for j in range(1, 7))]]
+    return joints, torques, shuffled, tips(joints + GIVE * torques)
+
+
+def test_torques_are_corrected_where_rows_have_them(loaded, asked):
+    joints, _, rows, true = asked
+    known, unknown = (loaded.predict(q, frame="tip", std=True) for q in (rows, joints))
+    assert rms(known.positions - true) < 0.02
+    assert 0.3 < rms(known.positions - true) / np.sqrt((known.std**2).mean()) < 2.0
+    assert not known.missing
+    assert unknown.missing == {WORDS: TORQUES}
+    assert rms(unknown.positions - true) > 1.0
+    assert 0.5 < rms(unknown.positions - true) / np.sqrt((unknown.std**2).mean()) < 1.5, "it counts as an error"
+    assert loaded.corrected == ()
+    assert loaded.tip_std[1] > 1.0
+
+
+def test_how_well_a_place_is_known_follows_its_torques(loaded, asked):
+    joints = asked[0]
+    none, many = (
+        loaded.predict(table(joints, **by_name(TORQUES, np.tile(times * USUAL, (24, 1)))), frame="tip", std=True).std
+        for times in (0.0, 50.0)
+    )
+    assert (many > 2 * none).all()
+
+
+def test_a_row_without_one_of_the_torques_is_told_which(loaded, asked, tmp_path):
+    _, _, rows, _ = asked
+    found = loaded.predict(rows.drop(columns=TORQUES[3]))
+    assert found.missing == {WORDS: (TORQUES[3],)}
+    np.savez(tmp_path / "rows.npz", **{name: rows[name].to_numpy() for name in rows})
+    np.testing.assert_array_equal(loaded.predict(tmp_path / "rows.npz").positions, loaded.predict(rows).positions)
+    with pytest.raises(ProblemError, match="'torque3_Nm' holds no torques"):
+        loaded.predict(rows.assign(torque3_Nm="much"))
+
+
+def test_a_saved_result_and_the_command_line_correct_them(loaded, asked, tmp_path, capsys):
+    joints, _, rows, true = asked
+    loaded.save(tmp_path / "made")
+    np.testing.assert_allclose(load(tmp_path / "made").predict(rows, frame="tip").positions, true, atol=0.06)
+    rows.to_csv(tmp_path / "rows.csv", index=False)
+    table(joints).to_csv(tmp_path / "bare.csv", index=False)
+    result, out = str(tmp_path / "made"), str(tmp_path / "out.csv")
+    assert main(["predict", result, str(tmp_path / "rows.csv"), "--out", out, "--frame", "tip"]) == 0
+    np.testing.assert_allclose(pd.read_csv(out)[["x_mm", "y_mm", "z_mm"]], true, atol=0.06)
+    said = capsys.readouterr().out
+    assert "not corrected" not in said
+    assert "Corrected by columns of the rows: joint compliance under measured torque; the result's verdict" in said
+    assert main(["predict", result, str(tmp_path / "bare.csv"), "--out", out, "--std"]) == 0
+    said = capsys.readouterr().out
+    assert "Without the columns torque1_Nm, " in said
+    assert "torque6_Nm, joint compliance under measured torque is not corrected and counts as an error" in said
+    assert main(["compensate", result, str(tmp_path / "bare.csv"), "--out", out, "--json"]) in (0, 1)
+    assert any("Without the columns torque1_Nm" in note for note in json.loads(capsys.readouterr().out)["notes"])
+    assert main(["compensate", result, str(tmp_path / "rows.csv"), "--out", out]) == 0
+    assert "not corrected" not in (tmp_path / "out.csv").read_text()
+
+
+def test_compensated_targets_are_reached_under_their_torques(loaded, asked):
+    joints, torques, rows, _ = asked
+    meant = drawn(joints)
+    sent = loaded.compensate(rows)
+    assert sent.reached.all()
+    missed = (flanges(sent.joints + GIVE * torques) - meant)[:, :3, 3]
+    assert rms(missed) < 0.1 < 1.0 < rms((flanges(joints + GIVE * torques) - meant)[:, :3, 3])
+    poses = loaded.predict(joints, nominal=True)
+    where = by_name(("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"), np.hstack([poses.positions, poses.quaternions]))
+    as_poses = loaded.compensate(rows.assign(**where))
+    np.testing.assert_allclose(as_poses.joints, sent.joints, atol=1e-6)
+
+
+def test_exports_take_torques_as_a_further_input(loaded, asked, tmp_path):
+    joints, torques, rows, true = asked
+    meant = loaded.predict(rows).poses
+    pose, tip = loaded.pose_function(), loaded.tip_function()
+    np.testing.assert_allclose(
+        [np.array(tip(q, t)).ravel() for q, t in zip(joints, torques, strict=True)], true, atol=0.06
+    )
+    loaded.export("casadi", tmp_path / "arm.casadi")
+    (tmp_path / "arm.c").write_text(loaded.export("c", prefix="arm"), encoding="utf-8")
+    assert "told: torque1_Nm, torque2_Nm" in (tmp_path / "arm.c").read_text()
+    command = ["gcc", "-std=c99", "-shared", "-fPIC", "-o", str(tmp_path / "arm.so"), str(tmp_path / "arm.c"), "-lm"]
+    subprocess.run(command, check=True)
+    compiled, six = ctypes.CDLL(str(tmp_path / "arm.so")), ctypes.c_double * 6
+    read, out, step, slopes = ca.Function.load(str(tmp_path / "arm.casadi")), (ctypes.c_double * 16)(), six(), six()
+    jacobian = (ctypes.c_double * 36)()
+    compiled.arm_step.argtypes = [six, six, ctypes.c_double * 16, ctypes.c_double, six, six]
+    for q, t, there in zip(joints, torques, meant, strict=True):
+        compiled.arm_pose(six(*q), six(*t), out)
+        for found in (np.reshape(out, (4, 4)), np.array(pose(q, t)), np.array(read(q, t))):
+            np.testing.assert_allclose(found, there, atol=1e-9)
+        compiled.arm_step(six(*q), six(*t), out, 1.0, step, slopes)
+        np.testing.assert_allclose(step, q, atol=1e-9)
+    compiled.arm_jacobian(six(*joints[0]), six(*torques[0]), jacobian)
+    ahead = np.array(pose(joints[0] + np.eye(6)[1] * 1e-5, torques[0]))
+    np.testing.assert_allclose(np.reshape(jacobian, (6, 6))[:3, 1], (ahead - meant[0])[:3, 3] / 1e-5, atol=0.05)
+    text = loaded.export("dh")
+    assert f"{WORDS} is not corrected in this form; the forms c and casadi take torque1_Nm" in text
+    assert [*loaded.pose_function(nominal=True).name_in()] == ["q"]
+
+
+def test_the_summary_says_what_torques_are_worth(loaded):
+    said = " ".join(loaded.summary().split())
+    assert "torque6_Nm, predict, compensate and the exports c and casadi correct joint compliance" in said
+    assert "expect a tip error of 0.01" in said
+
+
+@pytest.mark.long
+def test_each_effect_is_corrected_by_its_own_columns(asked):
+    joints, torques, rows, _ = asked
+    rng = np.random.default_rng(3)
+    given, ways = rng.normal(size=(150, 6)) * USUAL, rng.choice([-1, 1], size=(150, 6))
+    both = measured(lambda _: GIVE * given - PLAY * ways, {**by_name(TORQUES, given), **by_name(CAME, ways)}, count=150)
+    effects = (TorqueCompliance(columns_of=TORQUES), Backlash(columns_of=CAME))
+    found = calibrate(Problem(ROBOT, POINT, effects=effects), both, reference=False)
+    now = rng.choice([-1, 1], size=(24, 6))
+    true = tips(joints + GIVE * torques - PLAY * now)
+    everything, torque, way = (
+        rms(found.predict(q, frame="tip").positions - true)
+        for q in (rows.assign(**by_name(CAME, now)), rows, table(joints, **by_name(CAME, now)))
+    )
+    assert everything < 0.03
+    assert rms(tips(joints + GIVE * torques) - true) == pytest.approx(torque, rel=0.3)
+    assert rms(tips(joints - PLAY * now) - true) == pytest.approx(way, rel=0.3)
+    assert set(found.predict(rows).missing) == {"backlash"}
+    with pytest.raises(ProblemError, match="way of approach is none of -1, 0 and 1"):
+        found.predict(rows.assign(**by_name(CAME, now + 3)))
+
+
+def test_a_result_that_lost_the_arm_with_torques_is_refused(loaded):
+    document = loaded.to_dict()
+    check_document("this", document)
+    for change in (
+        lambda part: part.pop("told"),
+        lambda part: part["told"][0].update(off=[1.0]),
+        lambda part: part["told"][0].update(effects=["another"]),
+        lambda part: part["further"].update(another=["x"]),
+        lambda part: part.update(usual={"torque_1": "much"}),
+    ):
+        wrong = copy.deepcopy(document)
+        change(wrong["discrepancy"])
+        with pytest.raises(CasacalError, match="this: "):
+            check_document("this", wrong)
+
+
+COMPLIANCE = np.array([0.0, 25.0, 30.0, 40.0, 30.0, 10.0]) * 1e-6  # rad/Nm
+GRAVITY, OWN, STEP = 9.81, 8.0, 1e-5  # own: kilograms of the arm itself
+
+
+def sag(joints, kilograms, hangs):
+    """Joint motion (N, 6) under the arm's own weight and a payload, both at `hangs`: torques by differences."""
+    found = np.zeros_like(joints)
+    for j in range(6):
+        step = np.eye(6)[j] * STEP
+        lever = -(hangs(joints + step)[:, 2] - hangs(joints - step)[:, 2]) / (2 * STEP) / 1000
+        found[:, j] = COMPLIANCE[j] * GRAVITY * (OWN + kilograms) * lever
+    return found
+
+
+def at_flange(joints):
+    return flanges(joints)[:, :3, 3]
+
+
+CENTRES = tuple(map(tuple, np.tile(Links.of(ROBOT).places[-1], (6, 1))))
+SAGS = {
+    "gravity": (GravitySag(payload="payload_kg", size=0.5), tips),
+    "masses": (LinkSag(masses=(0, 0, 0, 0, 0, OWN), centres=CENTRES, payload="payload_kg", size=0.5), at_flange),
+    "links": (LinkSag(payload="payload_kg", size=0.5), at_flange),
+}
+
+
+@pytest.mark.parametrize("kind", ["gravity", "masses", pytest.param("links", marks=pytest.mark.long)])
+def test_one_calibration_mixes_payloads_and_tells_them_apart(kind):
+    effect, hangs = SAGS[kind]
+    kilograms = np.where(np.arange(120) % 2, 4.0, 0.0)
+    rows = measured(lambda q: sag(q, kilograms, hangs), {"payload_kg": kilograms}, count=120, seed=2)
+    found = calibrate(Problem(ROBOT, POINT, effects=(effect,)), rows, reference=False)
+    assert found.told == ("give",)
+    joints = postures(np.random.default_rng(4), 30)
+    none, five = (table(joints, payload_kg=np.full(30, kg)) for kg in (0.0, 5.0))
+    empty, heavy = (found.predict(q, frame="tip", std=True) for q in (none, five))
+    where = [tips(joints + sag(joints, kg, hangs)) for kg in (0.0, 5.0)]
+    for made, true in zip((empty, heavy), where, strict=True):
+        assert rms(made.positions - true) < 0.05 < 0.3 < rms(true - tips(joints))
+        assert 0.3 < rms(made.positions - true) / np.sqrt((made.std**2).mean()) < 2.0
+    differ, meant = heavy.positions - empty.positions, where[1] - where[0]
+    assert rms(meant) > 0.4
+    assert rms(differ - meant) < 0.06 * rms(meant)
+    bare = found.predict(joints)
+    assert bare.missing == {effect.words: ("payload_kg",)}
+    mixed = found.compensate(table(joints, payload_kg=np.where(np.arange(30) % 2, 5.0, 0.0)))
+    now = sag(mixed.joints, np.where(np.arange(30) % 2, 5.0, 0.0), hangs)
+    assert rms((flanges(mixed.joints + now) - drawn(joints))[mixed.reached, :3, 3]) < 0.06
+    with pytest.raises(ProblemError, match="line 1: a payload is below zero"):
+        found.predict(table(joints, payload_kg=np.full(30, -1.0)))
+
+
+def test_a_payload_that_is_missing_or_none_is_named(loaded):
+    problem = Problem(ROBOT, POINT, effects=(GravitySag(payload="payload_kg"),))
+    with pytest.raises(ProblemError, match="no column 'payload_kg' of payload"):
+        bind(problem, loaded.samples)
+    for kind in (GravitySag, LinkSag):
+        with pytest.raises(ProblemError, match=r"Got 3\.0 as the payload"):
+            kind(payload=3.0)
+
+
+def test_fresh_rows_with_torques_verify_the_corrected_arm(loaded):
+    torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
+    fresh, wrong = (
+        measured(lambda _, sign=sign: sign * GIVE * torques, by_name(TORQUES, torques), count=60, seed=5)
+        for sign in (1, -1)
+    )
+    found = verify(loaded, fresh)
+    assert found.kept
+    assert found.promised_tip_mm < 0.02
+    assert not verify(loaded, wrong).kept
+    with pytest.raises(ProblemError, match="has no column 'torque1_Nm' of torques"):
+        verify(loaded, dataclasses.replace(fresh, extra={}))
+
+
+@pytest.mark.long
+def test_an_arm_that_fresh_rows_moved_counts_torques_as_an_error_again(loaded, asked):
+    torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
+    fresh = measured(lambda _: GIVE * torques, by_name(TORQUES, torques), count=60, seed=5)
+    _, _, rows, true = asked
+    found = updated(loaded, fresh).predict(rows, frame="tip", std=True)
+    assert rms(found.positions - true) / np.sqrt((found.std**2).mean()) < 2.0

@@ -1,0 +1,94 @@
+"""A joint whose zero was lost, a misprint in the table: one number far from where the problem says, and it is named."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from casacal import bind, calibrate, simulate
+from casacal.calibration.verdict import verdict_of
+from casacal.checks import check
+from casacal.checks.numbers import wrong_number
+
+
+def with_lost_zero(hsr, joint, degrees, seed=0, **changes):
+    """Rows of an arm whose controller shows angles that are off by so much."""
+    samples = simulate(hsr.problem, dataclasses.replace(hsr.cell, **changes), samples=90, seed=seed).samples
+    joints = samples.joints.copy()
+    joints[:, joint - 1] -= math.radians(degrees)
+    return dataclasses.replace(samples, joints=joints)
+
+
+@pytest.mark.long_unless("0.6")
+@pytest.mark.parametrize("degrees", [0.6, 1.0, -3.0, 10.0])
+def test_a_lost_zero_is_named_with_its_size_and_the_advice_mends_it(hsr, degrees):
+    samples = with_lost_zero(hsr, 3, degrees)
+    refused = verdict_of(calibrate(hsr.problem, samples, reference=False))
+    assert refused.level == "do not use"
+    assert "theta3 elsewhere" in refused.words
+    (named,) = [reason for reason in refused.reasons if "theta3 elsewhere" in reason.lower()]
+    size = float(named.split(", by ")[1].split(" degrees")[0])
+    assert size == pytest.approx(degrees, rel=0.02, abs=0.1)
+    assert "--prior theta3=0.1 tries it" in named
+    mended = calibrate(hsr.problem.with_prior({"theta3": 0.1}), samples, reference=False)
+    assert verdict_of(mended).level == "calibrated"
+    assert math.degrees(mended.x[mended.fit.names.index("theta3")]) == pytest.approx(degrees, abs=0.15)
+
+
+def test_check_names_it_too(hsr):
+    for degrees in (0.6, 5.0):  # one by the prior that it contradicts, one by undoing it
+        errors = [found for found in check(hsr.problem, with_lost_zero(hsr, 2, degrees)) if found.severity == "error"]
+        assert [found.about for found in errors] == ["theta2 elsewhere"], degrees
+
+
+def test_a_misprinted_length_is_named(hsr):
+    """The problem says 12 mm less than the arm has; what planes cannot see of it, other numbers do not take over."""
+    unknown = hsr.problem.robot.parameters["a"]
+    values = np.array(unknown.values)
+    values[2] -= 12.0
+    printed = dataclasses.replace(unknown, values=tuple(values))
+    robot = dataclasses.replace(hsr.problem.robot, parameters={**hsr.problem.robot.parameters, "a": printed})
+    samples = simulate(hsr.problem, hsr.cell, samples=90, seed=1).samples
+    found = wrong_number(bind(type(hsr.problem)(robot, *hsr.problem.instruments), samples))
+    assert [each.about for each in found] == ["a3 elsewhere"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"repeatability": 0.1}, {"joint_std": 1e-4}, {"backlash": 1e-4}, {"compliance": 0.5}],
+    ids=["clean", "noise ten times as stated", "joints that do not repeat", "backlash", "compliance"],
+)
+def test_no_number_is_blamed_for_what_none_is_to_blame_for(hsr, changes):
+    for seed in range(8):
+        samples = simulate(hsr.problem, dataclasses.replace(hsr.cell, **changes), samples=90, seed=seed).samples
+        assert wrong_number(bind(hsr.problem, samples)) == []
+
+
+def test_where_all_numbers_are_far_off_none_is_singled_out(hsr):
+    """Errors three times as large as the priors say are a matter of the priors."""
+    blamed = 0
+    for seed in range(8):
+        samples = simulate(hsr.problem, dataclasses.replace(hsr.cell, error_scale=3.0), samples=90, seed=seed).samples
+        blamed += bool(wrong_number(bind(hsr.problem, samples)))
+    assert blamed <= 1
+
+
+def test_rows_too_few_to_tell_name_nothing(hsr):
+    samples = simulate(hsr.problem, hsr.cell, samples=36, seed=3).samples
+    assert wrong_number(bind(hsr.problem, samples)) == []
+    assert wrong_number(bind(hsr.problem.fix("a", "alpha", "d", "theta"), samples)) == []
+
+
+def test_noise_that_was_already_found_hides_no_number(hsr):
+    """What a number holds back looks like noise; a fit that took it for noise is asked with the noise as stated."""
+    bound = bind(hsr.problem, with_lost_zero(hsr, 3, 1.0))
+    assert [found.about for found in wrong_number(bound.with_noise({"": 8.0}))] == ["theta3 elsewhere"]
+
+
+def test_an_error_of_manufacture_is_no_wrong_number(hsr):
+    """Four standard deviations of one zero happen, and the samples see them; that is what calibration is for."""
+    for seed in range(3):
+        samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
+        assert wrong_number(bind(hsr.problem, samples)) == []
+        assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
