@@ -79,7 +79,9 @@ def test_the_references_objective_is_the_same_number_and_its_gradient_the_differ
 def test_the_minima_of_independent_solvers_cost_the_same(bound, loss):
     found = lm(bound, loss=loss)
     assert found.cost == pytest.approx(written_out(bound, found.x, loss), rel=1e-12)
-    solvers = ("ipopt", "fatrop") if bound.unknowns == 33 or loss.name == "huber" else ()  # of the UR5, tukey has many
+    # of the UR5, tukey has many minima; whether fatrop finds huber's there depends on how the processor rounds
+    of_ur5 = ("ipopt", "sqpmethod") if loss.name == "huber" else ()
+    solvers = ("ipopt", "fatrop") if bound.unknowns == 33 else of_ur5
     for other in (nlpsol(bound, solver=solver, loss=loss) for solver in solvers):
         assert other.converged
         assert other.loss == loss

@@ -79,7 +79,7 @@ def test_slips_are_what_a_hand_does():
 @pytest.mark.parametrize("slip", SLIPS)
 def test_every_slip_is_found_in_its_row_and_cell(slip, monkeypatch):
     # how near the nearest comes takes long, and is not asked for here
-    monkeypatch.setattr("casacal.doctor.diagnosis._nearest", lambda known, rows, reach: Miss(1.0, 0.0))
+    monkeypatch.setattr("casacal.doctor.diagnosis._nearest", lambda *_: Miss(1.0, 0.0))
     told = Counter()
     for column, name in enumerate(NAMES):
         row = (column + SLIPS.index(slip)) % 3  # over all kinds of slips every cell has its turn

@@ -9,7 +9,6 @@ from pathlib import Path
 from casacal.cli.common import DONE, add, whole_number
 from casacal.cli.terminal import say, say_paragraphs
 from casacal.errors import CasacalError
-from casacal.files import writable
 
 HELP = "goes the whole way with a simulated arm"
 
@@ -57,6 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the steps one after the other; returns 0, or the code of the first that fails."""
+    from casacal.files import writable
+
     out = Path(options.out)
     if out.exists():
         raise CasacalError(f"'{options.out}' exists already", "Name another folder with --out, or remove it first")
