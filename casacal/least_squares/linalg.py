@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import svd
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from casacal.array_types import Array
@@ -67,7 +68,10 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     """
     if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
         return None
-    _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    try:
+        _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    except np.linalg.LinAlgError:  # divide and conquer gives up on a few finite matrices; the older way does not
+        _, values, directions = svd(rows, full_matrices=False, lapack_driver="gesvd")
     held = values > len(values) * np.finfo(float).eps * values[0]
     values, directions = values[held], directions[held]
     slope = directions @ gradient
