@@ -1,1 +1,0 @@
-"""The command line: one file per command, with its arguments and its body."""

@@ -1,1 +1,0 @@
-"""What pages are made of: templates, numbers, and pictures as inline SVG."""

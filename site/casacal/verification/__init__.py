@@ -1,1 +1,0 @@
-"""Verification: fresh rows, judged without fitting the arm again."""
