@@ -9,6 +9,7 @@ from casacal.least_squares.linalg import (
     downdated,
     inverse_triangle,
     posterior_covariance,
+    svd,
     tria,
 )
 
@@ -70,3 +71,20 @@ def test_a_downdate_is_the_qr_it_replaces(length):
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-13)
     np.testing.assert_allclose(found, np.linalg.cholesky(expected), atol=1e-10)
     assert downdated(root, u / np.linalg.norm(u)) is None
+
+
+@pytest.mark.parametrize(("shape", "full"), [((7, 4), False), ((4, 7), False), ((4, 7), True)])
+def test_a_matrix_at_which_divide_and_conquer_gives_up_is_taken_apart_all_the_same(monkeypatch, shape, full):
+    def gives_up(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    matrix = np.random.default_rng(4).standard_normal(shape)
+    matrix[:, 1] = 0.0
+    expected = np.sqrt(np.maximum(np.linalg.eigvalsh(matrix @ matrix.T)[::-1][:4], 0.0))
+    monkeypatch.setattr(np.linalg, "svd", gives_up)
+    left, values, right = svd(matrix, full=full)
+    np.testing.assert_allclose(values, expected, atol=1e-7)
+    assert right.shape == (7 if full else 4, shape[1])
+    np.testing.assert_allclose(left[:, :4] * values @ right[:4], matrix, atol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError):
+        svd(np.full(shape, np.nan), full=full)

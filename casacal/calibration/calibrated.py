@@ -41,7 +41,7 @@ def _governed(left: Callable[[Any], Any]) -> Any:
 
     class Governed:
         def __set_name__(self, _: type, name: str) -> None:
-            self.name, self.__doc__ = name, getattr(Calibration, name).__doc__
+            self.name = name
 
         def __get__(self, made: Calibrated | None, _: type) -> Any:
             if made is None:
@@ -55,9 +55,8 @@ def _governed(left: Callable[[Any], Any]) -> Any:
 class Calibrated(Calibration, AsArm):
     """What `calibrate` returns: a `Calibration`, with names as in SciPy's results, and pictures.
 
-    Where its verdict is not to use it, figures of accuracy are NaN, also what directions, faces, readings, priors and
-    effects do to the tip; `cures` is empty and `success` is False. `result` is the estimator's own, and no verdict
-    governs it; `unjudged` has the figures all the same.
+    Where its verdict is not to use it, figures of accuracy are NaN, `cures` is empty and `success` is False. `result`
+    is the estimator's own, and no verdict governs it; `unjudged` has the figures all the same.
     """
 
     @cached_property
@@ -78,18 +77,31 @@ class Calibrated(Calibration, AsArm):
         return self.unjudged.passed and not self.denied
 
     tip_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """Tip error to expect, mm RMS over the workspace, apart from the position of the base: from priors, and now."""
     flange_std: tuple[float, float] = _governed(lambda _: (math.nan, math.nan))
+    """The same of the flange's origin, whatever tool it carries."""
     tip_std_without_prior: tuple[float, int] = _governed(lambda found: (math.nan, found[1]))
+    """The same from the samples alone, and how many directions that move the tip they miss (then infinite)."""
     tip_from_minimum: float = _governed(lambda _: math.nan)
+    """How far the tip stands from where the minimum puts it, mm RMS over the workspace."""
     covariance: Array = _governed(lambda known: np.full_like(known, math.nan))
+    """Covariance (s, s) of the unknowns of `seen`, mm and rad."""
     motion: Motion = _governed(lambda known: replace(known, covariance=np.full_like(known.covariance, math.nan)))
+    """All that moves the tip, and its covariance."""
     cures: tuple[Cure, ...] = _governed(lambda _: ())
+    """What to do next, best first, with the tip error after it; empty where the verdict denies the result."""
     advice: tuple[str, ...] = _governed(lambda words: words)
+    """What lowers each null, then each weak direction, in the words of `cures`; none needed if it moves no tip."""
     prior_moves: PriorMoves = _governed(lambda found: found)
+    """How far arm and tool moved beyond what their priors allow, all together."""
     identifiability: Identifiability = _governed(without_tips)
+    """Rank, null and weak directions as drawn; what they do to the tip is NaN where the verdict denies figures."""
     left_out: tuple[LeftOut, ...] = _governed(without_predictions)
+    """Each fitted face as the others predict it; the prediction is NaN where the verdict denies figures."""
     sensitivity: Sensitivity = _governed(Sensitivity.without_tips)
+    """How the estimate follows readings and priors; what they do to the tip is NaN where the verdict denies figures."""
     score_tests: tuple[ScoreTest, ...] = _governed(without_motion)
+    """What arm and cell may do beside their geometry; to the tip it is NaN where the verdict denies figures."""
 
     @property
     def x(self) -> Array:
@@ -136,14 +148,23 @@ class Calibrated(Calibration, AsArm):
         return CalibratedArm("this calibration", self.source, jsonable(calibration_document(self)))
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write report.html, result.json, parameters.csv, pictures and the problem into a folder; gives their paths.
+        """Write report.html, result.json, parameters.csv, pictures and the problem itself into a folder.
 
         `casacal.load(folder)` reads it back, here or elsewhere.
+
+        Returns:
+            The paths of the files that were written.
+
         """
         return write_calibration(self, Path(folder))
 
     def report(self, path: str | Path, *, box: Box | None = None) -> Path:
-        """Write the report, one page of HTML, and give its path; `box` is where the arm will work, ranges in mm."""
+        """Write the report, one page of HTML; `box` is where the arm will work, ranges in mm.
+
+        Returns:
+            The path of the page.
+
+        """
         from casacal.calibration.page import report_page
 
         write_text(path, report_page(self.unjudged, calibration_document(self), box=box))
@@ -154,7 +175,12 @@ class Calibrated(Calibration, AsArm):
         return summary(self, self.source.name)
 
     def plot_residuals(self, ax: Any = None) -> Any:
-        """Draw distances from the planes, mm, before and after; gives the axes, new ones where none were given."""
+        """Draw distances from the planes, mm, before and after, on an axes, a new one unless given.
+
+        Returns:
+            The axes.
+
+        """
         return self._drawn(plot_residuals, ax, (10.0, 4.0))
 
     def plot_convergence(self, ax: Any = None) -> Any:

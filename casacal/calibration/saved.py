@@ -42,8 +42,18 @@ class AsArm(ABC):
     ) -> Prediction:
         """Where the calibrated arm is.
 
-        q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples. frame,
-        nominal, std, result, errors: as for `casacal.compensation.predict.predict`.
+        Args:
+            q: joint values (n,) or (N, n) in rad and mm, or a frame, file or `Samples` with the columns of samples.
+            frame: "flange" is `robot.pose`, "tip" where the instrument touches.
+            nominal: the arm as drawn in place of the calibrated one.
+            std: whether to add standard deviations, apart from the position of the base.
+
+        Returns:
+            Positions (N, 3) in mm and unit quaternions (N, 4; w, x, y, z) in the base frame, and standard deviations
+            (N,) in mm where asked for. The quaternions are those of the flange for both frames.
+
+        Raises CasacalError for joint values that do not fit, and as `casacal.compensation.predict` does.
+
         """
         from casacal.compensation.predict import predict
 
@@ -59,8 +69,19 @@ class AsArm(ABC):
     ) -> Compensation:
         """Joint targets for which the calibrated arm takes the poses that the nominal one was meant to take.
 
-        targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
-        `casacal compensate` reads. frame, largest, force, result, errors: as for `casacal.compensate`.
+        Args:
+            targets: joint values (N, n) in rad and mm, poses (N, 4, 4) in mm, or a frame or file with the columns that
+                `casacal compensate` reads.
+            frame: what poses are of.
+            largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+            force: take a result whose verdict is not to use it.
+
+        Returns:
+            One entry per target (N): joint values (N, n) in rad and mm, how each ended, what the calibrated arm misses
+            there in mm and rad, and the standard deviation of its position, mm.
+
+        Raises CasacalError for targets that do not fit, and as `casacal.compensate` does.
+
         """
         return self._compensated(targets, frame, largest, force)
 
@@ -115,9 +136,12 @@ class AsArm(ABC):
     def pose_function(self, *, nominal: bool = False, free: bool = False) -> ca.Function:
         """Function q (n; rad, mm) -> flange pose (4x4; mm) for SX, MX, `casadi.Opti` and code generation.
 
-        nominal: the arm as drawn in place of the calibrated one. free: the robot's parameters are inputs too, by name:
-        `pose(**calibration.values(), q=q)["pose"]`. Derivatives are exact, as those of every `casadi.Function`. Raises
-        CasacalError for nominal and free together.
+        Args:
+            nominal: the arm as drawn in place of the calibrated one.
+            free: the robot's parameters are inputs too, by name: `pose(**calibration.values(), q=q)["pose"]`.
+
+        Derivatives are exact, as those of every `casadi.Function`. Raises CasacalError for nominal and free together.
+
         """
         from casacal.export.functions import pose_function
 
@@ -206,10 +230,16 @@ class SavedCalibration(Value, AsArm):
 def load(path: str | Path, *, problem: Problem | None = None) -> SavedCalibration:
     """Read back what `save`, `casacal calibrate --out` or `casacal simulate` wrote.
 
-    Gives the arm as it was found, which predicts, compensates and is exported; the samples are not part of it. path:
-    the folder, its result.json, or a truth.json. problem: what it answers; by default what the result itself holds, and
-    no code is run. A result from before results held their arm runs the problem.py that it names, where that is what
-    it was. Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
+    Args:
+        path: the folder, its result.json, or a truth.json.
+        problem: what it answers; by default what the result itself holds, and no code is run. A result from before
+            results held their arm runs the problem.py that it names, where that is what it was.
+
+    Returns:
+        The arm as it was found, which predicts, compensates and is exported; the samples are not part of it.
+
+    Raises CasacalError when it is not a result, is damaged, or its arm has changed since.
+
     """
     if not isinstance(path, (str, Path)):
         raise CasacalError(f"Got {came(path)} as the path of a result", "Give a path")

@@ -25,6 +25,7 @@ from casacal.changes.look import Look, alone
 from casacal.changes.posterior import Posterior, Prior
 from casacal.errors import CasacalError
 from casacal.files import write_text
+from casacal.least_squares.linalg import svd
 from casacal.planning.choice import drawn_touch, pool_of
 from casacal.planning.route import FIT, postures_text, shortest_way
 from casacal.problem.cell import Cell, Face
@@ -86,7 +87,7 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
             left, evidence = _judged(look, nothing - float(by_cause[k]), n, cost)
             found.append(Explanation(cause, -1, float(p_cause[k]), left, evidence))
             continue
-        _, _, rows = np.linalg.svd(look.slopes[k] * cause.sizes, full_matrices=False)
+        _, _, rows = svd(look.slopes[k] * cause.sizes)
         used = cause.sizes[:, None] * rows[:n].T  # directions in its own unknowns along which it shows
         ways = np.zeros((look.shifted.unknowns, n))
         ways[cause.columns] = used

@@ -14,6 +14,7 @@ from scipy.special import fdtri, ndtri
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.changes.causes import Cause, causes_of, with_shifts
+from casacal.least_squares.linalg import svd
 from casacal.uncertainty.fresh_rows import FreshRows, chances, seen_basis
 from casacal.verification.fresh import Fresh
 
@@ -35,7 +36,7 @@ def row_bases(fresh: FreshRows, count: int, per_row: int) -> Array:
     """Orthonormal bases (rows, m, per_row) of what each row alone could be off by; zero where nobody could tell."""
     found = np.zeros((count, len(fresh.residual), per_row))
     for k in range(count):
-        left, values, _ = np.linalg.svd(alone(fresh, k, per_row), full_matrices=False)
+        left, values, _ = svd(alone(fresh, k, per_row))
         found[k] = left * (values**2 > SPARE)
     return found
 

@@ -9,6 +9,7 @@ import numpy as np
 from casacal.estimators.lm import lm
 from casacal.estimators.nominal import nothing_unknown
 from casacal.least_squares.information import with_diagonal
+from casacal.least_squares.linalg import svd
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.restricted import Restricted
 from casacal.least_squares.result import Result
@@ -50,7 +51,7 @@ def null_step(problem: LeastSquares, *, seed: int = 0, size: float = 2.0) -> Res
         return nothing_unknown(problem, "null-step")
     best = lm(problem)
     rows = problem.jacobian(best.x) * problem.start_std
-    _, values, right = np.linalg.svd(rows, full_matrices=len(rows) < problem.unknowns)
+    _, values, right = svd(rows, full=len(rows) < problem.unknowns)
     values = np.concatenate([values, np.zeros(problem.unknowns - len(values))])
     unseen = right[values < UNSEEN]
     step = problem.start_std * (np.random.default_rng(seed).normal(scale=size, size=len(unseen)) @ unseen)

@@ -13,7 +13,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.least_squares.arrow import Arrow
-from casacal.least_squares.linalg import revealed_solution
+from casacal.least_squares.linalg import revealed_solution, svd
 
 TOGETHER = 4096  # rows stacked before a triangle takes their place
 
@@ -60,7 +60,7 @@ def taken_out(rows: GroupRows) -> TakenOut:
     """Take a group's own unknowns out; directions of them that its rows do not see stay where they are."""
     if not rows.members.size:
         return TakenOut(rows.shared, np.zeros((0, rows.shared.shape[1])), np.zeros((0, 0)))
-    left, values, right = np.linalg.svd(rows.own, full_matrices=False)
+    left, values, right = svd(rows.own)
     seen = values > rows.members.size * np.finfo(float).eps * values.max(initial=0.0)
     left, values, right = left[:, seen], values[seen], right[seen]
     within = left.T @ rows.shared

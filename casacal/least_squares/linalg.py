@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import svd
+from scipy.linalg import svd as by_driver
 from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
 from casacal.array_types import Array
@@ -58,6 +58,21 @@ def damped_solution(information: Array, gradient: Array, damping: Array | float)
     return np.asarray(-dpotrs(root, gradient, lower=1)[0])
 
 
+def svd(matrix: Array, *, full: bool = False) -> tuple[Array, Array, Array]:
+    """U (m, k), singular values (k,) and V' (k, n) of a matrix (m, n), k the smaller of m and n; `full`: U, V square.
+
+    LAPACK's divide and conquer gives up on a few finite matrices with columns of zeros; QR iteration does not.
+    Raises LinAlgError where the matrix is not finite.
+    """
+    try:
+        left, values, right = np.linalg.svd(matrix, full_matrices=full)
+    except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            raise
+        left, values, right = by_driver(matrix, full_matrices=full, lapack_driver="gesvd")
+    return left, values, right
+
+
 def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Array, float, float] | None:
     """Solve (A'A + damping I) s = -g by singular values of A (m, n), apart from directions that it does not see.
 
@@ -68,10 +83,7 @@ def revealed_solution(rows: Array, gradient: Array, damping: float) -> tuple[Arr
     """
     if not (np.isfinite(rows).all() and np.isfinite(gradient).all()):
         return None
-    try:
-        _, values, directions = np.linalg.svd(rows, full_matrices=False)
-    except np.linalg.LinAlgError:  # divide and conquer gives up on a few finite matrices; the older way does not
-        _, values, directions = svd(rows, full_matrices=False, lapack_driver="gesvd")
+    _, values, directions = svd(rows)
     held = values > len(values) * np.finfo(float).eps * values[0]
     values, directions = values[held], directions[held]
     slope = directions @ gradient

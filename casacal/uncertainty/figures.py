@@ -11,6 +11,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import taken_out
 from casacal.least_squares.information import determined
+from casacal.least_squares.linalg import svd
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
 from casacal.least_squares.result import Result
@@ -51,7 +52,7 @@ def _inverse_root(rows: Array, prior: Array) -> Array:
     stacked = np.vstack([rows, np.diag(np.sqrt(prior))])
     sizes = np.linalg.norm(stacked, axis=0)
     scale = 1.0 / np.where(sizes > 0, sizes, 1.0)
-    _, values, right = np.linalg.svd(stacked * scale, full_matrices=False)
+    _, values, right = svd(stacked * scale)
     seen = values > len(scale) * np.finfo(float).eps * values.max(initial=0.0)
     return np.asarray(scale[:, None] * right[seen].T / values[seen])
 

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import fdtrc, gammaincc, ndtri
 
 from casacal.array_types import Array, Index
-from casacal.least_squares.linalg import inverse_triangle
+from casacal.least_squares.linalg import inverse_triangle, svd
 
 CHANCE = 1e-4  # chance that rows which are as expected have any that is called gross (Bonferroni)
 MOST_GROSS = 0.05  # beyond this fraction of the rows (and three of them) it is not single rows that are off
@@ -130,7 +130,7 @@ class FreshRows:
         size of the arm would without that be among them: where faces hold no length, a change of it moves the residuals
         in proportion to themselves. scaled: whitened derivative (m, a) by what may have changed, in units of its prior.
         """
-        directions, sizes, _ = np.linalg.svd(self.beside(scaled), full_matrices=False)
+        directions, sizes, _ = svd(self.beside(scaled))
         seen = directions[:, sizes >= 1.0]
         along, left = seen.T @ self.spread, seen.T @ self.residual
         return float(left @ np.linalg.solve(np.eye(len(left)) + along @ along.T, left)), len(left)
@@ -138,7 +138,7 @@ class FreshRows:
     @cached_property
     def directions(self) -> tuple[Array, Array]:
         """U (m, d) and the diagonal of S (d,): where the fit may err, and by how much of the noise."""
-        found, sizes, _ = np.linalg.svd(self.across, full_matrices=False)
+        found, sizes, _ = svd(self.across)
         return found, sizes
 
     def whitened(self, columns: Array) -> Array:
@@ -188,7 +188,7 @@ def spanned(columns: Array) -> Array:
     scaled = columns[:, sizes > 0] / sizes[sizes > 0]
     if not scaled.size:
         return np.zeros((len(columns), 0))
-    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    left, values, _ = svd(scaled)
     return np.asarray(left[:, values > ROUNDING * max(scaled.shape) * values.max(initial=0.0)])
 
 
@@ -201,7 +201,7 @@ def learnt(covariance: Array, jacobian: Array, own: Array) -> Array:
 
 def seen_basis(columns: Array, sizes: Array) -> Array:
     """Orthonormal basis (m, rank) of what whitened columns (m, k) span, for changes of these sizes (k,) that show."""
-    left, values, _ = np.linalg.svd(columns * sizes, full_matrices=False)
+    left, values, _ = svd(columns * sizes)
     return np.asarray(left[:, values > SEEN])
 
 

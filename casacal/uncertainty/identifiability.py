@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import correlation
+from casacal.least_squares.linalg import correlation, svd
 from casacal.least_squares.objective import LeastSquares
 from casacal.uncertainty.workspace import FIELD_TOLERANCE, seen_space, tip_rms, without_rigid
 
@@ -112,7 +112,7 @@ def identifiability(problem: LeastSquares, tip_jacobian: Array, tips: Array) -> 
             null.append(NullDirection(kind, direction, words, cost(direction), min(kept) > SAME_DIRECTION))
     beside, _ = np.linalg.qr(np.column_stack([seen[rank:].T * (natural / scale)[:, None], np.eye(problem.unknowns)]))
     rest = beside[:, problem.unknowns - rank :]  # what the null space leaves
-    _, sizes, within = np.linalg.svd((problem.compact_jacobian(problem.x0) * scale) @ rest, full_matrices=False)
+    _, sizes, within = svd((problem.compact_jacobian(problem.x0) * scale) @ rest)
     right = within @ rest.T
     weak = [
         WeakDirection(float(size), each, f"{_named(each * scale * lever, problem.names)}: {WEAK}", cost(each))
@@ -166,7 +166,7 @@ def split_null_space(null: Array, tip_jacobian: Array, tips: Array) -> list[tupl
     taken, parts = np.zeros((null.shape[1], 0)), []
     stages: tuple[tuple[Kind, Array], ...] = (("invisible", field), ("rigid", bent), ("scale", rest))
     for kind, seen in stages:
-        _, sizes, right = np.linalg.svd(seen, full_matrices=len(seen) < seen.shape[1])
+        _, sizes, right = svd(seen, full=len(seen) < seen.shape[1])
         sizes = np.concatenate([sizes, np.zeros(null.shape[1])])[: null.shape[1]]
         kernel = right[sizes < size].T
         parts.append((kind, _beyond(kernel, taken)))
@@ -202,7 +202,7 @@ def verdict(posterior_std: float, prior_std: float) -> Literal["data", "prior", 
 def _beyond(space: Array, inner: Array) -> Array:
     """Orthonormal basis of the part of `space` (k, a) orthogonal to `inner` (k, b), which it contains."""
     remaining = space - inner @ (inner.T @ space)
-    left, sizes, _ = np.linalg.svd(remaining, full_matrices=False)
+    left, sizes, _ = svd(remaining)
     return np.asarray(left[:, sizes > 0.5])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
 from casacal.estimators import lm
+from casacal.least_squares.linalg import svd
 from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
@@ -171,7 +172,7 @@ def _halves(joints: Array, rows: Index) -> list[Index]:
     spread = joints.std(axis=0)
     places = joints[rows] / np.where(spread > 0, spread, 1.0)
     places = places - places.mean(axis=0)
-    along = places @ np.linalg.svd(places, full_matrices=False)[2][0]
+    along = places @ svd(places)[2][0]
     order = rows[np.argsort(along, kind="stable")]
     halves = [np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])]
     return [half for half in halves if half.size]

@@ -8,7 +8,7 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.marginal import Marginal, Seen
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.least_squares.linalg import posterior_covariance, svd
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
 
@@ -121,7 +121,7 @@ under usual priors, and above what rank tolerance times condition mixes into nul
 
 def seen_space(rows: Array) -> tuple[int, Array]:
     """Rank of a matrix (m, n), and right singular vectors (n, n; rows) of which the first `rank` span what it sees."""
-    _, sizes, right = np.linalg.svd(rows, full_matrices=len(rows) < rows.shape[1])
+    _, sizes, right = svd(rows, full=len(rows) < rows.shape[1])
     return int((sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)).sum()), right
 
 
@@ -143,11 +143,11 @@ def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Ar
 
     Infinite when there is such a direction. Of the whitened Jacobian (rows, n), its columns in units of `scale` (n,).
     """
-    _, sizes, right = np.linalg.svd(jacobian * scale, full_matrices=len(jacobian) < len(scale))
+    _, sizes, right = svd(jacobian * scale, full=len(jacobian) < len(scale))
     sizes = np.concatenate([sizes, np.zeros(len(scale) - len(sizes))])
     seen = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
     field = without_rigid(tip_jacobian * scale, tips)
-    lost = np.linalg.svd(field @ right[~seen].T, compute_uv=False)
+    lost = svd(field @ right[~seen].T)[1]
     blind = int((lost > FIELD_TOLERANCE * max(float(np.linalg.norm(field, axis=0).max(initial=0.0)), 1e-300)).sum())
     spread = (field @ right[seen].T) / sizes[seen]
     return (math.inf if blind else math.sqrt(float((spread**2).sum()) / len(tips))), blind
