@@ -227,6 +227,20 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(hsr, clean):
         by_hand = (_objective(logs + step, *given)[0] - _objective(logs - step, *given)[0]) / 2e-5
         assert slope[k] == pytest.approx(by_hand, rel=1e-4, abs=1e-3)
 
+    # beforehand: 2.5 times larger or six times smaller is one standard deviation, and so is 1.2 or 1.44, 10 or 10
+    doubts = np.resize([2.5, 1.2, 10.0], len(keys))
+    below = np.resize([6.0, 1.44, 10.0], len(keys))
+    spread, expected = np.append(np.log(doubts), math.log(3.0)), np.append(np.zeros(len(keys)), 0.1)
+    hyper = (*given[:4], expected, spread)
+    for sign in (-1, 1):
+        logs = sign * rng.uniform(0.2, 0.9, len(keys) + 1)
+        wide = np.append(np.log(below if sign < 0 else doubts), math.log(3.0))
+        value, slope = _objective(logs, *hyper)
+        bare, bare_slope = _objective(logs, *given)
+        off = logs - expected
+        assert value - bare == pytest.approx(float(np.sum((off / wide) ** 2)), rel=1e-9)
+        np.testing.assert_allclose(slope - bare_slope, 2 * off / wide**2, rtol=1e-9, atol=1e-8)
+
 
 def test_sizes_follow_what_errs_and_stay_where_nothing_does(hsr, clean):
     known = {effect.key: (effect.doubt, effect.most) for effect in kit()}

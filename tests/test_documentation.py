@@ -89,6 +89,14 @@ def test_the_demonstration_goes_the_whole_way(tmp_path, capsys, monkeypatch):
     assert "exists already" in capsys.readouterr().err
 
 
+def test_the_demonstration_ends_where_a_step_fails(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("casacal.cli.plan.run", lambda options: 1)
+    assert main(["demo", "--out", "a b"]) == 1
+    assert re.findall(r"^\$ casacal (\w+)", capsys.readouterr().out, re.M) == ["new", "plan"]
+    assert (tmp_path / "a b" / "ur5" / "problem.py").is_file()
+
+
 def test_every_command_and_option_is_on_a_page():
     assert PAGES["commands"] == commands_page(), "python tests/commands_page.py > docs/commands.md writes it again"
 

@@ -69,7 +69,8 @@ def test_pictures_take_an_axes_or_make_one(found):
 def test_values_show_themselves_as_tables(hsr):
     problem = hsr.problem
     samples = problem.read(hsr.samples)
-    shown = problem._repr_html_()
+    shown = problem.with_prior({"a2": 0.2})._repr_html_()
+    assert "<td>a2</td><td>mm</td><td>0.2</td>" in shown
     assert shown.count("<tr>") == 1 + 24 + 3  # the arm, and a plane whose prior is flat
     assert "<td>a3</td><td>mm</td><td>0.7</td>" in shown
     assert shown.count("<td>flat</td>") == 3
@@ -79,8 +80,9 @@ def test_values_show_themselves_as_tables(hsr):
     assert f"<td>{samples.labels['plane'][0]}</td>" in rows
     route = plan(problem, hsr.cell, touches=12, pool=60, seed=0)
     assert f"<td>{route.curve[min(route.curve)]:.3g}</td>" in route._repr_html_()
-    named = dataclasses.replace(samples, file="<b>.csv")
+    named = dataclasses.replace(samples, file="<b>.csv", labels={"plane": ["<i>"] * len(samples)})
     assert "<b>" not in named._repr_html_()
+    assert "<i>" not in named._repr_html_()
 
 
 def test_a_verification_shows_what_it_says(found, hsr):

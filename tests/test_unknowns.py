@@ -130,3 +130,12 @@ def test_planes_and_rotations_fitted_to_points():
     mirrored, _ = rotation_between(points[:3], points[:3] @ np.diag([1.0, 1.0, -1.0]) + 1e-3)
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
     assert not rotation_between(line, line)[1]
+
+
+@pytest.mark.parametrize("whole", [Direction((0, 0, 1)), Plane((0, 0, 1), (0, 0, 5)), Frame()])
+def test_what_cannot_be_split_is_held_as_a_whole(whole):
+    what = type(whole).__name__.lower()
+    with pytest.raises(CasacalError, match=f"Only a part of a {what} would be held"):
+        whole.with_free([True] + [False] * (whole.size - 1))
+    held = whole.with_free([False] * whole.size)
+    assert (held.size, held.raw_size, held.names("k"), held.units) == (0, 0, (), ())
