@@ -9,6 +9,7 @@ import shutil
 from typing import get_args
 
 import casadi as ca
+import jsonschema
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -20,7 +21,7 @@ import casacal
 from casacal import CasacalError, calibrate, load, load_problem, simulate
 from casacal.calibration.verdict import Level
 from casacal.cli.main import main
-from casacal.compensation.document import LEVELS
+from casacal.compensation.document import misfits, schema_text
 from casacal.compensation.result_file import SCHEMA, read_result
 from casacal.graphs import graph_data, graph_from
 from casacal.problem.as_data import problem_data, problem_from
@@ -285,7 +286,7 @@ def test_a_verdict_that_says_nothing_known_is_refused(made, tmp_path, level):
     document = json.loads((made / "dh" / "out" / "result.json").read_text())
     document["verdict"]["level"] = level
     (tmp_path / "r.json").write_text(json.dumps(resealed(document)))
-    with pytest.raises(CasacalError, match="its 'verdict' is"):
+    with pytest.raises(CasacalError, match=r"its 'verdict\.level' is"):
         load(tmp_path / "r.json")
     for missing in (lambda d: d.pop("verdict"), lambda d: d.update(verdict=None)):
         missing(document)
@@ -318,7 +319,36 @@ def test_a_truth_has_a_seal_and_needs_no_verdict(made, tmp_path):
 
 
 def test_the_levels_of_a_file_are_those_of_a_verdict():
-    assert get_args(Level) == LEVELS
+    known = json.loads(schema_text())["properties"]["verdict"]["properties"]["level"]["enum"]
+    assert get_args(Level) == tuple(known)
+
+
+def test_what_is_written_fits_the_schema_that_is_printed(made, capsys):
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    for file in (made / "dh" / "out" / "result.json", made / "dh" / "samples.truth.json"):
+        document = json.loads(file.read_text())
+        jsonschema.validate(document, schema)
+        assert set(document) <= set(schema["properties"]), "every key that is written is described"
+
+
+def test_damage_is_found_where_another_validator_finds_it(made):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    schema, rng, damaged = json.loads(schema_text()), random.Random(1), 0
+    other = jsonschema.Draft202012Validator(schema)
+    for _ in range(300):
+        changed = mutated(document, rng)
+        if "NaN" in json.dumps(changed):  # which JSON has no word for, so that no schema speaks of it
+            continue
+        errors = list(other.iter_errors(changed))
+        there = {tuple(error.absolute_path) for error in errors if error.validator != "required"}
+        there |= {
+            (*error.absolute_path, error.message.split("'")[1]) for error in errors if error.validator == "required"
+        }
+        assert {way for way, _ in misfits(schema, changed)} == there
+        damaged += bool(there)
+    assert damaged > 30
 
 
 def mutated(document, rng):

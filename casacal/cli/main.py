@@ -24,6 +24,7 @@ from casacal.cli import (
     new,
     plan,
     predict,
+    schema,
     simulate,
     study,
     verify,
@@ -35,7 +36,7 @@ from casacal.threads import one_thread_each
 from casacal.version import __version__
 
 LISTED = (plan, measure, calibrate, simulate, check, doctor, predict, verify, changed, compensate, study, bench, new)
-COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, demo, completion)}
+COMMANDS = {module.__name__.rpartition(".")[2]: module for module in (*LISTED, export, demo, schema, completion)}
 """Each a module with `HELP`, `add_arguments(parser)` and `run(options)`; they import what they need when they run."""
 
 EPILOG = (
