@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
@@ -21,11 +22,13 @@ BESIDE = (
 """Pages, and what else they link to."""
 
 
+@event_priority(100)  # before the plug-in that makes pages of notebooks
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     """All pages and what they link to, under their paths in the repository; the README is the front page."""
     root = Path(config.config_file_path).parent
     found = {path: None for pattern in PAGES + BESIDE for path in sorted(root.glob(pattern)) if path.is_file()}
-    made = [File.generated(config, path.relative_to(root).as_posix(), abs_src_path=str(path)) for path in found]
+    where = (str(root), config.site_dir, config.use_directory_urls)
+    made = [File(path.relative_to(root).as_posix(), *where) for path in found]
     api = [File.generated(config, f"docs/api/{name}.md", content=text) for name, text in api_pages(root)]
     theme = [file for file in files if not Path(file.abs_src_path or "/").is_relative_to(config.docs_dir)]
     return Files(theme + made + api)
