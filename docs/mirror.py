@@ -1,12 +1,15 @@
 """Hook of MkDocs: the site has the paths of the repository, so that a link between documents works in both."""
 
+import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 PAGES = ("docs/**/*.md", "docs/**/*.ipynb", "*.md", "problems/*/*.md", "studies/*/*.md")
 BESIDE = (
@@ -41,3 +44,16 @@ def api_pages(root: Path) -> Iterator[tuple[str, str]]:
         title, _, table = section.partition("\n")
         entries = [f"::: casacal.{name}\n" for name in re.findall(r"^\| `(\w+)` \|", table, re.M)]
         yield title.lower().replace(",", "").replace(" ", "_"), f"# {title}\n\n" + "\n".join(entries)
+
+
+def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Links of notebooks to documents, which MkDocs itself follows only where the page is Markdown."""
+    del config
+
+    def followed(link: re.Match[str]) -> str:
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_uri), link[1]))
+        if (file := files.get_file_from_path(path)) is None:
+            raise PluginError(f"{page.file.src_uri} links to {link[1]}, which does not exist")
+        return f'href="{file.url_relative_to(page.file)}"'
+
+    return re.sub(r'href="([\w./]+\.(?:md|ipynb))"', followed, html) if page.file.src_uri.endswith(".ipynb") else html

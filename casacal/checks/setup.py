@@ -17,7 +17,7 @@ SMALLEST_TILT = 5.0
 """Degrees between plunger and normal below which touches count as normal; 10 or more remove the blindness."""
 SMALLEST_FACE = 0.05  # fraction of the arm's reach that touches of a face should span
 SMALLEST_ANGLE = 20.0  # degrees between faces below which they count as parallel
-ROWS_PER_UNKNOWN = 2.0
+ROWS_PER_UNKNOWN = 1.5  # fewer leave little to tell the noise and single bad rows by; as a plan takes at least
 CLEARLY = 4.0  # times as far or as near as it might be by chance
 NO_LENGTH = "no length was measured"
 
