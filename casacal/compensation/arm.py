@@ -145,13 +145,13 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
 
 def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
+    if result.denial is not None:
+        said = f"{result.file}: a result that is not to be used has no standard deviations"
+        raise CasacalError(said, "Mend what its verdict names, and calibrate again")
     try:
         covariance = numbers(result.document["covariance"])
         names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
     except (KeyError, TypeError):
-        if result.denial is not None:
-            said = f"{result.file}: a result that is not to be used has no standard deviations"
-            raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     return covariance.reshape(len(names), len(names)), list(names)
 
@@ -162,7 +162,7 @@ def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None
     By name, in the order of the covariance; None where a result says nothing of effects.
     """
     said = result.discrepancy
-    if "covariance" not in said:
+    if result.denial is not None or "covariance" not in said:
         return None
     return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
 

@@ -47,6 +47,10 @@ def _is_fitted(data: Mapping[str, Any]) -> bool:
     return fitted is None or (isinstance(fitted, dict) and is_listing(fitted))
 
 
+def _is_verdict(value: Any) -> bool:
+    return isinstance(value, dict) and value.get("level") in LEVELS and is_text(value.get("words"))
+
+
 def _is_row(value: Any) -> bool:
     return isinstance(value, list) and all(map(is_number, value))
 
@@ -64,7 +68,7 @@ OPTIONAL: Mapping[str, Shape] = {
     "schema": lambda value: isinstance(value, int) and not isinstance(value, bool),
     "metrics": lambda value: isinstance(value, dict) and all(isinstance(each, dict) for each in value.values()),
     "tip": lambda value: isinstance(value, dict) and all(map(is_number_or_null, value.values())),
-    "verdict": lambda value: isinstance(value, dict) and value.get("level") in LEVELS and is_text(value.get("words")),
+    "verdict": _is_verdict,
     "arm": lambda value: isinstance(value, dict),
     "data": lambda value: isinstance(value, dict) and is_text(value.get("sha256")) and _is_fitted(value),
     "noise": lambda value: isinstance(value, dict) and _is_noise(value),
@@ -136,7 +140,7 @@ def _check_told(file: str, part: Mapping[str, Any]) -> None:
     named = isinstance(further, dict) and set(further) <= keys and all(map(_is_texts, further.values()))
     if not named or not isinstance(usual, dict) or not all(map(is_number, usual.values())):
         raise CasacalError(f"{file}: its columns of effects are {_short(further)}, {_short(usual)}", FIX)
-    shape: Mapping[str, Shape] = {"effects": _is_texts, "expected_rms_mm": is_number_or_null}
+    shape = {"effects": _is_texts, "expected_rms_mm": is_number_or_null, "verdict": _is_verdict}
     for each in _rows(file, "effects that columns tell", told, shape):
         _rows(file, "values where columns tell effects", each.get("unknowns"), UNKNOWN, "value")
         count = len(part.get("covariance_of") or ())

@@ -15,7 +15,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
 from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance, sizes_of
-from casacal.errors import CasacalError, SamplesError, UnknownNameError
+from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
@@ -158,6 +158,7 @@ def _bound(
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
     if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
+        _check_columns(problem, samples)
         bound = bound.under(problem.with_kit).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
@@ -165,6 +166,20 @@ def _bound(
         most = MOST // bound.unknowns
         raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
     return bound
+
+
+def _check_columns(problem: Problem, samples: Samples) -> None:
+    """Raise ProblemError where rows lack columns that tell an effect.
+
+    How large its error is without them is known, but not how rows share it: torques follow the posture, a payload is
+    the same for many rows. Neither chi-square nor the error along the arm's own directions has a distribution then.
+    """
+    for effect in problem.with_kit.effects:
+        for name in effect.further:
+            if name not in samples.extra:
+                what = f"{samples.file} has no column '{name}', and without it nobody can judge rows that have"
+                fix = f"Add the column; further columns there are: {', '.join(samples.extra) or 'none'}"
+                raise ProblemError(f"{what} {effect.words}", fix)
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
