@@ -1,4 +1,4 @@
-"""The arm where rows have the columns that tell an effect, such as torques or a payload: its verdict, for result.json."""
+"""The arm where rows have the columns that tell an effect, such as torques or a payload, and its verdict."""
 
 from __future__ import annotations
 
@@ -66,8 +66,9 @@ def verdict_lines(calibration: Calibration, verdict: Verdict) -> list[str]:
     if not calibration.told:
         return [verdict.words]
     names = [name for each in calibration.tried if each.told for name in each.further]
-    columns, known = f"the column{'s' * (len(names) > 1)} {listed(names)}", verdict_of(where_told(calibration))
+    known, several = verdict_of(where_told(calibration)), len(names) > 1
+    columns = f"the column{'s' * several} {listed(names)}"
     return [
         f"With {columns}, in predict, compensate, verify and the exports c and casadi: {lower(known.words)}",
-        f"Without {columns}, and in tables of lengths and angles: {lower(verdict.words)}",
+        f"Without {'them' if several else columns}, and in tables of lengths and angles: {lower(verdict.words)}",
     ]

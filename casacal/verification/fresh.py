@@ -151,6 +151,7 @@ def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
     """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    _check_columns(problem, samples)
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
@@ -158,7 +159,6 @@ def _bound(
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
     if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
-        _check_columns(problem, samples)
         bound = bound.under(problem.with_kit).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
@@ -174,12 +174,14 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
     How large its error is without them is known, but not how rows share it: torques follow the posture, a payload is
     the same for many rows. Neither chi-square nor the error along the arm's own directions has a distribution then.
     """
-    for effect in problem.with_kit.effects:
+    for effect in problem.effects:
         for name in effect.further:
             if name not in samples.extra:
-                what = f"{samples.file} has no column '{name}', and without it nobody can judge rows that have"
-                fix = f"Add the column; further columns there are: {', '.join(samples.extra) or 'none'}"
-                raise ProblemError(f"{what} {effect.words}", fix)
+                what = f"{samples.file} has no column '{name}': without it nobody knows what {effect.words} did to which row"
+                fix = (
+                    f"Add the column, and verify again; further columns there are: {', '.join(samples.extra) or 'none'}"
+                )
+                raise ProblemError(what, fix)
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:
