@@ -367,8 +367,7 @@ def test_fresh_rows_with_torques_verify_the_corrected_arm(loaded):
     assert found.kept
     assert found.promised_tip_mm < 0.02
     assert not verify(loaded, wrong).kept
-    nobody = r"has no column 'torque1_Nm': without it nobody knows what joint compliance .* did to which row\. Add the column"
-    with pytest.raises(ProblemError, match=nobody):
+    with pytest.raises(ProblemError, match=r"has no column 'torque1_Nm', which says what joint .* each row\. Add it"):
         verify(loaded, dataclasses.replace(fresh, extra={}))
 
 

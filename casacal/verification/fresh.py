@@ -177,10 +177,8 @@ def _check_columns(problem: Problem, samples: Samples) -> None:
     for effect in problem.effects:
         for name in effect.further:
             if name not in samples.extra:
-                what = f"{samples.file} has no column '{name}': without it nobody knows what {effect.words} did to which row"
-                fix = (
-                    f"Add the column, and verify again; further columns there are: {', '.join(samples.extra) or 'none'}"
-                )
+                what = f"{samples.file} has no column '{name}', which says what {effect.words} did to each row"
+                fix = f"Add it; further columns there are: {', '.join(samples.extra) or 'none'}"
                 raise ProblemError(what, fix)
 
 
