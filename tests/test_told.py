@@ -22,6 +22,7 @@ from casacal import (
     TrackedPoint,
     bind,
     calibrate,
+    changed,
     load,
     simulate,
     tool_point,
@@ -371,10 +372,21 @@ def test_fresh_rows_with_torques_verify_the_corrected_arm(loaded):
         verify(loaded, dataclasses.replace(fresh, extra={}))
 
 
-@pytest.mark.long
-def test_an_arm_that_fresh_rows_moved_counts_torques_as_an_error_again(loaded, asked):
-    torques = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
-    fresh = measured(lambda _: GIVE * torques, by_name(TORQUES, torques), count=60, seed=5)
-    _, _, rows, true = asked
-    found = updated(loaded, fresh).predict(rows, frame="tip", std=True)
-    assert rms(found.positions - true) / np.sqrt((found.std**2).mean()) < 2.0
+@pytest.mark.parametrize("shift", [0.0, 2e-3])
+def test_an_update_still_corrects_torques_and_what_changed(loaded, asked, tmp_path, shift):
+    joints, torques, rows, _ = asked
+    moved = shift * np.eye(6)[3]
+    given = np.random.default_rng(16).normal(size=(60, 6)) * USUAL
+    fresh = measured(lambda _: GIVE * given + moved, by_name(TORQUES, given), count=60, seed=5)
+    assert changed(loaded, fresh).changed is bool(shift)
+    updated(loaded, fresh, folder=tmp_path / "made")
+    made = load(tmp_path / "made")
+    known, unknown = (made.predict(q, frame="tip", std=True) for q in (rows, joints))
+    for found, least in ((known, 0.3), (unknown, 0.5)):
+        off = found.positions - tips(joints + moved + GIVE * torques)
+        assert least < rms(off) / np.sqrt((found.std**2).mean()) < 2.0
+    assert rms(known.positions - tips(joints + moved + GIVE * torques)) < 0.02 < 1.0 < rms(unknown.std[:, None])
+    assert unknown.missing == {WORDS: TORQUES}
+    assert "expected tip error: 0.0" in made.export("c")
+    again = measured(lambda _: GIVE * given + moved, by_name(TORQUES, given), count=60, seed=8)
+    assert verify(made, again).kept
