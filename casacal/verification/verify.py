@@ -106,7 +106,7 @@ def verify(
 
     Raises CasacalError for what is no result, another arm, or a tolerance or risk that is none; UnknownNameError for
     something else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the
-    calibration.
+    calibration; ProblemError for rows without the columns that tell an effect.
 
     """
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
