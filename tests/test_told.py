@@ -319,6 +319,8 @@ def test_an_arm_as_drawn_that_sags_may_be_used_where_the_payload_is_known_and_no
     assert said[known:unknown].partition("casadi: ")[2].startswith("calibrated: expect a tip error of 0.0")
     assert "lengths and angles: do not use this result" in said[unknown:]
     found.save(tmp_path / "made")
+    page = (tmp_path / "made" / "report.html").read_text()
+    assert page.index("With the column payload_kg") < page.index("Without the column payload_kg")
     read = load(tmp_path / "made")
     here = read.predict(loaded, frame="tip", std=True)
     off = here.positions - as_drawn(joints + sag(joints, 4.0, as_drawn))

@@ -169,12 +169,8 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
     usable = not denied or any("off" in each for each in told.get("told", ()))
     known = {"covariance_of": names, "off": off, "covariance": motion.covariance} if usable else {}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
-    parts: dict[str, Any] = {
-        "effects": effects,
-        "tried": tried,
-        "corrected": list(calibration.corrected),
-        "unknowns": unknowns,
-    }
+    corrected = list(calibration.corrected)
+    parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
     if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]

@@ -57,8 +57,7 @@ def report_page(
         "numbered": lambda lines: numbered_lines(lines, LINES),
         "counts": [f"{data['fitted']:,} fitted", f"{data['heldout']:,} held out", *aside],
         "unknowns": f"{calibration.fit.unknowns:,}",
-        "look": LOOKS[document["verdict"]["level"]],
-        "verdict_lines": verdict_lines(calibration, verdict_of(calibration)),
+        **_verdict(calibration),
         "figures": _figures(calibration, document),
         "aside": aside,
         "together": "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}",
@@ -86,6 +85,12 @@ def report_page(
         "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items()),
     }
     return rendered("report.html", context)
+
+
+def _verdict(calibration: Calibration) -> dict[str, Any]:
+    """The verdict in words, after that of the arm with columns that tell effects, and its colour."""
+    verdict = verdict_of(calibration)
+    return {"look": LOOKS[verdict.level], "verdict_lines": verdict_lines(calibration, verdict)}
 
 
 def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
