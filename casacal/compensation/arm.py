@@ -145,13 +145,13 @@ def covariance_of(result: CalibratedArm) -> tuple[Array, list[tuple[int, int]]]:
 
 def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
     """Covariance (n, n) as the result holds it, and the unknowns that it is of; raises CasacalError without one."""
-    if result.denial is not None:
-        said = f"{result.file}: a result that is not to be used has no standard deviations"
-        raise CasacalError(said, "Mend what its verdict names, and calibrate again")
     try:
         covariance = numbers(result.document["covariance"])
         names = result.document.get("covariance_of") or [row["name"] for row in result.document["unknowns"]]
     except (KeyError, TypeError):
+        if result.denial is not None:
+            said = f"{result.file}: a result that is not to be used has no standard deviations"
+            raise CasacalError(said, "Mend what its verdict names, and calibrate again") from None
         raise CasacalError(f"{result.file}: it holds no covariance", "Calibrate again with this version") from None
     return covariance.reshape(len(names), len(names)), list(names)
 
@@ -159,10 +159,11 @@ def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
     """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
 
-    By name, in the order of the covariance; None where a result says nothing of effects.
+    By name, in the order of the covariance; None where a result says nothing of effects, or only of them where columns
+    tell them, as one does that is denied without these.
     """
     said = result.discrepancy
-    if result.denial is not None or "covariance" not in said:
+    if "covariance" not in said or result.document.get("covariance") is None:
         return None
     return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
 
