@@ -319,7 +319,7 @@ def test_a_truth_has_a_seal_and_needs_no_verdict(made, tmp_path):
 
 
 def test_the_levels_of_a_file_are_those_of_a_verdict():
-    known = json.loads(schema_text())["properties"]["verdict"]["properties"]["level"]["enum"]
+    known = json.loads(schema_text())["$defs"]["verdict"]["properties"]["level"]["enum"]
     assert get_args(Level) == tuple(known)
 
 

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.verdict import Verdict, wrong_with_samples
+from casacal.calibration.told import verdict_lines, where_told
+from casacal.calibration.verdict import Verdict, verdict_of, wrong_with_samples
 from casacal.calibration.warnings import VERIFY, doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
@@ -106,10 +107,12 @@ def brief(
     """
     calibration = calibration.unjudged
     denied = verdict.level == "do not use"
-    head = [_subject(calibration), verdict.words]
+    head = [_subject(calibration), *verdict_lines(calibration, verdict)]
     tail = [] if denied else [*expected, _residual(calibration)]
     told = verdict.words.lower()
     untold = [reason for reason in verdict.reasons if reason.lower() not in told]
+    if calibration.told and (known := verdict_of(arm := where_told(calibration))).level != "do not use":
+        calibration, verdict, denied = arm, known, False  # what to do next is for who has the columns
     above = _wrapped(head, width)
     cure = "" if denied else best_cure(calibration)
     first = verdict.level == "calibrated" and cure  # a doubt is settled first

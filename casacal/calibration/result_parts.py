@@ -165,20 +165,18 @@ def discrepancy_part(calibration: Calibration, *, denied: bool = False) -> dict[
         if beside
     ]
     names, off = list(motion.arm.names), np.zeros(motion.x.size) if motion.off is None else motion.off
-    known = {} if denied else {"covariance_of": names, "off": off, "covariance": motion.covariance}
+    told = told_part(calibration)
+    usable = not denied or any("off" in each for each in told.get("told", ()))
+    known = {"covariance_of": names, "off": off, "covariance": motion.covariance} if usable else {}
     tried = [asdict(each) | {"corrected": each.corrected} for each in calibration.tried]
-    parts: dict[str, Any] = {
-        "effects": effects,
-        "tried": tried,
-        "corrected": list(calibration.corrected),
-        "unknowns": unknowns,
-    }
+    corrected = list(calibration.corrected)
+    parts: dict[str, Any] = {"effects": effects, "tried": tried, "corrected": corrected, "unknowns": unknowns}
     if calibration.corrected:  # the arm for those who cannot correct an effect, and the tip error to expect of it
         alone = zip(fit.names, calibration.uncorrected_x, fit.beside, strict=True)
         parts["without_corrections"] = [{"name": n, "value": float(value)} for n, value, beside in alone if not beside]
         error = math.nan if denied else tip_error(fit, calibration.result, ())
         parts["expected_rms_mm_without_corrections"] = error
-    return {**parts, **known, **told_part(calibration, denied=denied)}
+    return {**parts, **known, **told}
 
 
 def what_is_seen(calibration: Calibration, *, denied: bool = False) -> dict[str, Any]:

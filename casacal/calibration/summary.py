@@ -8,7 +8,7 @@ from dataclasses import replace
 from casacal.calibration import tables
 from casacal.calibration.brief import nothing_helps, together
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.told import told_words
+from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import verdict_of
 from casacal.errors import CasacalError
 from casacal.samples.measurements import Measurements
@@ -29,7 +29,7 @@ def summary(calibration: Calibration, name: str) -> str:
     denied = verdict.level == "do not use"
     parts = [
         _opening(calibration, name),
-        "\n".join([verdict.words, *(f"- {reason}" for reason in verdict.reasons)]),
+        "\n".join([*verdict_lines(calibration, verdict), *(f"- {reason}" for reason in verdict.reasons)]),
         tables.residuals(calibration).text(),
         _left_out(calibration, denied),
         "" if denied else _accuracy(calibration),
@@ -81,7 +81,6 @@ def _accuracy(calibration: Calibration) -> str:
             *([f"Expected flange error: {mm(flange, 3)} (before: {mm(drawn, 3)})."] if math.isfinite(flange) else []),
             f"Both assume that {calibration.assumed} are right and that nothing else moves the arm.",
             *tables.corrected_words(calibration),
-            *told_words(calibration, denied=False),
             f"From the samples alone, without priors, {samples_alone}.",
         ]
     )

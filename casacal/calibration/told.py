@@ -1,26 +1,37 @@
-"""The arm where rows have the columns that tell an effect, such as torques or a payload, for result.json."""
+"""The arm where rows have the columns that tell an effect, such as torques or a payload, and its verdict."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from dataclasses import asdict, replace
 from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
-from casacal.calibration.motion import Motion, used_arm
-from casacal.uncertainty.expectation import expected_accuracy
-from casacal.uncertainty.figures import residual_figures
-from casacal.wording import listed, mm
+from casacal.calibration.verdict import Verdict, verdict_of
+from casacal.wording import listed, lower
+
+OF_ROWS = ("plain", "data_errors", "plain_errors", "score_tests")
+"""Figures that take fits and do not depend on what is corrected."""
 
 
-def told_part(calibration: Calibration, *, denied: bool) -> dict[str, Any]:
+def where_told(calibration: Calibration, keys: Collection[str] | None = None) -> Calibration:
+    """The calibration of the arm where these effects are corrected as well, by default all that columns tell."""
+    keys, whole = calibration.told if keys is None else keys, calibration.unjudged
+    tried = tuple(replace(each, further=()) if each.key in keys else each for each in whole.tried)
+    found = replace(whole, tried=tried)
+    vars(found).update({name: value for name, value in vars(whole).items() if name in OF_ROWS})
+    return found
+
+
+def told_part(calibration: Calibration) -> dict[str, Any]:
     """Which columns tell an effect, their sizes in the fitted rows, and the arm for each choice of such effects.
 
-    Empty where none is told. Each choice holds the effects, the unknowns of the geometry, by how much those that move
-    the tip are elsewhere, and the tip error to expect, mm RMS over the workspace.
+    Empty where none is told. Each choice holds the effects, the unknowns of the geometry, its verdict, by how much
+    those that move the tip are elsewhere, and the tip error to expect, mm RMS over the workspace.
     """
     fit, keys = calibration.fit, calibration.told
     block = fit.blocks[0]
@@ -33,40 +44,31 @@ def told_part(calibration: Calibration, *, denied: bool) -> dict[str, Any]:
         return {"usual": usual} if usual else {}
     choices = chain.from_iterable(combinations(keys, count) for count in range(1, len(keys) + 1))
     further = {each.key: list(each.further) for each in calibration.tried if each.told}
-    return {"usual": usual, "further": further, "told": [_arm_where(calibration, some, denied) for some in choices]}
+    return {"usual": usual, "further": further, "told": [_arm_where(calibration, some) for some in choices]}
 
 
-def told_words(calibration: Calibration, *, denied: bool) -> list[str]:
-    """What rows with the columns that tell effects are worth; of a result that is denied, residuals alone."""
-    told = [each for each in calibration.tried if each.told]
-    if not told:
-        return []
-    columns = listed([name for each in told for name in each.further])
-    said = f"Where rows have {columns}, predict, compensate and the exports c and casadi correct "
-    said += f"{listed([each.words for each in told])}"
-    fit, (used, motion) = calibration.fit, _where_told(calibration, calibration.told)
-    if not denied:
-        error = expected_accuracy(motion.arm, motion.x, motion.off)[1]
-        return [f"{said}: expect a tip error of {mm(error)} RMS there."]
-    without, left = (
-        residual_figures(fit.plain_residual(x)[fit.leading])["rmse_mm"] for x in (calibration.used_x, used)
-    )
-    return [f"{said}: so used, the fitted rows miss by {mm(left)} RMS, else by {mm(without)}; that is no accuracy."]
-
-
-def _where_told(calibration: Calibration, keys: tuple[str, ...]) -> tuple[Array, Motion]:
-    """Unknowns (n,) and tip of the arm where these effects are corrected on top of what is corrected anyway."""
-    fit, result, corrected = calibration.fit, calibration.result, {*calibration.corrected, *keys}
-    used = used_arm(fit, result, corrected)
-    return used, Motion.of(fit, result, used, corrected)
-
-
-def _arm_where(calibration: Calibration, keys: tuple[str, ...], denied: bool) -> dict[str, Any]:
-    fit, (used, motion) = calibration.fit, _where_told(calibration, keys)
-    unknowns = zip(fit.names, used, fit.beside, strict=True)
+def _arm_where(calibration: Calibration, keys: tuple[str, ...]) -> dict[str, Any]:
+    fit, arm = calibration.fit, where_told(calibration, keys)
+    verdict, motion = verdict_of(arm), arm.motion
+    denied = verdict.level == "do not use"
+    unknowns = zip(fit.names, arm.used_x, fit.beside, strict=True)
     part: dict[str, Any] = {
         "effects": list(keys),
+        "verdict": asdict(verdict),
         "unknowns": [{"name": name, "value": float(value)} for name, value, beside in unknowns if not beside],
-        "expected_rms_mm": math.nan if denied else expected_accuracy(motion.arm, motion.x, motion.off)[1],
+        "expected_rms_mm": math.nan if denied else arm.tip_std[1],
     }
     return part if denied else {**part, "off": np.zeros(motion.x.size) if motion.off is None else motion.off}
+
+
+def verdict_lines(calibration: Calibration, verdict: Verdict) -> list[str]:
+    """The verdict, which governs; before it that of the arm where rows have all columns that tell effects."""
+    if not calibration.told:
+        return [verdict.words]
+    names = [name for each in calibration.tried if each.told for name in each.further]
+    known, several = verdict_of(where_told(calibration)), len(names) > 1
+    columns = f"the column{'s' * several} {listed(names)}"
+    return [
+        f"With {columns}, in predict, compensate, verify and the exports c and casadi: {lower(known.words)}",
+        f"Without {'them' if several else columns}, and in tables of lengths and angles: {lower(verdict.words)}",
+    ]

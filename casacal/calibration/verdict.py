@@ -10,7 +10,6 @@ import numpy as np
 
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.told import told_words
 from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.uncertainty.prior_moves import prior_scatter
@@ -101,8 +100,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
         found.append(("the method did not finish", calibration.result.message))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
     for look in (_unexplained, _priors_contradicted):
-        told = told_words(calibration, denied=True) if look is _unexplained else []
-        found += [] if found else [(clause, " ".join([sentence(clause), *told])) for clause in look(calibration)]
+        found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
         found.append((clause, "Neither the samples nor a prior determine every direction that moves the tip."))

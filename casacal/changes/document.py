@@ -11,14 +11,16 @@ import numpy as np
 from casacal.calibration.result_parts import geometry, parameter_rows, seen_from
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
-from casacal.compensation.arm import CalibratedArm
+from casacal.compensation.arm import CalibratedArm, corrected_values, found_values
 from casacal.compensation.predict import predict
 from casacal.compensation.result_file import sealed
+from casacal.compensation.told import where_told
 from casacal.files import jsonable
 from casacal.samples.repeats import listing
 from casacal.samples.samples import Samples
 from casacal.uncertainty.workspace import workspace_joints
 from casacal.verification.fresh import Fresh
+from casacal.verification.opened import Opened
 from casacal.wording import counted, sentence
 
 KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # what an update leaves as it was
@@ -26,11 +28,12 @@ GAIN = 0.9
 """As in the verdict of a calibration: expected tip error over the one of the priors, above which little was gained."""
 
 
-def updated_document(
-    arm: CalibratedArm, fresh: Fresh, state: State, found: Change, folder: Path | None
-) -> dict[str, Any]:
+def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, folder: Path | None) -> dict[str, Any]:
     """The whole of it, sealed; paths are relative to the folder that it will stand in, if any."""
-    old, bound, n, place = arm.document, fresh.bound, fresh.bound.unknowns, Path(arm.file).parent
+    arm, told, bound, n = given.whole, found_values(given.arm, alone=False), fresh.bound, fresh.bound.unknowns
+    old, place, alone = arm.document, Path(arm.file).parent, found_values(arm, alone=False)
+    # the rows tell where the arm stands with its columns; without them it moves as far
+    x = state.x - np.array([told[name] - alone[name] if name in alone else 0.0 for name in bound.names])
     files = [{**file, "path": _elsewhere(file["path"], place, folder)} for file in old["problem"].get("files", ())]
     stds = np.sqrt(np.maximum(np.diagonal(state.covariance), 0.0))
     of_arm = np.flatnonzero([not key for key in bound.beside])
@@ -45,10 +48,10 @@ def updated_document(
         "converged": True,
         "data": _data(old, fresh, found, arm, folder),
         "cost": state.chi_square / 2,
-        "parameters": parameter_rows(bound, state.x, stds[:n]),
-        **_geometry(old, geometry(bound, state.x), {name: state.moved[name] for name in others}),
+        "parameters": parameter_rows(bound, x, stds[:n]),
+        **_geometry(old, geometry(bound, x), {name: state.moved[name] for name in others}),
         "metrics": None,
-        "discrepancy": _discrepancy(old, fresh, state),
+        "discrepancy": _discrepancy(given, fresh, state),
         "identifiability": None,
         "cures": [],
         "correlations": [],
@@ -58,8 +61,13 @@ def updated_document(
         "reference": None,
         "updated_from": _provenance(arm, found, folder),
     }
-    document["tip"] = _tip(CalibratedArm(arm.file, arm.source, jsonable(document)), old)
+    made = CalibratedArm(arm.file, arm.source, jsonable(document))
+    document["tip"] = _tip(made, old)
     document["verdict"] = _verdict(old, document["tip"], found)
+    for each in (document["discrepancy"] or {}).get("told", ()):
+        if "off" in each:
+            tip, before = _tip(where_told(made, each["effects"]), old), where_told(arm, each["effects"]).document
+            each |= {"expected_rms_mm": tip["expected_rms_mm"], "verdict": _verdict(before, tip, found)}
     return sealed(jsonable(document))
 
 
@@ -77,33 +85,36 @@ def _geometry(old: Mapping[str, Any], new: dict[str, Any], moved: Mapping[str, f
     return found
 
 
-def _discrepancy(old: Mapping[str, Any], fresh: Fresh, state: State) -> Any:
+def _discrepancy(given: Opened, fresh: Fresh, state: State) -> Any:
     """Effects beside the geometry: corrected ones as the rows put them, others as they were, with what is known.
 
-    What only columns tell is no longer corrected: these rows moved the geometry that stands without them.
+    The arm with columns that tell effects and the one without move alike: what lies between them is what it was.
     """
-    said = old.get("discrepancy")
+    said = given.whole.document.get("discrepancy")
     if not said:
         return said
-    said = {key: value for key, value in said.items() if key not in ("told", "further")}
-    bound, n = fresh.bound, fresh.bound.unknowns
-    corrected = set(said.get("corrected", ()))
+    bound, n, was = fresh.bound, fresh.bound.unknowns, found_values(given.arm, alone=False)
+    was |= corrected_values(given.arm)
+    corrected = set(given.arm.corrected)
     inside = {name: j for j, name in enumerate(bound.names) if not bound.beside[j] or bound.beside[j] in corrected}
     at = inside | {name: n + i for i, name in enumerate(state.moved)}
-    moves = {**state.moved, **{name: float(state.x[j] - fresh.at[j]) for name, j in inside.items() if fresh.known[j]}}
+    moves = {**state.moved, **{name: float(state.x[j] - was[name]) for name, j in inside.items() if name in was}}
     part = {**said, "unknowns": _moved(said["unknowns"], moves)}
     if "without_corrections" in said:
         part["without_corrections"] = _moved([row for row in said["without_corrections"] if row["name"] in at], moves)
+    if "told" in said:
+        part["told"] = [{**each, "unknowns": _moved(each["unknowns"], moves)} for each in said["told"]]
     if "covariance" in said:
-        off = dict(zip(said["covariance_of"], said["off"], strict=True))
-        uncorrected = {row["name"] for row in said["unknowns"] if row["effect"] not in corrected}
-        names = [name for name in at if not (name in inside and bound.beside[inside[name]] and name not in off)]
+        known = said["covariance_of"]
+        names = [name for name in at if not (name in inside and bound.beside[inside[name]] and name not in known)]
         rows = [at[name] for name in names]
-        part["covariance_of"] = names
-        part["off"] = [
-            float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in uncorrected else 0.0) for name in names
-        ]
-        part["covariance"] = state.covariance[np.ix_(rows, rows)]
+        for each, keys in ((part, ()), *((one, one["effects"]) for one in part.get("told", ()) if "off" in one)):
+            off = dict(zip(known, each["off"], strict=True))
+            away = {row["name"] for row in said["unknowns"] if row["effect"] not in (*given.whole.corrected, *keys)}
+            each["off"] = [
+                float(off.get(name, 0.0)) + (moves.get(name, 0.0) if name in away else 0.0) for name in names
+            ]
+        part["covariance_of"], part["covariance"] = names, state.covariance[np.ix_(rows, rows)]
     return part
 
 

@@ -63,7 +63,7 @@ def after(given: Opened, found: Change, look: Look, folder: Path | None) -> Save
     standing, dropped = _still(look, found)
     fresh = with_drift(given.fresh(standing), dict(found.drift))
     state = updated_state(given.arm, fresh, _free(fresh, look, found), dropped)
-    document = updated_document(given.arm, fresh, state, found, folder)
+    document = updated_document(given, fresh, state, found, folder)
     if folder is not None:
         with together(folder, [FILE]) as place:
             write_json(place / FILE, document)
@@ -73,7 +73,10 @@ def after(given: Opened, found: Change, look: Look, folder: Path | None) -> Save
 
 def _refuse(given: Opened, found: Change) -> None:
     """Raise CasacalError for what cannot be updated."""
-    document = given.arm.document
+    document = given.whole.document
+    if (words := given.whole.denial) is not None:
+        fix = "Mend what the verdict names, and calibrate again"
+        raise CasacalError(f"{given.whole.file}: {words.removesuffix('.')}, so it is not updated", fix)
     if document.get("method") == "truth":
         fix = "Give a calibration"
         raise CasacalError(f"{given.arm.file}: a true arm is not estimated, so nothing updates it", fix)

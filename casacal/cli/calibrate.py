@@ -123,7 +123,6 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     from casacal.calibration.result_json import calibration_document, write_calibration
     from casacal.calibration.summary import summary
     from casacal.calibration.tables import corrected_words
-    from casacal.calibration.told import told_words
     from casacal.calibration.verdict import verdict_of
     from casacal.uncertainty.expectation import accuracy_in_box
 
@@ -138,7 +137,6 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
         expected = [f"Inside {options.box} mm: a tip error of {mm(inside[0])} RMS, {mm(inside[1])} at worst."]
     if not denied:
         expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
-        expected += told_words(calibration, denied=False)
     folder = None if options.out is None else Path(options.out).as_posix()
     last = "Parameters and what the samples do not show: --verbose"
     if folder is not None:

@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a calibrated arm in the form that --to names; returns 0."""
-    from casacal.export import remark
     from casacal.export.forms import export
+    from casacal.export.remark import as_exported, remark
     from casacal.export.work_frame import frame_text
     from casacal.files import write_text
 
@@ -50,10 +50,11 @@ def run(options: argparse.Namespace) -> int:
         write_text(options.out, frame_text(result, faces=faces, points=points, force=options.force))
     else:
         export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
+    remarks = remark(result, form=options.to)
     if options.json:
-        said = {"form": options.to, "verdict": result.verdict, "remarks": remark(result, form=options.to)}
+        said = {"form": options.to, "verdict": as_exported(result, options.to).verdict, "remarks": remarks}
         say_json({**said, "written": [options.out]})
         return DONE
     say_paragraphs(f"Written: {options.out}")
-    say_paragraphs(*remark(result, form=options.to))
+    say_paragraphs(*remarks)
     return DONE

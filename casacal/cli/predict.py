@@ -31,13 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict as the options say; returns 0."""
     from casacal.compensation.predict import predict, read_joints, write_prediction
-    from casacal.compensation.told import told_notes
+    from casacal.compensation.told import told_despite, told_notes
 
     result = read_arm(options, options.joints)
     joints = read_joints(options.joints, result.source)
     prediction = predict(result, joints, frame=options.frame, nominal=options.nominal, std=options.std)
     write_prediction(options.out, prediction)
-    count = len(prediction.positions)
+    count, used = len(prediction.positions), told_despite(result, prediction.missing)
     if options.json:
         said = {
             "unseen": list(prediction.unseen),
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
             "poses": count,
             "frame": options.frame,
             "nominal": options.nominal,
-            "verdict": result.verdict,
+            "verdict": used.verdict,
         }
         say_json({**said, "written": [options.out]})
     else:
@@ -57,6 +57,6 @@ def run(options: argparse.Namespace) -> int:
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "
                 "stood is known by its prior alone (--std shows it)"
             )
-        if (words := result.denial or result.caution) is not None and not options.nominal:
+        if (words := used.denial or used.caution) is not None and not options.nominal:
             say_paragraphs(words)
     return DONE

@@ -159,10 +159,11 @@ def named_covariance(result: CalibratedArm) -> tuple[Array, list[str]]:
 def with_effects(result: CalibratedArm) -> tuple[Array, dict[str, float]] | None:
     """Covariance (n, n) of geometry and effects together, and by how much each is elsewhere than the arm is said to be.
 
-    By name, in the order of the covariance; None where a result says nothing of effects.
+    By name, in the order of the covariance; None where a result says nothing of effects, or only of them where columns
+    tell them, as one does that is denied without these.
     """
     said = result.discrepancy
-    if "covariance" not in said:
+    if "covariance" not in said or result.document.get("covariance") is None:
         return None
     return numbers(said["covariance"]), dict(zip(said["covariance_of"], map(float, said["off"]), strict=True))
 

@@ -71,13 +71,13 @@ def compensate(
         raise UnknownNameError("frame", str(frame), FRAMES)
     if not isinstance(largest, (int, float)) or not largest > 0:
         raise CasacalError(f"The largest motion of a joint is {largest!r}", "Give a positive number of rad")
-    result.check_usable(force=force)
-    if result.denial is None:
-        _trusted(result, frame)
     rounding = rounding or Rounding()
     drawn = result.source.problem.without_effects
     nominal = PosedArm.of(drawn, local_coordinates(result, nominal=True), frame, row_constants(result, drawn))
     told = Told.by(result, rows_with(targets, np.arange(len(targets)), np.zeros((len(targets), len(drawn.robot.axes)))))
+    told.arm.check_usable(force=force)
+    if told.arm.denial is None:
+        _trusted(told.arm, frame)
     used, local = told.arm.used, local_coordinates(told.arm, of=told.arm.used)
     arm = replace(nominal, local=local)
     if used.effects:
@@ -92,7 +92,8 @@ def compensate(
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
-    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations)
+    denied = told.arm.denial is not None
+    place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, denied=denied)
     cases = (
         (~found, Outcome.UNREACHABLE),
         (~np.isfinite(place + turn), Outcome.NOT_FINITE),
@@ -164,7 +165,14 @@ def _solved(arm: PosedArm, positions: Array, rotations: Array, start: Array, lar
 
 
 def _proof(
-    result: CalibratedArm, arm: PosedArm, targets: Targets, joints: Array, positions: Array, rotations: Array
+    result: CalibratedArm,
+    arm: PosedArm,
+    targets: Targets,
+    joints: Array,
+    positions: Array,
+    rotations: Array,
+    *,
+    denied: bool,
 ) -> tuple[Array, Array, Array]:
     """Miss (mm; rad) and standard deviation (mm) of the calibrated robot at joint values, by `predict` alone."""
     from scipy.spatial.transform import Rotation
@@ -174,12 +182,12 @@ def _proof(
     sound = np.flatnonzero(np.isfinite(np.hstack(missed)).all(axis=1))
     if sound.size:
         samples = rows_with(targets, sound, joints[sound])
-        known = result.denial is None  # nothing is expected of a result that is not to be used
-        prediction = predict(result, samples, frame=arm.frame, std=known)
+        # nothing is expected of a result that is not to be used
+        prediction = predict(result, samples, frame=arm.frame, std=not denied)
         turns = Rotation.from_quat(np.roll(prediction.quaternions, -1, axis=1)).as_matrix()
         place[sound] = np.linalg.norm(prediction.positions - positions[sound], axis=1)
         turn[sound] = np.linalg.norm(turning(turns @ rotations[sound].transpose(0, 2, 1)), axis=1)
-        spread[sound] = prediction.std if known else np.nan
+        spread[sound] = np.nan if denied else prediction.std
     return place, turn, spread
 
 

@@ -72,7 +72,7 @@ def columns_that_tell(arm: CalibratedArm) -> dict[str, tuple[str, ...]]:
 def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> CalibratedArm:
     """The arm where these effects are corrected as well, by default all that columns tell; itself where there is none.
 
-    Its geometry is that beside them, and its tip error the one to expect where the columns are known.
+    Its geometry is that beside them; its verdict and its tip error are those where the columns are known.
     """
     wanted = set(columns_that_tell(arm) if keys is None else keys)
     said, document = arm.discrepancy, arm.document
@@ -81,6 +81,7 @@ def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> Calib
     (chosen,) = (each for each in said["told"] if set(each["effects"]) == wanted)
     values = {row["name"]: float(row["value"]) for row in chosen["unknowns"]}
     changed: dict[str, Any] = {
+        "verdict": chosen["verdict"],
         "parameters": [
             {**row, "estimate": row["nominal"] + values[row["name"]]} if row["name"] in values else row
             for row in document["parameters"]
@@ -92,10 +93,17 @@ def where_told(arm: CalibratedArm, keys: Collection[str] | None = None) -> Calib
             **({"off": chosen["off"]} if "off" in chosen else {}),
         },
     }
-    if document.get("tip") is not None:
-        tip = {"expected_rms_mm": chosen["expected_rms_mm"], "flange_expected_rms_mm": None}
-        changed["tip"] = {**document["tip"], **tip}
+    tip = {"expected_rms_mm": chosen["expected_rms_mm"], "flange_expected_rms_mm": None}
+    changed["tip"] = {**(document.get("tip") or {}), **tip}
+    if document.get("covariance") is None and "off" in chosen:  # the arm without the columns is denied, this one is not
+        changed |= {name: said[name] for name in ("covariance", "covariance_of")}
     return replace(arm, document=FrozenMapping({**document, **changed}))
+
+
+def told_despite(arm: CalibratedArm, missing: Collection[str]) -> CalibratedArm:
+    """The arm as rows tell of it that lack the columns of some effects, by their words."""
+    further, effects = columns_that_tell(arm), arm.discrepancy.get("effects", ())
+    return where_told(arm, [each["key"] for each in effects if each["key"] in further and each["words"] not in missing])
 
 
 def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]]) -> list[str]:
@@ -103,7 +111,7 @@ def told_notes(arm: CalibratedArm, missing: Mapping[str, tuple[str, ...]]) -> li
     keys = columns_that_tell(arm)
     words = [effect["words"] for effect in arm.discrepancy.get("effects", ()) if effect["key"] in keys]
     done = listed([each for each in words if each not in missing])
-    said = f"Corrected by columns of the rows: {done}; the result's verdict is about the arm without them."
+    said = f"Corrected by columns of the rows: {done}; the verdict is about the arm with them."
     return [said] * bool(done) + [
         f"Without the column{'s' * (len(names) > 1)} {listed(names)}, {words} is not corrected and counts as an error; "
         f"give {'them' if len(names) > 1 else 'it'}, and it is corrected."

@@ -126,7 +126,7 @@ def casadi_text(arm: CalibratedArm) -> str:
     """
     arm = arm_from(arm)
     inputs = inputs_of(arm, ca.SX.sym("q", len(arm.source.problem.robot.axes)))
-    name = "pose" if arm.denial is None else "pose_forced_against_the_verdict"
+    name = "pose" if where_told(arm).denial is None else "pose_forced_against_the_verdict"
     made = ca.Function(name, [*inputs.values()], [pose_function(arm)(*inputs.values())], [*inputs], ["pose"])
     with tempfile.TemporaryDirectory() as folder:
         made.save(str(Path(folder) / "arm"))

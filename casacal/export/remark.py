@@ -12,20 +12,27 @@ from casacal.robots.robot import Robot
 from casacal.robots.urdf_chain import UrdfChain
 from casacal.version import __version__
 
+TAKES_COLUMNS = ("c", "casadi")  # forms with an input for what columns tell of effects
+
 MARK = "casacal: "
 """What begins each of these lines, so that they are replaced and not piled up when a file is written back again."""
+
+
+def as_exported(arm: CalibratedArm, form: str) -> CalibratedArm:
+    """The arm that a form holds, with the verdict that goes with it: only some take what columns tell."""
+    return where_told(arm) if form in TAKES_COLUMNS else arm
 
 
 def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     """Lines, without comment signs, on the origin and the expected accuracy of what is exported.
 
-    form: every form but "c" and "casadi" holds lengths and angles alone, none of the effects beside them that a result
-    corrects.
+    form: every form but "c", "casadi" and a work object ("frame") holds lengths and angles alone, none of the effects
+    beside them that a result corrects; what columns tell is in those of `TAKES_COLUMNS` alone.
     """
     result = arm_from(result)
     further = columns_that_tell(result)
-    whole = form in ("c", "casadi")
-    result = where_told(result) if whole else result
+    takes = form in TAKES_COLUMNS
+    result = as_exported(result, form)
     document = result.document
     name = result.source.name
     if document.get("method") == "truth":
@@ -39,7 +46,7 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
     error = (document.get("tip") or {}).get("expected_rms_mm")
     called = {effect["key"]: effect["words"] for effect in said.get("effects", ())}
     named = " and ".join(called[key] for key in called if key in keys)
-    alone = bool(keys) and not whole
+    alone = bool(keys) and not takes and form != "frame"
     if alone:
         error = said.get("expected_rms_mm_without_corrections")
         lines.append(f"{MARK}not in this form: {named}, which predict, compensate and the forms c and casadi correct")
@@ -47,11 +54,11 @@ def remark(result: CalibratedArm, *, form: str = "c") -> list[str]:
         lines.append(f"{MARK}corrected beside the geometry: {named}")
     for key, names in further.items():
         inputs = ", ".join(names)
-        done = "is corrected, and takes" if whole else "is not corrected in this form; the forms c and casadi take"
+        done = "is corrected, and takes" if takes else "is not corrected in this form; the forms c and casadi take"
         lines.append(f"{MARK}{called[key]} {done} {inputs} as inputs")
     if (care := result.caution) is not None:
         level = f"{care.partition(':')[0]}; its words and its figure are those of the corrected arm"
-        lines.append(f"{MARK}the result's verdict: {level if alone or (whole and further) else care}")
+        lines.append(f"{MARK}the result's verdict: {level if alone else care}")
     shown = (
         "not known" if error is None else f"{error:.3f} mm RMS over the workspace, apart from the position of the base"
     )

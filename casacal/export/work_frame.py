@@ -111,7 +111,7 @@ def frame_text(
     if isinstance(result.source.problem.robot.pose, Facing):  # two chains that face each other
         base = "the frame of what faces the arm and moves with it (a table, another flange), not of the arm's base"
     lines = [
-        *(f"# {line}" for line in remark(result)),
+        *(f"# {line}" for line in remark(result, form="frame")),
         f"# work object of {what}, in {base}",
         "# standard deviation, apart from the position of the base: "
         + (spread if math.isfinite(frame.origin_std) else "not known"),

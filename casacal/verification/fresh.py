@@ -15,7 +15,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
 from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance, sizes_of
-from casacal.errors import CasacalError, SamplesError, UnknownNameError
+from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.problem import Problem
@@ -151,6 +151,7 @@ def _bound(
     result: CalibratedArm, problem: Problem, samples: Samples, kept: Mapping[str, Array], *, other: bool
 ) -> BoundProblem:
     """Rows with what errs beside the geometry, and with noise as the calibration used it."""
+    _check_columns(problem, samples)
     slots = make_slots(problem, [samples], kept)
     for slot in slots:  # what the drawn arm proposes from fresh rows is neither known nor estimated
         if slot.unknown.nominal is None and not slot.unknown.size and slot.name not in kept:
@@ -165,6 +166,20 @@ def _bound(
         most = MOST // bound.unknowns
         raise SamplesError(samples.file, f"{len(samples):,} rows are too many at once", f"Give up to {most:,} of them")
     return bound
+
+
+def _check_columns(problem: Problem, samples: Samples) -> None:
+    """Raise ProblemError where rows lack columns that tell an effect.
+
+    How large its error is without them is known, but not how rows share it: torques follow the posture, a payload is
+    the same for many rows. Neither chi-square nor the error along the arm's own directions has a distribution then.
+    """
+    for effect in problem.effects:
+        for name in effect.further:
+            if name not in samples.extra:
+                what = f"{samples.file} has no column '{name}', which says what {effect.words} did to each row"
+                fix = f"Add it; further columns there are: {', '.join(samples.extra) or 'none'}"
+                raise ProblemError(what, fix)
 
 
 def _kept(result: CalibratedArm, problem: Problem, samples: Samples, standing: Collection[str]) -> dict[str, Array]:

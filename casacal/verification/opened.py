@@ -16,6 +16,7 @@ from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
+from casacal.compensation.told import Told
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -35,6 +36,9 @@ class Opened:
     """A result as the instrument of some rows sees it, those rows that count, and lines of those that do not."""
 
     arm: CalibratedArm
+    """With the effects corrected that columns of the rows tell."""
+    whole: CalibratedArm
+    """As the result has it, for rows with such columns and without."""
     source: ProblemFile
     rows: Samples
     copied: tuple[int, ...]
@@ -182,4 +186,5 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         tuple(int(some.lines[k]) for k in np.flatnonzero(which).tolist())
         for some, which in ((rows, again), (once, seen))
     )
-    return Opened(arm, source, once.take(np.flatnonzero(~seen)), copied, fitted, other)
+    fresh = once.take(np.flatnonzero(~seen))
+    return Opened(arm if other else Told.by(arm, fresh).arm, arm, source, fresh, copied, fitted, other)

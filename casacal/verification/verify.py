@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
-from casacal.compensation.told import Told
 from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -107,7 +106,7 @@ def verify(
 
     Raises CasacalError for what is no result, another arm, or a tolerance or risk that is none; UnknownNameError for
     something else standing; SamplesError for rows that do not fit, are too few, or half of which are those of the
-    calibration.
+    calibration; ProblemError for rows without the columns that tell an effect.
 
     """
     if tolerance is not None and not (is_real(tolerance) and 0 < tolerance < math.inf):
@@ -116,7 +115,6 @@ def verify(
         fix = f"Give a chance from {LEAST_RISK:g} to below 0.5, such as 0.05 for 5 %"
         raise CasacalError(f"The risk is {risk!r}", fix)
     given = opened(result, samples, problem=problem, instrument=instrument, standing=standing)
-    given = given if given.other else replace(given, arm=Told.by(given.arm, given.rows).arm)
     unit = given.source.problem.instrument.words.unit
     if tolerance is not None and unit != "mm":
         raise CasacalError(f"The tolerance is in mm, but the residuals are in {unit}", "Leave it out")

@@ -15,7 +15,8 @@ from casacal.calibration.page.expected import expected_error
 from casacal.calibration.page.measured import measured, worst_rows
 from casacal.calibration.page.residual_pictures import face_maps, histograms, row_plots
 from casacal.calibration.page.touches import Touches
-from casacal.calibration.verdict import Level
+from casacal.calibration.told import verdict_lines
+from casacal.calibration.verdict import Level, verdict_of
 from casacal.pages.render import count, fixed, mm, rendered
 from casacal.uncertainty.expectation import Box
 from casacal.uncertainty.identifiability import KNOWN_FROM
@@ -56,7 +57,7 @@ def report_page(
         "numbered": lambda lines: numbered_lines(lines, LINES),
         "counts": [f"{data['fitted']:,} fitted", f"{data['heldout']:,} held out", *aside],
         "unknowns": f"{calibration.fit.unknowns:,}",
-        "look": LOOKS[document["verdict"]["level"]],
+        **_verdict(calibration),
         "figures": _figures(calibration, document),
         "aside": aside,
         "together": "" if data["heldout_by"] == "rows" or not data["heldout"] else f" by {data['heldout_by']}",
@@ -84,6 +85,12 @@ def report_page(
         "seconds": ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items()),
     }
     return rendered("report.html", context)
+
+
+def _verdict(calibration: Calibration) -> dict[str, Any]:
+    """The verdict in words, after that of the arm with columns that tell effects, and its colour."""
+    verdict = verdict_of(calibration)
+    return {"look": LOOKS[verdict.level], "verdict_lines": verdict_lines(calibration, verdict)}
 
 
 def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
