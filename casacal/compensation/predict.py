@@ -32,6 +32,7 @@ class Prediction(Value):
     `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
     stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
     missing: by the words of an effect that columns tell, those of them that the rows lack, so that it is not corrected.
+    beyond: a sentence for each such column that is far from what it was in the fitted rows.
     """
 
     positions: Array
@@ -39,6 +40,7 @@ class Prediction(Value):
     std: Array | None = None
     unseen: tuple[str, ...] = ()
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beyond: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frozen((self.positions, self.quaternions, self.std))
@@ -155,7 +157,7 @@ def predict(
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond)
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:

@@ -191,7 +191,8 @@ class Compensation(Value):
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
     position that is left, apart from the position of the base. missing: by the words of an effect that columns tell,
-    those of them that the targets lack, so that it is not corrected.
+    those of them that the targets lack, so that it is not corrected. beyond: a sentence for each such column that is
+    far from what it was in the fitted rows.
     """
 
     targets: Targets
@@ -206,6 +207,7 @@ class Compensation(Value):
     correction: Array
     expected_mm: Array
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beyond: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frozen(tuple(value for value in vars(self).values() if isinstance(value, np.ndarray)))

@@ -146,6 +146,11 @@ class Backlash(ByColumns):
         refuse_unless(np.isin(told, (-1, 0, 1)), samples, self.columns_of, told, said, fix)
         return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
 
+    def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """None: a way of approach is no amount."""
+        del site, samples
+        return {}
+
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """Signs of the steps from row to row, none known of the first; or what the samples say."""
         if self.columns_of:
