@@ -502,3 +502,19 @@ def test_an_effect_of_as_many_components_as_none_is_refused():
     problem = Problem(load_problem(UR5).problem.robot, TrackedPoint(noise_std=0.05), effects=(Two(),))
     with pytest.raises(ProblemError, match="'drift' has 2 components"):
         _ = problem.model
+
+
+def test_geometry_does_not_stretch_the_last_link_for_a_micrometre_at_the_tip(sagging):
+    _, found = sagging
+    fit = found.fit
+    used = used_arm(fit, found.result, ())
+    known = np.isfinite(fit.prior_std) & (np.array(fit.beside) == "")
+    assert np.abs(((used - found.result.x) / fit.prior_std)[known]).max() < 1
+
+
+def test_geometry_stands_for_the_mean_of_both_ways_of_a_joint_with_play():
+    source = load_problem(UR5)
+    made = simulate(source.problem, dataclasses.replace(source.cell, backlash=1.5e-4), samples=120, seed=0)
+    found, joints = calibrate(source, made.samples, reference=False), workspace_joints(source.problem.robot)
+    assert times_found(found.fit)["play"] > 2
+    assert tip_error(made, found.predict(joints, frame="tip").positions, joints) < 1.1 * found.tip_std[1]

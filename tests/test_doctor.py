@@ -326,3 +326,8 @@ def test_a_known_step_and_a_ruler_are_no_faults(folder, silent):
 def test_only_a_slope_of_two_tells_a_wrong_sign(slope, std, wrong):
     """Slopes about one were measured on right signs: arms far from their drawing, driven by it."""
     assert tells_a_wrong_sign(slope, std) is wrong
+
+
+def test_unknowns_of_effects_need_no_rows_of_their_own(hsr):
+    samples = simulate(hsr.problem, hsr.cell, samples=60, seed=1).samples
+    assert all("few rows" not in f.about for f in check(hsr.problem.with_kit, samples))

@@ -1,6 +1,7 @@
 """Documents tell the truth: what README and docs show is run, links lead somewhere, pages list what there is."""
 
 import io
+import json
 import re
 import shlex
 from importlib import import_module
@@ -122,6 +123,15 @@ def test_links_between_documents_lead_somewhere(path):
     for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", path.read_text(encoding="utf-8")):
         if not re.match(r"[a-z]+:", target):
             assert (path.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_is_kept_without_outputs_and_its_links_lead_somewhere(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert sum(cell["cell_type"] == "code" for cell in cells) > 3
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
+    for target in re.findall(r"\]\(([^)\s#]+)\)", "".join("".join(cell["source"]) for cell in cells)):
+        assert target.startswith("https:") or (path.parent / target).exists(), target
 
 
 def test_the_page_of_public_names_is_what_is_exported():

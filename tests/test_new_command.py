@@ -167,6 +167,10 @@ def test_remarks_that_look_like_settings_are_told_and_travel_is_to_be_filled_in(
     text = (place / "noted" / "problem.py").read_text()
     assert "travel=10, " in text
     assert text.count("TO FILL IN") == 4
+    assert main(["simulate", "noted", "--samples", "60", "--out", "noted_rows.csv"]) == 0
+    assert main(["calibrate", "noted", "noted_rows.csv", "--no-reference"]) == 0
+    said = capsys.readouterr().out
+    assert "4 lines of the problem file are marked TO FILL IN: what stands there is assumed" in " ".join(said.split())
     assert main(["new", "known", "--dh", "noted.csv", "--travel=-5:5"]) == 0
     assert "travel is to" not in capsys.readouterr().out
     text = (place / "known" / "problem.py").read_text()

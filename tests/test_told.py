@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from instruments_on_ur5 import ROBOT, TABLE, TOOL
 from instruments_on_ur5 import flanges as drawn
 from instruments_on_ur5 import tips as as_drawn
@@ -20,21 +21,27 @@ from casacal import (
     Problem,
     ProblemError,
     SamplesError,
+    Session,
     TrackedPoint,
     bind,
     calibrate,
     changed,
+    huber,
     load,
+    load_problem,
+    plan,
     simulate,
     tool_point,
     verify,
 )
+from casacal.calibration.warnings import warnings
 from casacal.changes.update import updated
 from casacal.cli.main import main
 from casacal.compensation.document import check_document
 from casacal.compensation.predict import predict
 from casacal.discrepancy import Backlash, GravitySag, LinkSag, TorqueCompliance
 from casacal.robots.links import Links
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
 PLAY = np.array([50.0, 80.0, 60.0, 100.0, 150.0, 90.0]) * 1e-6
@@ -451,3 +458,43 @@ def test_an_update_still_corrects_torques_and_what_changed(loaded, asked, tmp_pa
     assert "expected tip error: 0.0" in made.export("c")
     again = measured(lambda _: GIVE * given + moved, by_name(TORQUES, given), count=60, seed=8)
     assert verify(made, again).kept
+
+
+def test_play_whose_way_is_told_is_corrected_before_faces_too():
+    """Joints that come from either side: no zero of a joint stands for that, and it counts where nobody tells it."""
+    source = load_problem(ROOT / "problems" / "ur5")
+    made = simulate(source.problem, source.cell, samples=120, seed=3)
+    rng = np.random.default_rng(7)
+    half = np.array([40.0, 60.0, 60.0, 80.0, 80.0, 80.0]) * 1e-6
+    came = rng.choice([-1, 1], size=(120, 6))
+    rows = dataclasses.replace(
+        made.samples,
+        joints=made.samples.joints + half * came,
+        extra={name: tuple(map(str, ways)) for name, ways in by_name(CAME, came).items()},
+    )
+    problem = source.problem.with_effects(*source.problem.with_kit.effects, Backlash(columns_of=CAME))
+    found = calibrate(problem, rows, reference=False)
+    assert found.told == ("play",)
+    joints, now = workspace_joints(problem.robot), rng.choice([-1, 1], size=(400, 6))
+    true = made.true_tips(joints)
+    shown = table(joints + half * now)
+    known, unknown = (found.predict(q, frame="tip", std=True) for q in (shown.assign(**by_name(CAME, now)), shown))
+    off = [tip_rms(without_rigid((each.positions - true).ravel(), true)) for each in (known, unknown)]
+    assert off[0] < 0.05 < off[1] + 0.02
+    assert off[0] < 0.7 * off[1]
+    for error, each in zip(off, (known, unknown), strict=True):
+        assert error < 1.5 * np.sqrt((each.std**2).mean())
+
+
+def test_what_columns_tell_is_left_out_of_plans_and_sessions_and_a_loss_says_so(loaded):
+    source = load_problem(ROOT / "problems" / "ur5")
+    problem = source.problem.with_effects(TorqueCompliance(columns_of=TORQUES))
+    planned = [plan(each, source.cell, touches=30, pool=200, starts=1).error for each in (problem, source.problem)]
+    assert planned[0] == planned[1]
+    made = simulate(problem, source.cell, samples=6, seed=1).samples
+    session = Session(problem)
+    for q, reading, code in zip(made.joints, made.columns["reading"], made.labels["plane"].codes, strict=True):
+        session = session.take(q, float(reading), made.labels["plane"].names[code])
+    assert len(session) == 6
+    robust = calibrate(loaded.source.problem, loaded.samples, loss=huber(), reference=False)
+    assert any("The problem declares" in each and "torque" in each for each in warnings(robust))

@@ -9,10 +9,11 @@ import textwrap
 from collections.abc import Sequence
 
 from casacal.calibration.calibration import Calibration
+from casacal.calibration.doubt import VERIFY
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.told import verdict_lines, where_told
 from casacal.calibration.verdict import Verdict, verdict_of, wrong_with_samples
-from casacal.calibration.warnings import VERIFY, doubts
+from casacal.calibration.warnings import doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
 

@@ -22,8 +22,9 @@ from casacal.uncertainty.workspace import tip_stds, without_rigid, workspace_joi
 from casacal.values import FrozenMapping, Value
 from casacal.wording import listed
 
-SMALLEST = 1e-3
-"""Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect."""
+SMALLEST = 1e-2
+"""Part of the largest move, in prior standard deviations, below which geometry is not asked to mimic an effect: last
+link against tool, for one, which the tip hardly sees, would go a metre to gain a micrometre."""
 
 
 @dataclass(frozen=True, eq=False)

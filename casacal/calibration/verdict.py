@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from casacal.calibration.calibration import FAR, LACK_OF_FIT, Calibration
+from casacal.calibration.doubt import Doubt
 from casacal.calibration.fitted import MINIMISERS
-from casacal.calibration.warnings import NOISE_BAND, Doubt, doubts, larger_than_any
+from casacal.calibration.warnings import NOISE_BAND, doubts, larger_than_any
 from casacal.checks import Finding
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import listed, mm, sentence, times

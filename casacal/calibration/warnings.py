@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from casacal.calibration.calibration import FAR, Calibration
+from casacal.calibration.doubt import DECLARE, REPEAT, WIDEN, Doubt
 from casacal.calibration.metrics import more_than_stated
 from casacal.calibration.motion import tip_extremes
 from casacal.uncertainty.discrepancy import at_most, errors_are_shared
@@ -23,28 +23,6 @@ SETTLED = 0.1  # expected tip error over that before, below which the samples de
 
 SHOWN = 6
 OF_THE_DIAL = ("gain", "cycle")  # keys of the tests of a dial's own errors; they are made where these are no unknowns
-
-DECLARE = "have the dial calibrated, or declare the error as unknown (gain=dial_gain(0.15) or cycle= of the instrument)"
-
-VERIFY = "touch in other postures, and check with casacal verify whether the result holds there"
-WIDEN = f"state wider priors (--accuracy, --prior) if the arm may be so far from its drawing; otherwise {VERIFY}"
-REPEAT = (
-    "touch some places three times each, which separates the scatter of touches from errors of the model; or state "
-    "the noise, if it is known to be larger (--set noise_std=MM)"
-)
-"""What settles a doubt whose cause nobody knows."""
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """A clause to put after "but", and a sentence.
-
-    step: what settles it; empty where the data check, which was not run, may find the cause.
-    """
-
-    clause: str
-    sentence: str
-    step: str = ""
 
 
 def warnings(calibration: Calibration) -> list[str]:
@@ -69,6 +47,7 @@ def doubts(calibration: Calibration) -> list[Doubt]:
         _dial_is_off,
         larger_than_any,
         _ignored_rows,
+        _effects_left_out,
     )
     return [doubt for look in found if (doubt := look(calibration)) is not None]
 
@@ -214,6 +193,19 @@ def _ignored_rows(calibration: Calibration) -> Doubt | None:
     return Doubt(
         f"the robust loss set aside {'a row' if len(lines) == 1 else f'{len(lines)} rows'}",
         f"The robust loss gave less than half of its weight to {rows}. Measure them again.",
+    )
+
+
+def _effects_left_out(calibration: Calibration) -> Doubt | None:
+    """The problem declares effects beside the geometry, and this fit has none."""
+    declared = calibration.source.problem.effects
+    if not declared or any(calibration.fit.beside):
+        return None
+    words = listed([effect.words for effect in declared])
+    return Doubt(
+        "effects that the problem declares were left out",
+        f"The problem declares {words}, which a robust loss, some methods and --discrepancy none leave out: no figure "
+        "counts them, and nothing corrects them.",
     )
 
 

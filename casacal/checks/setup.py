@@ -56,13 +56,13 @@ def setup_findings(bound: BoundProblem) -> list[Finding]:
 
 
 def enough_rows(bound: BoundProblem) -> list[Finding]:
-    """An error where rows are fewer than unknowns, a warning where they are hardly more."""
-    ratio = bound.rows / max(bound.unknowns, 1)
+    """An error where rows are fewer than the unknowns of the geometry, a warning where they are hardly more."""
+    unknowns = bound.beside.count("")  # those of effects are small, and their priors say by how much
+    ratio = bound.rows / max(unknowns, 1)
     if ratio >= ROWS_PER_UNKNOWN:
         return []
-    cause = f"{bound.rows} rows for {bound.unknowns} unknowns"
-    fix = f"Take at least {math.ceil(ROWS_PER_UNKNOWN * bound.unknowns)} rows, or hold parameters with --fix"
-    return [Finding("error" if ratio < 1 else "warning", "few rows", cause, fix)]
+    fix = f"Take at least {math.ceil(ROWS_PER_UNKNOWN * unknowns)} rows, or hold parameters with --fix"
+    return [Finding("error" if ratio < 1 else "warning", "few rows", f"{bound.rows} rows for {unknowns} unknowns", fix)]
 
 
 def _directions(bound: BoundProblem, probe: Probe, normals: Array) -> list[Finding]:

@@ -124,6 +124,7 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     from casacal.calibration.summary import summary
     from casacal.calibration.tables import corrected_words
     from casacal.calibration.verdict import verdict_of
+    from casacal.problem.problem_text import FILL_IN
     from casacal.uncertainty.expectation import accuracy_in_box
 
     verdict = verdict_of(calibration)
@@ -135,6 +136,9 @@ def _told(calibration: Calibration, source: ProblemFile, box: Box | None, option
     expected = []
     if inside is not None:
         expected = [f"Inside {options.box} mm: a tip error of {mm(inside[0])} RMS, {mm(inside[1])} at worst."]
+    if marked := sum(file.text.count(FILL_IN) for file in source.files):
+        lines = "1 line of the problem file is" if marked == 1 else f"{marked} lines of the problem file are"
+        expected += [f"{lines} marked {FILL_IN}: what stands there is assumed."]
     if not denied:
         expected += [" ".join(corrected_words(calibration))] if calibration.corrected else []
     folder = None if options.out is None else Path(options.out).as_posix()

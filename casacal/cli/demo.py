@@ -34,12 +34,14 @@ STEPS = {
         "new ur5 --dh {0}/ur5.csv --tool 0,0,120 --sign -1 --travel 10 --accuracy 1 --out {0}"
     ),
     "What to touch, and what that will be worth": "plan {0}/ur5 --touches 60 --out {0}/plan.csv",
-    "Touches, here simulated": "simulate {0}/ur5 --samples 90 --seed {1} --out {0}/ur5/samples.csv",
+    "Touches, here simulated in random postures": "simulate {0}/ur5 --samples 90 --seed {1} --out {0}/ur5/samples.csv",
     "Mistakes in the samples": "check {0}/ur5",
     "The calibration": "calibrate {0}/ur5 --holdout 0.2 --out {0}/fit",
     "Fresh touches of the same arm": "simulate {0}/ur5 --samples 40 --tilt 20 --seed {1} --out {0}/fresh.csv",
     "Was the promise kept": "verify {0}/fit/result.json {0}/fresh.csv --into-report",
-    "Targets for the true arm": "compensate {0}/fit/result.json {0}/targets.csv --format urscript --out {0}/ur5.script",
+    "Targets for the true arm": (
+        "compensate {0}/fit/result.json {0}/targets.csv --frame tip --format urscript --out {0}/ur5.script"
+    ),
 }
 """What each command is for, and the command."""
 

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Plan as the options say; returns 0."""
-    from casacal.planning.route import FIT, touches_needed
+    from casacal.planning.route import FIT
     from casacal.planning.set_ups import POOL, set_ups
     from casacal.planning.written import document, told
     from casacal.problem.problem_file import load_problem
@@ -78,8 +78,9 @@ def run(options: argparse.Namespace) -> int:
     if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
         box, targets = where(options, source)
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
+    warned = [*_too_few(source, found, fitted, options), *_wrong_with(source, options)]
     if options.json:
-        say_json(document(found, compared, written, clearance))
+        say_json({**document(found, compared, written, clearance), "warnings": warned})
         return DONE
     there = "inside the box" if options.box else "over the workspace" if options.targets is None else "at the targets"
     said = told(
@@ -94,14 +95,24 @@ def run(options: argparse.Namespace) -> int:
     say_paragraphs(*said)
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
-    least = touches_needed(source.problem, found.samples)
-    if fitted < least and options.after is None:
-        say_paragraphs(
-            f"warning: {fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. "
-            f"Ask for more, keep fewer to verify, or hold parameters"
-        )
-    say_paragraphs(*_wrong_with(source, options), *(f"Written: {place}" for place in written))
+    say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
+    if source.problem.instrument.probe is not None:
+        command = shlex.join(["casacal", "measure", options.problem, "--plan", options.out, "--out"])
+        say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
+
+
+def _too_few(source: ProblemFile, found: Plan, fitted: int, options: argparse.Namespace) -> list[str]:
+    """A warning where a calibration of these touches alone would be refused."""
+    from casacal.planning.route import touches_needed
+
+    least = touches_needed(source.problem, found.samples)
+    if fitted >= least or options.after is not None:
+        return []
+    return [
+        f"{fitted} touches are fitted, but casacal calibrate needs at least {least} for all unknowns. Ask for more, "
+        "keep fewer to verify, or hold parameters"
+    ]
 
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
@@ -114,7 +125,7 @@ def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
     if not wrong:
         return []
     where = shlex.join([options.problem, after])
-    return [f"warning: {after} looks wrong ({', '.join(wrong)}), so this plan is for an arm that is not known yet. "
+    return [f"{after} looks wrong ({', '.join(wrong)}), so this plan is for an arm that is not known yet. "
             f"Run casacal check {where} and mend them first"]  # fmt: skip
 
 

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
-    from casacal.wording import METRE, UNBOUNDED
+    from casacal.wording import METRE, UNBOUNDED, listed
 
     out = Path(options.out)
     _spare_measurements(out)
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files))
     cell, counts = _cell(source, options), _counts(source, options.samples)
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed)
-    before, after = planned_accuracy(bind(source.problem, simulation.measured))
+    before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
     paths = write_simulation(simulation, source, Path(options.out))
     faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
     written = [path.as_posix() for path in paths]
@@ -98,6 +98,10 @@ def run(options: argparse.Namespace) -> int:
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )
+    if columns := [name for effect in source.problem.effects for name in effect.further]:
+        say_paragraphs(
+            f"Not simulated: {listed(columns)}. To calibrate these samples, leave out the effects that need them"
+        )
     if simulation.moves_beyond_geometry:
         say_paragraphs(
             "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "

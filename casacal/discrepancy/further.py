@@ -98,8 +98,8 @@ def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what:
     if missing := [column for column in columns if column not in samples.extra]:
         known = ", ".join(samples.extra)
         others = f", nor {listed(missing[1:])}" if missing[1:] else ""
-        fix = f"further columns there are: {known}" if known else "read samples with the problem that asks for it"
-        raise ProblemError(f"{samples.file} has no column '{missing[0]}' of {what}{others}", f"Give it; {fix}")
+        fix = f"Give it; further columns there are: {known}" if known else "Add it, and read the rows with this problem"
+        raise ProblemError(f"{samples.file} has no column '{missing[0]}' of {what}{others}", fix)
     return np.column_stack([_numbers(samples, column) for column in columns])
 
 

@@ -135,10 +135,6 @@ class Backlash(ByColumns):
         """Which way each joint came: -1, 0 or 1; and whether it is the first row."""
         return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
 
-    def away(self, site: Site) -> Mapping[str, float]:
-        """Either way: what the tip may stand off is the same for both; never the first row."""
-        return {**dict.fromkeys(self.columns(site), 1.0), "first": 0.0}
-
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
         """As the rows say; raises ProblemError, SamplesError where they do not."""
         told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach")

@@ -62,7 +62,7 @@ class Known(Value):
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
     """Where faces and the like stand by planned rows; nothing of those that are planned too seldom to say."""
     told = telling(problem, samples, {})
-    return _proposed(bind(problem, samples.take(told)).slots) if told else {}
+    return _proposed(bind(problem.without_effects, samples.take(told)).slots) if told else {}
 
 
 def _proposed(slots: Sequence[Slot]) -> dict[str, Array]:

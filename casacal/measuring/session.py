@@ -17,7 +17,8 @@ class Session(Standing):
     """Touches of one instrument, taken in one by one by a square-root cubature Kalman filter.
 
     Args:
-        problem: a robot with one instrument; its priors are trusted, its noise until the touches speak against it.
+        problem: a robot with one instrument, taken without effects; its priors are trusted, its noise until the touches
+            speak against it.
         plan: what is to be touched, in which order, and about where faces stand; None where nobody planned.
         tolerance: RMS tip error (mm) at which enough has been measured, or None.
         box, targets: where the tip is wanted, as for `plan`; by default over the workspace.

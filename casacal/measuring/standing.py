@@ -45,6 +45,7 @@ class Standing(Value):
             raise CasacalError(f"Got {came(self.plan)} as the plan", "Give what plan() or read_route() returns")
         if self.tolerance is not None and not (is_real(self.tolerance) and self.tolerance > 0):
             raise CasacalError(f"Got {came(self.tolerance)} as the tolerance", "Give a positive number of mm")
+        object.__setattr__(self, "problem", self.problem.without_effects)  # some need columns that nobody types in
 
     def __len__(self) -> int:
         return len(self.touches)

@@ -168,7 +168,7 @@ def bound_pool(
             raise CasacalError(f"Got {came(after)} as touches that were made", "Give what problem.read(path) returns")
         after.check(problem.layout())
         pool = joined(pool, after)
-    bound = bind(problem, pool)
+    bound = bind(problem.without_effects, pool)  # some effects need columns that only measured rows have
     refuse_unknown("unknown", loose or {}, bound.names)
     return bound
 

@@ -149,7 +149,7 @@ def set_ups(
     if not 3 <= touches <= POOL:
         raise CasacalError(f"{touches} touches were asked for", f"Give 3 to {POOL}")
     found = list[SetUp]()
-    for words, other, place in _ways(problem, still):
+    for words, other, place in _ways(problem.without_effects, still):
         try:
             pool_of(other, place, FEW * len(place.faces), seed)  # soon says what is out of reach
             bound = bind(other, pool_of(other, place, POOL, seed))
