@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 from instruments_on_ur5 import ROBOT, TOOL, flanges
 
-from casacal import Disturbances, Problem, ProblemError, TrackedPoint, bind, calibrate, lm, simulate, tool_point
+from casacal import (
+    Disturbances,
+    Problem,
+    ProblemError,
+    SamplesError,
+    TrackedPoint,
+    bind,
+    calibrate,
+    lm,
+    simulate,
+    tool_point,
+)
 from casacal.discrepancy import Backlash, TorqueCompliance
 
 GIVE = np.array([60.0, 120.0, 90.0, 200.0, 250.0, 300.0]) * 1e-6
@@ -51,10 +62,14 @@ def test_calibrate_counts_it_and_corrects_nothing_away_from_the_rows(loaded):
 def test_torques_that_are_absent_are_asked_for(loaded):
     for extra, said in (
         ({}, "has no column 'torque1_Nm' of torques"),
-        ({**loaded.extra, "torque3_Nm": ("much",) * 80}, "'torque3_Nm' holds no torques"),
-        ({**loaded.extra, "torque3_Nm": ("nan",) * 80}, "'torque3_Nm' holds no torques"),
+        (
+            {**loaded.extra, "torque3_Nm": ("1",) * 79 + ("much",)},
+            "line 80, column 'torque3_Nm': 'much' is not a finite",
+        ),
+        ({**loaded.extra, "torque3_Nm": ("nan",) * 80}, "line 1, column 'torque3_Nm': 'nan' is not a finite number"),
+        ({**loaded.extra, "torque3_Nm": ("1e6",) * 80}, "'torque3_Nm': 1e\\+06 is absurd .beyond 100,000 Nm."),
     ):
-        with pytest.raises(ProblemError, match=said):
+        with pytest.raises((ProblemError, SamplesError), match=said):
             bind(problem, dataclasses.replace(loaded, extra=extra))
     with pytest.raises(ProblemError, match="Got 2 columns of torques for 6 joints"):
         bind(problem.with_effects(TorqueCompliance(columns_of=NAMES[:2])), loaded)
@@ -90,10 +105,10 @@ def test_ways_of_approach_that_are_none_are_named(approached):
     samples, _ = approached
     told = Problem(ROBOT, problem.instrument, effects=(Backlash(columns_of=CAME),))
     for column, said in (
-        (("up",) * 80, "'came2' holds no ways of approach. Give -1, 0 or 1"),
-        (("1",) * 79 + ("2",), f"line {samples.lines[79]}: a way of approach is none of -1, 0 and 1"),
+        (("up",) * 80, "line 1, column 'came2': 'up' is not a finite number"),
+        (("1",) * 79 + ("2",), f"line {samples.lines[79]}, column 'came2': 2 is no way of approach"),
     ):
-        with pytest.raises(ProblemError, match=said):
+        with pytest.raises(SamplesError, match=said):
             bind(told, dataclasses.replace(samples, extra={**samples.extra, "came2": column}))
     with pytest.raises(ProblemError, match="no column 'came1' of ways of approach"):
         bind(told, dataclasses.replace(samples, extra={}))

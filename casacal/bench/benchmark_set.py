@@ -78,7 +78,7 @@ def _labels(samples: Samples, column: str) -> Labels:
     if column in samples.labels:
         return samples.labels[column]
     if column in samples.extra:
-        return Labels.of(samples.extra[column])
+        return Labels.of(map(str, samples.extra[column]))
     raise UnknownNameError("column", column, [*samples.labels, *samples.extra])
 
 

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from casacal.array_types import Array
 from casacal.calibration.calibration import Calibration
 from casacal.calibration.verdict import Verdict, verdict_of
+from casacal.discrepancy.effect import Site
 from casacal.wording import listed, lower
 
 OF_ROWS = ("plain", "data_errors", "plain_errors", "score_tests")
@@ -28,7 +30,7 @@ def where_told(calibration: Calibration, keys: Collection[str] | None = None) ->
 
 
 def told_part(calibration: Calibration) -> dict[str, Any]:
-    """Which columns tell an effect, their sizes in the fitted rows, and the arm for each choice of such effects.
+    """Which columns tell an effect, how large they are in the fitted rows, and the arm for each choice of such effects.
 
     Empty where none is told. Each choice holds the effects, the unknowns of the geometry, its verdict, by how much
     those that move the tip are elsewhere, and the tip error to expect, mm RMS over the workspace.
@@ -44,7 +46,25 @@ def told_part(calibration: Calibration) -> dict[str, Any]:
         return {"usual": usual} if usual else {}
     choices = chain.from_iterable(combinations(keys, count) for count in range(1, len(keys) + 1))
     further = {each.key: list(each.further) for each in calibration.tried if each.told}
-    return {"usual": usual, "further": further, "told": [_arm_where(calibration, some) for some in choices]}
+    told = [_arm_where(calibration, some) for some in choices]
+    return {"usual": usual, "range": _ranges(calibration), "further": further, "told": told}
+
+
+def _ranges(calibration: Calibration) -> dict[str, dict[str, float]]:
+    """Lowest and highest value in the fitted rows of the columns that tell an effect by amounts."""
+    problem, found = calibration.fit.problem, dict[str, list[Array]]()
+    effects = [effect for effect in problem.effects if effect.key in calibration.told]
+    for instrument, block in zip(problem.instruments, calibration.fit.blocks, strict=True):
+        for effect in effects:
+            for column, values in effect.amounts(Site(problem.robot, instrument), block.samples).items():
+                found.setdefault(column, []).append(values)
+    return {
+        column: {
+            "lowest": min(float(each.min()) for each in parts),
+            "highest": max(float(each.max()) for each in parts),
+        }
+        for column, parts in found.items()
+    }
 
 
 def _arm_where(calibration: Calibration, keys: tuple[str, ...]) -> dict[str, Any]:

@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
         said = {
             "unseen": list(prediction.unseen),
             "missing": {words: list(names) for words, names in prediction.missing.items()},
+            "beyond": list(prediction.beyond),
             "poses": count,
             "frame": options.frame,
             "nominal": options.nominal,
@@ -51,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         say_paragraphs(f"Written: {options.out} ({count} {'pose' if count == 1 else 'poses'} of the {options.frame})")
         if not options.nominal:
-            say_paragraphs(*told_notes(result, prediction.missing))
+            say_paragraphs(*told_notes(result, prediction.missing, prediction.beyond))
         if prediction.unseen:
             say_paragraphs(
                 f"warning: the calibration saw no session {listed(prediction.unseen)}, so where the dial's zero then "

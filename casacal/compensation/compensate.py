@@ -103,10 +103,10 @@ def compensate(
         (jumps | elsewhere, Outcome.SINGULAR),
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
-    outcomes = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
+    ended = tuple(cases[i][1] for i in np.argmax([rows for rows, _ in cases], axis=0))  # the first that holds
     before, moved = np.linalg.norm(arm.miss(start, positions, rotations)[0], axis=1), np.where(jumps, 0.0, moved)
     return Compensation(
-        targets, frame, rounding, joints, start, outcomes, place, turn, before, moved, expected, told.missing
+        targets, frame, rounding, joints, start, ended, place, turn, before, moved, expected, told.missing, told.beyond
     )
 
 

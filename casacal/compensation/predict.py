@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,9 +19,8 @@ from casacal.files import write_text
 from casacal.kinematics import stacked_poses
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
-from casacal.samples.layout import Layout
+from casacal.samples.layout import Layout, numeric_columns
 from casacal.samples.samples import Samples
-from casacal.tables.columns import Columns
 from casacal.tables.read import is_frame, read_columns, table_of_frame
 from casacal.values import Value, frozen
 
@@ -33,6 +32,7 @@ class Prediction(Value):
     `std` (N,) is the standard deviation of the position, mm, its three axes together, apart from where the base
     stands; or None. unseen: sessions for which a dial was set to zero that the result has not seen: taken as not moved.
     missing: by the words of an effect that columns tell, those of them that the rows lack, so that it is not corrected.
+    beyond: a sentence for each such column that is far from what it was in the fitted rows.
     """
 
     positions: Array
@@ -40,6 +40,7 @@ class Prediction(Value):
     std: Array | None = None
     unseen: tuple[str, ...] = ()
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beyond: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frozen((self.positions, self.quaternions, self.std))
@@ -64,30 +65,21 @@ class Prediction(Value):
 
 def read_joints(path: str | Path, source: ProblemFile) -> Samples:
     """Read joint values, and the instrument's columns where the file has them; raises SamplesError."""
-    further = _further(source)
-    columns = read_columns(path, lambda header: [name for name in header if name.startswith("q") or name in further])
-    return _joints_of(columns, source)
+    columns = read_columns(path, lambda header: numeric_columns(header, _layout(header, source)))
+    return Samples.from_columns(columns, _layout(columns.header, source))
 
 
-def _further(source: ProblemFile) -> set[str]:
-    """Columns that tell effects."""
-    return {name for effect in source.problem.effects for name in effect.further}
-
-
-def _joints_of(columns: Columns, source: ProblemFile) -> Samples:
+def _layout(header: Sequence[str], source: ProblemFile) -> Layout:
+    """Joints, and of what a problem asks for the columns that a header has."""
     asked = source.problem.layout()
     present = {
         name: dimension
         for name, dimension in asked.columns.items()
-        if any(column == name or column.startswith(f"{name}_") for column in columns.header)
+        if any(column == name or column.startswith(f"{name}_") for column in header)
     }
     probe = source.problem.instrument.probe
-    zero = () if probe is None or probe.zero_label not in columns.header else (probe.zero_label,)
-    samples = Samples.from_columns(columns, Layout(asked.joints, present, zero))
-    # where rows were not read cell by cell, further columns are numbers
-    numbers = sorted(_further(source) & set(columns.header) - set(samples.extra))
-    texts = {name: tuple(map(repr, columns.number(name).tolist())) for name in numbers}
-    return replace(samples, extra={**samples.extra, **texts}) if texts else samples
+    zero = tuple(name for name in header if probe is not None and name == probe.zero_label)
+    return Layout(asked.joints, present, zero, further=asked.further)
 
 
 def joints_from(q: Any, source: ProblemFile) -> Samples:
@@ -100,7 +92,8 @@ def joints_from(q: Any, source: ProblemFile) -> Samples:
     if isinstance(q, (str, Path)):
         return read_joints(q, source)
     if is_frame(q):
-        return _joints_of(table_of_frame(q).columns, source)
+        columns = table_of_frame(q).columns
+        return Samples.from_columns(columns, _layout(columns.header, source))
     return Samples.of_joints(joint_values(q, source.problem.robot))
 
 
@@ -164,7 +157,7 @@ def predict(
         if nominal:
             raise CasacalError("The nominal arm has no standard deviation", "Leave out --nominal or --std")
         spread = position_stds(result, data[:, :known], frame, zeros, told.columns)
-    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing)
+    return Prediction(positions, np.roll(xyzw, 1, axis=1), spread, unseen, told.missing, told.beyond)
 
 
 def write_prediction(path: str | Path, prediction: Prediction) -> None:

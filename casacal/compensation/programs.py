@@ -156,7 +156,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
             f"{_figures(compensation.expected_mm[reached], 'mm')}; standard deviation, apart from the position of the "
             f"base, which must be taught"
         )
-    lines += told_notes(result, compensation.missing)
+    lines += told_notes(result, compensation.missing, compensation.beyond)
     if len(result.source.problem.robot.axes) < 6:
         lines.append("fewer than six joints: position first, the orientation as near as the position allows")
     if targets.poses is not None and targets.joints is None:

@@ -19,11 +19,11 @@ from casacal.instruments.description import Dimension
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import joint_values
-from casacal.samples.layout import Layout, match_columns
-from casacal.samples.samples import Samples
+from casacal.samples.layout import Layout, match_columns, read_further
+from casacal.samples.samples import Samples, taken_from
 from casacal.tables.read import is_frame, read_any_table, table_of_frame
 from casacal.tables.text import Table
-from casacal.values import FrozenMapping, Value, frozen
+from casacal.values import EMPTY, FrozenMapping, Value, frozen
 
 PLACE, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 POSE: Mapping[str, Dimension] = FrozenMapping({**dict.fromkeys(PLACE, "length"), **dict.fromkeys(QUATERNION, "number")})
@@ -36,7 +36,7 @@ class Targets(Value):
     """Rows of targets: `joints` (N, n; rad, mm), `poses` as positions (N, 3; mm) and rotations (N, 3, 3), or both.
 
     With poses, joints only name the branch to take. lines, text: each row's line in its file, and the row itself.
-    extra: further columns as text, such as torques.
+    extra: further columns, as of `Samples`, such as torques.
     """
 
     joints: Array | None
@@ -45,7 +45,7 @@ class Targets(Value):
     text: tuple[str, ...]
     file: str
     sha256: str
-    extra: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    extra: Mapping[str, Array | tuple[str, ...]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -109,24 +109,25 @@ def targets_from(targets: Any, source: ProblemFile) -> Targets:
 
 
 def _of_table(table: Table, source: ProblemFile) -> Targets:
-    axes, probe = source.problem.layout().joints, source.problem.instrument.probe
+    asked, probe = source.problem.layout(), source.problem.instrument.probe
     if probe is not None and probe.zero_label in table.header:
         what = f"targets cannot be of one {probe.zero_label}: the tip is the tool's point as the problem declares it"
         fix = "Leave out this column, or give targets of the flange without it"
         raise SamplesError(table.file, what, fix, column=probe.zero_label)
     posed = "qw" in table.header
     jointed = not posed or any(name.startswith("q1_") for name in table.header)
-    joints = Samples.from_table(table, Layout(axes, FrozenMapping({}))).joints if jointed else None
+    joints = Samples.from_table(table, Layout(asked.joints, EMPTY)).joints if jointed else None
+    layout = Layout(asked.joints if jointed else (), POSE if posed else EMPTY, further=asked.further)
     text = tuple(",".join(row) for row in table.rows)
-    poses = _poses(table, Layout(axes if jointed else (), POSE)) if posed else None
-    return Targets(joints, poses, table.lines, text, table.file, table.sha256, FrozenMapping(table.columns.texts()))
+    poses = _poses(table, layout) if posed else None
+    extra = FrozenMapping(read_further(table.columns, layout))
+    return Targets(joints, poses, table.lines, text, table.file, table.sha256, extra)
 
 
 def rows_with(targets: Targets, which: NDArray[np.intp], joints: Array) -> Samples:
     """Joint values (M, n) for some targets (M,), with the further columns of these."""
-    extra = {name: tuple(values[i] for i in which.tolist()) for name, values in targets.extra.items()}
     lines = tuple(targets.lines[i] for i in which.tolist())
-    return Samples(joints, {}, {}, lines, extra, targets.file, targets.sha256)
+    return Samples(joints, {}, {}, lines, taken_from(targets.extra, which), targets.file, targets.sha256)
 
 
 def _poses(table: Table, layout: Layout) -> tuple[Array, Array]:
@@ -190,7 +191,8 @@ class Compensation(Value):
     sliding joint in mm over 300. A row that is not reached holds the nearest joint values within that motion, or its
     start where that would be a jump; NaN for a pose that no start was found for. expected_mm: standard deviation of the
     position that is left, apart from the position of the base. missing: by the words of an effect that columns tell,
-    those of them that the targets lack, so that it is not corrected.
+    those of them that the targets lack, so that it is not corrected. beyond: a sentence for each such column that is
+    far from what it was in the fitted rows.
     """
 
     targets: Targets
@@ -205,6 +207,7 @@ class Compensation(Value):
     correction: Array
     expected_mm: Array
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beyond: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         frozen(tuple(value for value in vars(self).values() if isinstance(value, np.ndarray)))

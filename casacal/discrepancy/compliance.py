@@ -13,7 +13,16 @@ import numpy as np
 from casacal.array_types import Array, Rows
 from casacal.discrepancy.arm import LEAST_SAG, POSTURES
 from casacal.discrepancy.effect import Here, Site, weighted
-from casacal.discrepancy.further import DOWN, LOAD, MASS, ByColumns, Loaded, check_columns_of, read_columns_of
+from casacal.discrepancy.further import (
+    DOWN,
+    LOAD,
+    MASS,
+    ByColumns,
+    Loaded,
+    check_columns_of,
+    read_columns_of,
+    refuse_unless,
+)
 from casacal.errors import ProblemError
 from casacal.kinematics import Expression
 from casacal.robots.files.urdf_links import weights_of
@@ -22,6 +31,8 @@ from casacal.robots.links import Links
 from casacal.samples.samples import Samples
 from casacal.unknowns import Parameter
 from casacal.values import is_real
+
+LARGEST_TORQUE = 100_000.0  # Nm (N of a sliding joint); beyond it a value is absurd whatever the arm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +69,10 @@ class TorqueCompliance(ByColumns):
         return tuple(f"torque_{j + 1}" for j in range(len(self.columns_of)))
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say; raises ProblemError where they do not."""
-        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques", "numbers, in Nm")
+        """As the rows say; raises ProblemError, SamplesError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "torques")
+        said, fix = f"is absurd (beyond {LARGEST_TORQUE:,.0f} Nm)", "Check the value and its unit"
+        refuse_unless(np.abs(told) <= LARGEST_TORQUE, samples, self.columns_of, told, said, fix)
         return dict(zip(self.columns(site), told.T, strict=True))
 
     def joints(self, here: Here) -> Expression:

@@ -188,6 +188,11 @@ class Effect(Portable, ABC):
         del site, samples
         return {}
 
+    def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """Those columns of `further` (N,), by name, that hold amounts: it is known near those of the fitted rows."""
+        told = self.told(site, samples)
+        return {column: told[name] for column, name in zip(self.further, self.columns(site), strict=False)}
+
     def away(self, site: Site) -> Mapping[str, float]:
         """What stands in those columns at postures that are no rows, where the tip is asked for."""
         return dict.fromkeys(self.columns(site), self.elsewhere)

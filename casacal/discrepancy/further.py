@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Rows
 from casacal.discrepancy.effect import Effect, Site
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, SamplesError
 from casacal.samples.samples import Samples
+from casacal.tables.text import finite_numbers
+from casacal.wording import listed
 
-NOT_KEPT = "Add it to the file; of frames, arrays and large files no further columns are kept"
-
+LARGEST_PAYLOAD = 10_000.0  # kg; beyond it a value is absurd whatever the arm
 DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame of an arm that stands
 LOAD = 5.0  # kilograms of payload that are expected to pull about as much as all of the arm's own links
 MASS = "payload"  # column of a row model
@@ -57,15 +58,15 @@ class Loaded(Effect):
         return (MASS,) if self.payload else ()
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say (N,), kg; raises ProblemError where they do not."""
+        """As the rows say (N,), kg; raises ProblemError, SamplesError where they do not."""
         del site
         if not self.payload:
             return {}
-        kilograms = read_columns_of(samples, (self.payload,), 1, "payload", "kilograms")[:, 0]
-        if (kilograms < 0).any():
-            line = samples.lines[int(np.flatnonzero(kilograms < 0)[0])]
-            raise ProblemError(f"{samples.file}, line {line}: a payload is below zero", "Give kilograms, 0 for none")
-        return {MASS: kilograms}
+        kilograms = read_columns_of(samples, (self.payload,), 1, "payload")
+        said = f"is no payload from 0 to {LARGEST_PAYLOAD:,.0f} kg"
+        fix = "Give kilograms, 0 for none"
+        refuse_unless((kilograms >= 0) & (kilograms <= LARGEST_PAYLOAD), samples, (self.payload,), kilograms, said, fix)
+        return {MASS: kilograms[:, 0]}
 
 
 class ByColumns(Effect, ABC):
@@ -88,23 +89,30 @@ def check_columns_of(columns: Sequence[str], joints: int, what: str) -> None:
         raise ProblemError(f"Got {len(columns)} columns of {what} for {joints} joints", "Name one for each")
 
 
-def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str, fix: str) -> Array:
+def read_columns_of(samples: Samples, columns: Sequence[str], joints: int, what: str) -> Array:
     """Numbers (N, n) of some columns that samples have beside those of their instrument, one for each joint.
 
-    Raises ProblemError where one is missing, or holds no numbers; `fix` says which to give.
+    Raises ProblemError where one is missing, SamplesError for a cell that is no number.
     """
     check_columns_of(columns, joints, what)
-    found = []
-    for column in columns:
-        if column not in samples.extra:
-            known = ", ".join(samples.extra)
-            fix = f"Give it; further columns there are: {known}" if known else NOT_KEPT
-            raise ProblemError(f"{samples.file} has no column '{column}' of {what}", fix)
-        try:
-            values = np.array([float(text) for text in samples.extra[column]])
-        except ValueError:
-            values = np.array([np.nan])
-        if not np.isfinite(values).all():
-            raise ProblemError(f"{samples.file}: the column '{column}' holds no {what}", f"Give {fix}")
-        found.append(values)
-    return np.column_stack(found)
+    if missing := [column for column in columns if column not in samples.extra]:
+        known = ", ".join(samples.extra)
+        others = f", nor {listed(missing[1:])}" if missing[1:] else ""
+        fix = f"Give it; further columns there are: {known}" if known else "Add it, and read the rows with this problem"
+        raise ProblemError(f"{samples.file} has no column '{missing[0]}' of {what}{others}", fix)
+    return np.column_stack([_numbers(samples, column) for column in columns])
+
+
+def _numbers(samples: Samples, column: str) -> Array:
+    """A further column (N,), which samples of another problem hold as text."""
+    cells = samples.extra[column]
+    if isinstance(cells, np.ndarray):
+        return cells
+    return np.array(finite_numbers(samples.file, column, cells, samples.lines))
+
+
+def refuse_unless(good: Rows, samples: Samples, columns: Sequence[str], values: Array, what: str, fix: str) -> None:
+    """Raise SamplesError for the first of some values (N, n) of columns that is not good (N, n)."""
+    for row, j in np.argwhere(~good)[:1]:
+        said, line = f"{values[row, j]:g} {what}", int(samples.lines[row])
+        raise SamplesError(samples.file, said, fix, line=line, column=columns[j])

@@ -10,8 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.discrepancy.effect import Effect, Here, Rows, Site, weighted
-from casacal.discrepancy.further import ByColumns, read_columns_of
-from casacal.errors import ProblemError
+from casacal.discrepancy.further import ByColumns, read_columns_of, refuse_unless
 from casacal.kinematics import Expression
 from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
@@ -137,14 +136,16 @@ class Backlash(ByColumns):
         return (*(f"came{j + 1}" for j in range(len(site.robot.axes))), "first")
 
     def told(self, site: Site, samples: Samples) -> Mapping[str, Array]:
-        """As the rows say; raises ProblemError where they do not."""
-        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach", "-1, 0 or 1")
-        if not np.isin(told, (-1, 0, 1)).all():
-            line = samples.lines[int(np.flatnonzero(~np.isin(told, (-1, 0, 1)).all(axis=1))[0])]
-            said = f"{samples.file}, line {line}: a way of approach is none of -1, 0 and 1"
-            fix = "Write 1 where the joint's value grew, -1 where it fell, 0 where that is not known"
-            raise ProblemError(said, fix)
+        """As the rows say; raises ProblemError, SamplesError where they do not."""
+        told = read_columns_of(samples, self.columns_of, len(site.robot.axes), "ways of approach")
+        said, fix = "is no way of approach", "Write 1 where the joint's value grew, -1 where it fell, 0 where not known"
+        refuse_unless(np.isin(told, (-1, 0, 1)), samples, self.columns_of, told, said, fix)
         return dict(zip(self.columns(site), (*told.T, np.zeros(len(told))), strict=True))
+
+    def amounts(self, site: Site, samples: Samples) -> Mapping[str, Array]:
+        """None: a way of approach is no amount."""
+        del site, samples
+        return {}
 
     def values(self, site: Site, rows: Rows) -> Mapping[str, Array]:
         """Signs of the steps from row to row, none known of the first; or what the samples say."""

@@ -126,7 +126,7 @@ class TouchFile(Value):
             return []
         samples, found = Samples.from_file(path, self.layout), []
         missing = (NONE,) * len(samples)
-        beside = zip(*(samples.extra.get(name, missing) for name in BESIDE), strict=True)
+        beside = zip(*(map(str, samples.extra.get(name, missing)) for name in BESIDE), strict=True)
         for k, (order, number, purpose, kept) in enumerate(beside):
             if not order.isdecimal() or not (number == NONE or number.isdecimal()) or purpose not in PURPOSES:
                 fix = "Restore them, or start a new file"

@@ -82,7 +82,7 @@ def read_route(path: str | Path, layout: Layout) -> Route:
         fix = "Give what casacal plan wrote; its readings are called expected_..."
         raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, which a plan does not have", fix)
     read = Samples.from_columns(columns, expected)
-    purposes = tuple(cell.strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
+    purposes = tuple(str(cell).strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):
         if purpose not in PURPOSES:
             fix = f"Write {FIT}, {AGAIN} or {CHECK}"

@@ -99,6 +99,7 @@ class Problem(MeasuredArm):
             columns=FrozenMapping(dict(chosen.columns)),
             labels=tuple(labels),
             refused=FrozenMapping(dict(chosen.refused_columns)),
+            further=tuple(dict.fromkeys(name for effect in self.effects for name in effect.further)),
         )
 
     def read(

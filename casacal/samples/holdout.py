@@ -96,7 +96,7 @@ def _groups(samples: Samples, by: str, face: str | None) -> Labels:
     if by in samples.labels:
         return samples.labels[by]
     if by in samples.extra:
-        return Labels.of(value.strip() for value in samples.extra[by])
+        return Labels.of(str(value).strip() for value in samples.extra[by])
     raise UnknownNameError("way to hold out", by, [*WAYS, *samples.labels, *samples.extra])
 
 

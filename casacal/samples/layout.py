@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 
@@ -15,6 +15,7 @@ from casacal.errors import SamplesError
 from casacal.instruments.description import Dimension
 from casacal.tables.columns import Columns, Labels
 from casacal.tables.grammar import UNSHOWN
+from casacal.values import read_only
 
 UNITS: Mapping[Dimension, Mapping[str, float]] = {
     "angle": {"deg": math.pi / 180, "rad": 1.0},
@@ -32,12 +33,16 @@ LARGEST = {"angle": 20 * math.pi, "length": 1e5, "number": math.inf}
 
 @dataclass(frozen=True)
 class Layout:
-    """Which columns a file must have: what a problem asks of its samples."""
+    """Which columns a file must have: what a problem asks of its samples.
+
+    further: columns of numbers that tell its effects, under these very names; a file may lack them.
+    """
 
     joints: tuple[Dimension, ...]
     columns: Mapping[str, Dimension]
     labels: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
+    further: tuple[str, ...] = ()
 
     @property
     def quantities(self) -> dict[str, Dimension]:
@@ -52,10 +57,27 @@ def _spellings(name: str, kind: Dimension) -> dict[str, float]:
 
 
 def numeric_columns(header: Sequence[str], layout: Layout) -> list[str]:
-    """The columns of a header that hold the layout's quantities; none unless there is exactly one for each."""
+    """The columns of a header to read as numbers; none unless there is exactly one for each quantity of the layout."""
     asked = [_spellings(name, kind) for name, kind in layout.quantities.items()]
     found = [[name for name in header if name in each] for each in asked]
-    return [each[0] for each in found] if all(len(each) == 1 for each in found) else []
+    if not all(len(each) == 1 for each in found):
+        return []
+    return [each[0] for each in found] + [name for name in header if name in layout.further]
+
+
+def _taken(layout: Layout) -> set[str]:
+    """All names that a layout knows columns by."""
+    quantities = (each for name, kind in layout.quantities.items() for each in _spellings(name, kind))
+    return {*layout.labels, *layout.further, *quantities}
+
+
+def _nearly(spellings: Sequence[str], header: Sequence[str], taken: Collection[str]) -> str | None:
+    """The column of a header that is nearly called like one of some spellings, among those that are nothing else."""
+    lower = {spelling.lower() for spelling in spellings}
+    alike = [column for column in header if column.lower() in lower]
+    if not alike:
+        alike = get_close_matches(spellings[0], [column for column in header if column not in taken], 1, cutoff=0.75)
+    return alike[0] if alike else None
 
 
 def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]]:
@@ -73,7 +95,7 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         number = re.fullmatch(r"q(\d+)(_\w+)?", column)
         if number and not 1 <= int(number[1]) <= len(layout.joints):
             raise refuse(f"the robot has {len(layout.joints)} joints", "Use the file of this robot", column)
-    taken = {*layout.labels, *(each for name, kind in layout.quantities.items() for each in _spellings(name, kind))}
+    taken = _taken(layout)
     found = {}
     for name, kind in layout.quantities.items():
         spellings = _spellings(name, kind)
@@ -89,25 +111,36 @@ def match_columns(table: Columns, layout: Layout) -> dict[str, tuple[str, float]
         wrong = [column for column in table.header if column.startswith(f"{name}_")]
         if wrong:
             raise refuse(f"the column does not carry a unit known for {name}", f"Call it {wanted}", wrong[0])
-        alike = [column for column in table.header if column.lower() in {key.lower() for key in spellings}]
-        if not alike:  # among what is nothing else
-            free = [column for column in table.header if column not in taken]
-            alike = get_close_matches(next(iter(spellings)), free, n=1, cutoff=0.75)
-        seen = f"(did you mean '{alike[0]}'?)" if alike else "among " + ", ".join(table.header[:20])
-        fix = f"Call it {wanted}" if alike else f"Add {wanted}"
-        raise refuse(f"there is no column for {name} {seen}", fix, alike[0] if alike else None)
+        alike = _nearly(tuple(spellings), table.header, taken)
+        seen = f"(did you mean '{alike}'?)" if alike else "among " + ", ".join(table.header[:20])
+        raise refuse(f"there is no column for {name} {seen}", f"{'Call it' if alike else 'Add'} {wanted}", alike)
     return found
+
+
+def read_further(table: Columns, layout: Layout) -> dict[str, Array]:
+    """Numbers (N,) of those of the layout's further columns that there are, read-only.
+
+    Raises SamplesError where one is absent and another is nearly called so, and for a cell that is no number.
+    """
+    taken = _taken(layout)
+    for name in layout.further:
+        alike = None if name in table.header else _nearly((name,), table.header, taken)
+        if alike is not None:
+            what = f"there is no column '{name}' (did you mean '{alike}'?)"
+            fix = f"Call it {name}, or something else if it is another thing"
+            raise SamplesError(table.file, what, fix, line=table.header_line or None, column=alike)
+    return {name: read_only(table.number(name)) for name in layout.further if name in table.header}
 
 
 def read_quantities(
     table: Columns, layout: Layout, *, absurd: bool
-) -> tuple[Array, dict[str, Array], dict[str, Labels], dict[str, tuple[str, ...]]]:
+) -> tuple[Array, dict[str, Array], dict[str, Labels], dict[str, Array | tuple[str, ...]]]:
     """What a layout asks of columns, read-only, in mm and rad: joint values (N, n), the instrument's columns, labels.
 
-    There is one label for all rows, called as its column, where they have none. Last come columns that were not
-    asked for, as text, where the rows were read as text. absurd: whether values pass that no robot has, for those
-    who look for their cause. Raises SamplesError where a column is missing, without unit, given twice or refused,
-    or holds what it may not.
+    There is one label for all rows, called as its column, where they have none. Last come the layout's further
+    columns and, as text where rows were read as text, those that were not asked for. absurd: whether values pass that
+    no robot has, for those who look for their cause. Raises SamplesError where a column is missing, without unit,
+    given twice or refused, or holds what it may not.
     """
     found = match_columns(table, layout)
 
@@ -132,7 +165,8 @@ def read_quantities(
     columns = {name: fill(name, np.empty(count)) for name in layout.columns}
     labels = {name: _labels(table, name) for name in layout.labels}
     used = {column for column, _ in found.values()} | set(layout.labels)
-    return joints, columns, labels, {k: text for k, text in table.texts().items() if k not in used}
+    texts = {name: text for name, text in table.texts().items() if name not in used}
+    return joints, columns, labels, {**texts, **read_further(table, layout)}
 
 
 def _labels(table: Columns, name: str) -> Labels:

@@ -27,15 +27,15 @@ class Samples(Value):
     """Rows of measurements.
 
     joints: (N, n), rad or mm. columns: the instrument's own, each (N,), mm or rad. labels: label columns, each (N,) of
-    str. lines: line of each row in its file (N,). extra: further columns, kept as text; those of large files and of
-    arrays are left where they are. All arrays are read-only.
+    str. lines: line of each row in its file (N,). extra: further columns, numbers (N,) where an effect asks for them;
+    others as text, those of large files and of arrays are left where they are. All arrays are read-only.
     """
 
     joints: Array
     columns: Mapping[str, Array]
     labels: Mapping[str, Labels]
     lines: Sequence[int]
-    extra: Mapping[str, tuple[str, ...]]
+    extra: Mapping[str, Array | tuple[str, ...]]
     file: str
     sha256: str
 
@@ -44,7 +44,8 @@ class Samples(Value):
         columns, labels = self.columns.items(), self.labels.items()
         object.__setattr__(self, "columns", FrozenMapping({name: read_only(values) for name, values in columns}))
         object.__setattr__(self, "labels", FrozenMapping({name: Labels.of(values) for name, values in labels}))
-        object.__setattr__(self, "extra", FrozenMapping(self.extra))
+        extra = {k: read_only(each) if isinstance(each, np.ndarray) else each for k, each in self.extra.items()}
+        object.__setattr__(self, "extra", FrozenMapping(extra))
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -78,7 +79,7 @@ class Samples(Value):
             {name: values[index] for name, values in self.columns.items()},
             {name: values.take(index) for name, values in self.labels.items()},
             _lines(self.lines, index),
-            {name: tuple(values[i] for i in index) for name, values in self.extra.items()},
+            taken_from(self.extra, index),
             self.file,
             self.sha256,
         )
@@ -151,6 +152,14 @@ class Samples(Value):
             raise SamplesError(columns.file, "there is no row", "Give one row per sample")
         joints, own, labels, further = read_quantities(columns, layout, absurd=absurd)
         return Samples(joints, own, labels, columns.lines, further, columns.file, columns.sha256)
+
+
+def taken_from(extra: Mapping[str, Array | tuple[str, ...]], index: Index) -> dict[str, Array | tuple[str, ...]]:
+    """Further columns of some rows."""
+    return {
+        name: values[index] if isinstance(values, np.ndarray) else tuple(values[i] for i in index.tolist())
+        for name, values in extra.items()
+    }
 
 
 def _lines(lines: Sequence[int], index: Index) -> Sequence[int]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -77,14 +78,21 @@ class Table:
 
         Raises SamplesError that names the line of the first cell that is not one.
         """
-        result = []
-        for cell, line in zip(self.column(name), self.lines, strict=True):
-            text = cell.replace(",", ".") if self.decimal_comma else cell
-            value = float(text) if NUMBER.fullmatch(text) else math.nan
-            if not math.isfinite(value):
-                raise SamplesError(self.file, *not_a_number(cell), line=line, column=name)
-            result.append(value)
-        return result
+        return finite_numbers(self.file, name, self.column(name), self.lines, decimal_comma=self.decimal_comma)
+
+
+def finite_numbers(
+    file: str, name: str, cells: Sequence[str], lines: Sequence[int], *, decimal_comma: bool = False
+) -> list[float]:
+    """The same of cells on some lines of a file."""
+    result = []
+    for cell, line in zip(cells, lines, strict=True):
+        text = cell.replace(",", ".") if decimal_comma else cell
+        value = float(text) if NUMBER.fullmatch(text) else math.nan
+        if not math.isfinite(value):
+            raise SamplesError(file, *not_a_number(cell), line=int(line), column=name)
+        result.append(value)
+    return result
 
 
 def read_table(path: str | Path) -> Table:

@@ -16,7 +16,7 @@ from casacal.calibration.saved import AsArm
 from casacal.compensation.arm import CalibratedArm
 from casacal.compensation.result_file import read_result
 from casacal.compensation.seen_by import seen_by
-from casacal.compensation.told import Told
+from casacal.compensation.told import NOTHING_TOLD, Told
 from casacal.errors import CasacalError, SamplesError, came
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -45,6 +45,8 @@ class Opened:
     fitted: tuple[int, ...]
     other: bool
     """Whether another instrument than the calibration's took the rows."""
+    beyond: tuple[str, ...]
+    """A sentence for each column that tells an effect and is far from what it was in the fitted rows."""
 
     def fresh(self, standing: Collection[str]) -> Fresh:
         """Rows bound to the arm; raises CasacalError as `fresh_rows`, SamplesError for what is not finite."""
@@ -82,6 +84,7 @@ class Opened:
             "standing": standing,
             "copied_lines": self.copied,
             "fitted_lines": self.fitted,
+            "beyond": self.beyond,
         }
 
 
@@ -187,4 +190,5 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
         for some, which in ((rows, again), (once, seen))
     )
     fresh = once.take(np.flatnonzero(~seen))
-    return Opened(arm if other else Told.by(arm, fresh).arm, arm, source, fresh, copied, fitted, other)
+    told = Told(arm, NOTHING_TOLD) if other else Told.by(arm, fresh)
+    return Opened(told.arm, arm, source, fresh, copied, fitted, other, told.beyond)
