@@ -812,4 +812,4 @@ def test_noise_that_was_found_is_what_is_expected(by_command, capsys):
         document["noise"] = damaged
         louder.write_text(json.dumps(resealed(document)), encoding="utf-8")
         assert main(["verify", str(louder), str(by_command / "fresh.csv")]) == 2
-        assert "its 'noise' is" in capsys.readouterr().err
+        assert "its 'noise" in capsys.readouterr().err
