@@ -566,6 +566,9 @@ def test_the_same_postures_touched_again_are_fresh(spent):
     old = frame_of(some)
     again = verify(arm, old.assign(reading_mm=old["reading_mm"] + rng.normal(size=len(old)) * 0.01))
     assert again.rows > 0.7 * len(old)  # a reading may be the old one by chance
+    assert f"{again.rows} of {again.rows} rows are in postures that were fitted." in again.summary()
+    elsewhere = verify(arm, frame_of(spent[2]))
+    assert elsewhere.remarks == ()
     moved = verify(arm, old.assign(reading_mm=old["reading_mm"] + 0.2 + rng.normal(size=len(old)) * 0.01))
     assert moved.rows == len(old)
     assert moved.fitted_lines == ()

@@ -37,9 +37,13 @@ def next_step(
         return f"{step or (VERIFY if asked else f'run {check}, which looks closer at the samples')}{kept}."
     if out is None:
         return "add --out DIR to keep the result and its report; casacal compensate, predict and export read it."
-    frame = "" if calibration.flange_std[1] <= WORSE * calibration.tip_std[1] else " --frame tip"
-    where = f"{shlex.quote(f'{out}/result.json')} TARGETS{frame} --out FILE"
-    return f"correct joint targets with casacal compensate {where}."
+    tip = (
+        ""
+        if calibration.flange_std[1] <= WORSE * calibration.tip_std[1]
+        else " (--frame tip if this tip does the work)"
+    )
+    where = f"{shlex.quote(f'{out}/result.json')} TARGETS --out FILE{tip}"
+    return f"verify with fresh touches, then correct joint targets with casacal compensate {where}."
 
 
 def best_cure(calibration: Calibration) -> str:

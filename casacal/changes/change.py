@@ -118,7 +118,7 @@ class Change(Judged):
             _answer(self),
             *(unseen if self.ended == NOTHING else []),
             *self.own_verdict,
-            *self.beyond,
+            *self.remarks,
             *self.left_out(
                 "of {} repeat other rows to the last digit and are counted once",
                 "of {} were used for the calibration and are not counted",

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "TARGETS", "CSV of joints (q1_deg,...) or of poses x_mm,y_mm,z_mm,qw,qx,qy,qz")
     add(parser, "--out FILE", "file for the corrected targets", required=True)
     add(parser, "--format", "default: csv", default="csv", choices=("csv", "rapid", "krl", "urscript"))
-    add_frame(parser, "pose targets are of the flange, or of the tip that touches")
+    add_frame(parser, "what goes where it was meant to go: the flange, or the tip that touches")
     words = "joint correction above which a target counts as a jump, degrees; default: 10"
     add(parser, "--largest DEG", words, kind=float, default=10.0)
     add(parser, *FORCE)

@@ -40,7 +40,7 @@ STEPS = {
     "Fresh touches of the same arm": "simulate {0}/ur5 --samples 40 --tilt 20 --seed {1} --out {0}/fresh.csv",
     "Was the promise kept": "verify {0}/fit/result.json {0}/fresh.csv --into-report",
     "Targets for the true arm": (
-        "compensate {0}/fit/result.json {0}/targets.csv --frame tip --format urscript --out {0}/ur5.script"
+        "compensate {0}/fit/result.json {0}/targets.csv --format urscript --out {0}/ur5.script"
     ),
 }
 """What each command is for, and the command."""

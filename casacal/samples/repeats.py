@@ -131,15 +131,31 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
     known = np.array([line.split() for line in listed["values"]], dtype=np.float64)
     near = np.full(len(layout.joints), float(NEAR_READING))  # without readings, joints are
     if layout.columns:
-        joints = [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
-        near = np.array([*joints, *[NEAR_READING] * len(layout.columns)], dtype=np.float64)
+        near = np.array([*_near_joints(layout), *[NEAR_READING] * len(layout.columns)], dtype=np.float64)
     if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
         return nobody, 0.0
-    # one unit of these is as near as two rows may be; half a step more is rounding
-    scale = near + 0.5
-    distance, _ = cKDTree(known / scale).query(_on_grid(samples, layout) / scale, p=np.inf, distance_upper_bound=1.0)
-    same = np.isfinite(distance)
+    same = _near_any(known, _on_grid(samples, layout), near)
     return same, float(same.mean()) * listed["rows"] / len(known)
+
+
+def in_fitted_postures(samples: Samples, layout: Layout, listed: Mapping[str, Any]) -> Rows:
+    """Which rows (N,) are in a posture of listed ones, whatever was read there."""
+    known, n = np.array([line.split() for line in listed["values"]], dtype=np.float64), len(layout.joints)
+    if known.shape[1] < n:
+        return np.zeros(len(samples), dtype=bool)
+    return _near_any(known[:, :n], _on_grid(samples, layout)[:, :n], np.array(_near_joints(layout), dtype=np.float64))
+
+
+def _near_joints(layout: Layout) -> list[int]:
+    """Steps of the grid within which joint values are those of one posture."""
+    return [round(NEAR_JOINT[kind] / GRID[kind]) for kind in layout.joints]
+
+
+def _near_any(known: Array, given: Array, near: Array) -> Rows:
+    """Which of some rows (N, m) are near one of the known ones (M, m), in every number."""
+    scale = near + 0.5  # half a step more is rounding
+    distance, _ = cKDTree(known / scale).query(given / scale, p=np.inf, distance_upper_bound=1.0)
+    return np.asarray(np.isfinite(distance))
 
 
 def copies(samples: Samples) -> Rows:

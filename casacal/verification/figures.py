@@ -25,8 +25,8 @@ class Judged(Value):
     robot, result, verdict: which calibration, and what it said of itself (level and words; empty for a truth).
     samples, sha256, rows: which rows, and how many. own: unknowns that these rows alone know, fitted to them.
     standing: what was said to stand where it was calibrated. copied_lines, fitted_lines: rows that were left out:
-    copies of others among them, and those that the arm was calibrated from. beyond: a sentence for each column that
-    tells an effect and is far from what it was in the fitted rows.
+    copies of others among them, and those that the arm was calibrated from. remarks: sentences on rows in
+    postures that were fitted, and on columns that tell effects and are far from what they were in the fitted rows.
     """
 
     robot: str
@@ -39,7 +39,7 @@ class Judged(Value):
     standing: tuple[str, ...]
     copied_lines: tuple[int, ...] = field(default=(), kw_only=True)
     fitted_lines: tuple[int, ...] = field(default=(), kw_only=True)
-    beyond: tuple[str, ...] = field(default=(), kw_only=True)
+    remarks: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def said(self) -> str:
@@ -67,7 +67,7 @@ class Judged(Value):
         """All figures in JSON's own types, after what comes first, some of them in another form."""
         level, words = self.verdict
         found = {each.name: getattr(self, each.name) for each in fields(self)}
-        last = {name: found.pop(name) for name in ("copied_lines", "fitted_lines", "beyond")}
+        last = {name: found.pop(name) for name in ("copied_lines", "fitted_lines", "remarks")}
         found |= {"verdict": {"level": level, "words": words} if level else None, **instead}
         return dict(jsonable({**first, **found, **last}))
 

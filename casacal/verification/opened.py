@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.robots.joint_space import random_joints
 from casacal.robots.robot import Robot
-from casacal.samples.repeats import copies, fitted_among
+from casacal.samples.repeats import copies, fitted_among, in_fitted_postures
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
 
@@ -45,8 +45,8 @@ class Opened:
     fitted: tuple[int, ...]
     other: bool
     """Whether another instrument than the calibration's took the rows."""
-    beyond: tuple[str, ...]
-    """A sentence for each column that tells an effect and is far from what it was in the fitted rows."""
+    remarks: tuple[str, ...]
+    """Sentences: rows in postures that were fitted, and columns that are far from what they were in the fitted rows."""
 
     def fresh(self, standing: Collection[str]) -> Fresh:
         """Rows bound to the arm; raises CasacalError as `fresh_rows`, SamplesError for what is not finite."""
@@ -84,7 +84,7 @@ class Opened:
             "standing": standing,
             "copied_lines": self.copied,
             "fitted_lines": self.fitted,
-            "beyond": self.beyond,
+            "remarks": self.remarks,
         }
 
 
@@ -191,4 +191,16 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
     )
     fresh = once.take(np.flatnonzero(~seen))
     told = Told(arm, NOTHING_TOLD) if other else Told.by(arm, fresh)
-    return Opened(told.arm, arm, source, fresh, copied, fitted, other, told.beyond)
+    remarks = told.beyond if other else (*told.beyond, *_same_postures(fresh, source, data.get("fitted_rows")))
+    return Opened(told.arm, arm, source, fresh, copied, fitted, other, remarks)
+
+
+def _same_postures(fresh: Samples, source: ProblemFile, listed: Mapping[str, Any] | None) -> list[str]:
+    """That most rows are in postures that were fitted, which a result with wrong parameters predicts as well."""
+    again = 0 if listed is None else int(in_fitted_postures(fresh, source.problem.layout(), listed).sum())
+    if again < SPENT * len(fresh):
+        return []
+    return [
+        f"{again} of {len(fresh)} rows are in postures that were fitted. They show that readings repeat, not that the "
+        "arm is right elsewhere: take rows in other postures."
+    ]

@@ -29,7 +29,7 @@ def told(found: Figures, *, whole: bool = True) -> list[str]:
     return [
         _answer(found),
         *found.own_verdict,
-        *found.beyond,
+        *found.remarks,
         *found.left_out(
             "of {} repeat others to the last digit and count once",
             "of {} are among those that the arm was calibrated from and do not count",
