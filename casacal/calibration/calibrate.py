@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -108,6 +109,8 @@ def calibrate(
             if set_aside and fit is not bare:
                 found = fit, bare, aside, chosen_rows
                 fit, bare, aside = _second_look(source.problem, *found, find_noise, threads)
+        if not source.problem.effects and fit.problem.effects == source.problem.with_link_kit.effects:
+            source = replace(source, problem=source.problem.with_link_kit)  # a result names effects that are not usual
         heldout = bind_further(fit, *single.take(held).sets) if held.size else None
         built = time.perf_counter()
         _LOG.info("%s: %d rows bound, %d unknowns", name, fit.rows, bare.unknowns)

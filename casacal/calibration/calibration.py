@@ -99,7 +99,7 @@ class Calibration(Fitted):
 
         An estimate that is not the minimum errs by what the posterior allows there, and by its own way to the minimum.
         """
-        before, now = expected_accuracy(self.motion.arm, self.motion.x, self.motion.off)
+        before, now = self._expected()
         return before, math.hypot(now, self.tip_from_minimum)
 
     @cached_property
@@ -109,8 +109,13 @@ class Calibration(Fitted):
         NaN now where the estimate is not the minimum, and where the tool stands elsewhere than the problem says: what
         the samples see is the tip, and how much of the difference is the tool's, how much the arm's, nobody knows then.
         """
-        before, now = expected_accuracy(self.motion.arm, self.motion.x, self.motion.off, flange=True)
+        before, now = self._expected(flange=True)
         return before, now if self.method in MINIMISERS and not self.tool_findings else math.nan
+
+    def _expected(self, *, flange: bool = False) -> tuple[float, float]:
+        motion, robust = self.motion, self.result.loss is not None
+        covariance = motion.covariance if robust else None
+        return expected_accuracy(motion.arm, motion.x, motion.off, flange=flange, covariance=covariance)
 
     @cached_property
     def hidden_tool(self) -> HiddenTool | None:

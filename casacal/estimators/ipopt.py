@@ -72,20 +72,25 @@ def nlpsol(
     if problem.graph is None:
         raise ProblemError("IPOPT needs the symbolic form of a problem and this one has none", "Use lm instead")
     graph: RawForm = problem.graph
-    objective = Objective(graph, problem, loss)
-    program, given, kept = _program(graph, objective, exact=solver == "ipopt")
-    try:
-        made = ca.nlpsol(
-            "reference", solver, program, given | dict(_silent(solver, loss) if options is None else options)
-        )
-        solution = made(x0=np.zeros(graph.start.size), lbg=0.0, ubg=0.0)
-    except (RuntimeError, NotImplementedError) as error:
-        said = next(iter(str(error).rpartition("failed:")[2].strip().splitlines()), "").rstrip(" :.")
-        fix = "Give it other options, or use ipopt, fatrop or sqpmethod"
-        raise CasacalError(f"The solver '{solver}' does not take this program: {said}", fix) from error
-    del kept  # CasADi calls these but does not hold them
+    stages, start = [loss], graph.start
+    while (first := stages[0]) is not None and first.after is not None:
+        stages.insert(0, first.after)
+    for stage in stages:
+        objective = Objective(graph, problem, stage, start)
+        program, given, kept = _program(graph, objective, exact=solver == "ipopt")
+        try:
+            made = ca.nlpsol(
+                "reference", solver, program, given | dict(_silent(solver, stage) if options is None else options)
+            )
+            solution = made(x0=np.zeros(start.size), lbg=0.0, ubg=0.0)
+        except (RuntimeError, NotImplementedError) as error:
+            said = next(iter(str(error).rpartition("failed:")[2].strip().splitlines()), "").rstrip(" :.")
+            fix = "Give it other options, or use ipopt, fatrop or sqpmethod"
+            raise CasacalError(f"The solver '{solver}' does not take this program: {said}", fix) from error
+        del kept  # CasADi calls these but does not hold them
+        start = objective.raw(np.asarray(solution["x"]).ravel())
     stats: dict[str, Any] = made.stats()
-    x = np.asarray(graph.local(objective.raw(np.asarray(solution["x"]).ravel()))).ravel()
+    x = np.asarray(graph.local(start)).ravel()
     history = stats.get("iterations") or {}
     return Result(
         method=solver,

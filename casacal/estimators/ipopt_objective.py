@@ -50,9 +50,12 @@ class Objective:
     is held: unknowns of different faces never meet.
     """
 
-    def __init__(self, graph: RawForm, problem: LeastSquares, loss: Loss | None = None) -> None:
+    def __init__(
+        self, graph: RawForm, problem: LeastSquares, loss: Loss | None = None, start: Array | None = None
+    ) -> None:
         n = graph.start.size
-        self._graph, self._problem, self._loss, self.start = graph, problem, loss, graph.start
+        self._graph, self._problem, self._loss = graph, problem, loss
+        self.start = graph.start if start is None else start
         # entries of the upper triangle, column by column, are known by column * n + row
         corners = [np.triu_indices(block.columns.size) for block in graph.blocks]
         meets = [np.sort(b.columns[np.array(ij)], axis=0) for b, ij in zip(graph.blocks, corners, strict=True)]

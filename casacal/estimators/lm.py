@@ -39,7 +39,7 @@ def lm(
     """Minimise f by damped Gauss-Newton steps in all unknowns at once; ends on any input, after `max_steps` at most.
 
     Args:
-        start: first x (n,); default the prior's mean x0.
+        start: first x (n,); default the prior's mean x0, or the minimum of the loss after which this one comes.
         max_steps: steps tried at most.
         tolerance: stop when the undamped step, in posterior standard deviations, sqrt(step' H step), falls below it.
         damping: first mu.
@@ -51,6 +51,8 @@ def lm(
     """
     if not problem.unknowns:
         return nothing_unknown(problem, "lm")
+    if start is None and loss is not None and loss.after is not None:
+        start = lm(problem, max_steps=max_steps, loss=loss.after).x
     with np.errstate(over="ignore", invalid="ignore"):  # a status says what is not finite
         here = _point(problem, np.array(problem.x0 if start is None else start, dtype=np.float64), loss)
         level, last, shortest, tried, evaluations = Damping(damping), None, Shortest(), 0, 1

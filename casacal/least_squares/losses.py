@@ -9,14 +9,33 @@ import numpy as np
 
 from casacal.array_types import Array
 
+STEP = 1e-4  # standard deviations by which a residual is moved for a slope
+
 
 @dataclass(frozen=True)
 class Loss:
-    """rho(r), which replaces r^2 / 2 in the objective, and the weight rho'(r) / r of each row; both elementwise."""
+    """rho(r), which replaces r^2 / 2 in the objective, and the weight rho'(r) / r of each row; both elementwise.
+
+    after: a loss at whose minimum to begin, where far rows lose all pull and an arm as drawn may have no other.
+    """
 
     name: str
     cost: Callable[[Array], Array]
     weight: Callable[[Array], Array]
+    after: Loss | None = None
+
+
+def worth_under(loss: Loss, r: Array) -> float:
+    """What J'WJ at residuals r (N,) is worth to the covariance of the estimate, from zero to one.
+
+    An estimate of psi = rho' has J'J mean(psi')^2 / mean(psi^2) for its information (Huber, Robust Statistics, 1981,
+    section 7.6): gross rows still pull, and their weights alone do not say so.
+    """
+    pull = loss.weight(r) * r
+    ahead, behind = r + STEP, r - STEP
+    slope = float(np.mean(loss.weight(ahead) * ahead - loss.weight(behind) * behind)) / (2 * STEP)
+    spread = float(np.mean(pull**2) * np.mean(loss.weight(r)))
+    return float(np.clip(slope * max(slope, 0.0) / spread, 0.0, 1.0)) if spread > 0 else 1.0
 
 
 def huber(threshold: float = 1.345) -> Loss:
@@ -35,8 +54,11 @@ def huber(threshold: float = 1.345) -> Loss:
     return Loss("huber", cost, weight)
 
 
+WIDE = 15.0  # standard deviations beyond which a redescending loss needs no other to begin with but Huber's
+
+
 def tukey(threshold: float = 4.685) -> Loss:
-    """Redescending: rows beyond `threshold` standard deviations lose all pull, so a good start is needed.
+    """Redescending: rows beyond `threshold` standard deviations lose all pull, so it begins where `huber()` ends.
 
     4.685 keeps 95 % efficiency on Gaussian noise (Beaton and Tukey 1974).
     """
@@ -44,4 +66,5 @@ def tukey(threshold: float = 4.685) -> Loss:
     def inside(r: Array) -> Array:
         return np.maximum(0.0, 1 - (r / threshold) ** 2)
 
-    return Loss("tukey", lambda r: threshold**2 / 6 * (1 - inside(r) ** 3), lambda r: inside(r) ** 2)
+    after = huber() if threshold > WIDE else tukey(2 * threshold)
+    return Loss("tukey", lambda r: threshold**2 / 6 * (1 - inside(r) ** 3), lambda r: inside(r) ** 2, after=after)

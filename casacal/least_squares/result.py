@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -15,7 +16,7 @@ from casacal.errors import CasacalError, came
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.information import Information, diagonal_of, posterior_spread
 from casacal.least_squares.linalg import column_scales, posterior_covariance
-from casacal.least_squares.losses import Loss
+from casacal.least_squares.losses import Loss, worth_under
 from casacal.least_squares.objective import LeastSquares
 from casacal.values import Value, frozen, short
 
@@ -96,8 +97,12 @@ class Result(Value):
 
     @cached_property
     def _told(self) -> Information:
-        """J'J of the data at x."""
-        return self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        """J'J of the data at x; of a loss what its weights, and rows that they hold down, leave of it."""
+        found = self.problem.normal(self.x, self.loss).information if self.information is None else self.information
+        if self.loss is None:
+            return found
+        worth = worth_under(self.loss, self.problem.residual(self.x))
+        return found.scaled(np.full(self.x.size, math.sqrt(worth))) if isinstance(found, Arrow) else worth * found
 
     @cached_property
     def cost(self) -> float:

@@ -23,7 +23,7 @@ from casacal.unknowns import Unknown
 from casacal.values import FrozenMapping
 from casacal.wording import html_table
 
-KITS = ("with_kit", "with_rich_kit")
+KITS = ("with_kit", "with_link_kit", "with_rich_kit")
 
 
 class Problem(MeasuredArm):
@@ -198,6 +198,11 @@ class Problem(MeasuredArm):
     def with_kit(self) -> Problem:
         """With its own effects, or those that any arm is expected to have."""
         return self if self.effects else self.with_effects(*kit())
+
+    @cached_property
+    def with_link_kit(self) -> Problem:
+        """With those of any arm, which sags by the weights of its links."""
+        return self.with_effects(*kit(links=True))
 
     @cached_property
     def with_rich_kit(self) -> Problem:

@@ -11,6 +11,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, times
+from casacal.discrepancy.compliance import LinkSag
 from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.smooth import JointField
 from casacal.estimators import lm
@@ -22,6 +23,8 @@ from casacal.uncertainty.joint_repeatability import WORTH, beforehand, joints_er
 ENOUGH = 300  # rows from which on a field of many unknowns can be told
 NEARLY = 0.98  # part of the most that an effect may be from which it is taken to stand there
 
+SAGS = 0.5  # times the usual sag from which on it is asked whose weight it is
+
 PART = 0.05
 """Least part of the stated noise that single rows may show where they err together: stated is what a row errs by."""
 
@@ -31,8 +34,9 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
 
     Sizes are those at which the rows are likeliest (restricted marginal likelihood) where the geometry stands. Noise is
     never less than stated; where many rows err together by more than each does alone, all errors of a row together are
-    not. Itself where nothing is unknown, where faces are so many that each has too few rows to say, and where the
-    geometry cannot be fitted.
+    not. An arm that sags does so by one weight at its flange or by those of all links, whichever is likelier. Itself
+    where nothing is unknown, where faces are so many that each has too few rows to say, and where the geometry cannot
+    be fitted.
 
     Args:
         bound: of the geometry alone, with the noise as it was found without effects.
@@ -45,15 +49,22 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
     geometry = lm(bound)
     if not geometry.converged:
         return bound
-    standard = _Linear.of(bound, problem.with_kit, geometry.x)
-    if find_noise and not problem.effects and bound.rows > ENOUGH:
+    standard, least = _Linear.of(bound, problem.with_kit, geometry.x), 1.0 if find_noise else None
+    if problem.effects:
+        return standard.sized(least)
+    if find_noise and bound.rows > ENOUGH:
         part = standard.sized(PART)
         field = [slot.unknown.prior_stds[0] for slot in part.slots if slot.beside == JointField.key]
         if field and float(field[0]) > float(np.median(part.noise)):  # rows err together by more than each does alone
             found = _Linear.of(bound, problem.with_rich_kit, geometry.x).sized(PART)
             if err_as_stated(found):
                 return found
-    return standard.sized(1.0 if find_noise else None)
+    found = standard.sized(least)
+    if times_found(found).get(LinkSag.key, 0.0) > SAGS:
+        by_links = _Linear.of(bound, problem.with_link_kit, geometry.x)
+        if by_links.best(least).evidence > standard.best(least).evidence:
+            return by_links.sized(least)
+    return found
 
 
 @dataclass(frozen=True)
@@ -82,8 +93,7 @@ class _Linear:
 
         What joints do not repeat comes on top of what was stated; where that is not the least, nobody can say.
         """
-        ways = self.ways if least is not None else self.ways[:1]
-        best = max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
+        best = self.best(least)
         faces = len(by_face(best.rows.scale))
         faces_differ = faces > 1  # some of which see more of the joints than others
         if least != 1.0 or not (faces_differ or joints_err(best.rows, self.x, best.told)):
@@ -97,6 +107,11 @@ class _Linear:
         # a factor for each face fits better than one number by chance (Schwarz, Annals of Statistics, 1978)
         against = -(faces - 1) * math.log(best.rows.rows) / 2 if faces_differ else WORTH
         return found.rows if found.evidence + beforehand(found.rows) - against > best.evidence else best.rows
+
+    def best(self, least: float | None) -> _Found:
+        """The likeliest of the ways, before what joints do not repeat is told from the noise."""
+        ways = self.ways if least is not None else self.ways[:1]
+        return max((self._likeliest(*way, least) for way in ways), key=lambda found: found.evidence)
 
     def _likeliest(
         self, whole: BoundProblem, seen: Told, least: float | None, *, start: Mapping[str, float] | None = None

@@ -17,6 +17,7 @@ from casacal.uncertainty.workspace import (
     bayesian_bound,
     classical_bound,
     flange_jacobian,
+    spread_rms,
     tip_stds,
     up_to_base,
     workspace_joints,
@@ -39,9 +40,18 @@ def planned_accuracy(bound: Seen) -> tuple[float, float]:
 
 
 def expected_accuracy(
-    bound: Seen, x: Array, off: Array | None = None, *, usual: bool = True, flange: bool = False
+    bound: Seen,
+    x: Array,
+    off: Array | None = None,
+    *,
+    usual: bool = True,
+    flange: bool = False,
+    covariance: Array | None = None,
 ) -> tuple[float, float]:
-    """The same at x (n,), or of the flange's origin; `off` as for `tip_stds`, `usual` as for `Block.posture`."""
+    """The same at x (n,), or of the flange's origin; `off` as for `tip_stds`, `usual` as for `Block.posture`.
+
+    covariance: (n, n) of an estimate that does not count all rows alike; by default what rows and prior give.
+    """
     joints = workspace_joints(bound.problem.robot)
     if flange:
         tips, slopes = flange_jacobian(bound, x, joints)
@@ -49,6 +59,8 @@ def expected_accuracy(
         tips, slopes = bound.tips(x, joints), bound.tip_jacobian(x, joints, usual=usual)
     information = bound.information(x if off is None else x + off)
     before = bayesian_bound(np.zeros_like(information), bound.prior_std, slopes, tips)
+    if covariance is not None:
+        return before, spread_rms(covariance, slopes, tips, off)
     return before, bayesian_bound(information, bound.prior_std, slopes, tips, off)
 
 

@@ -134,7 +134,12 @@ def bayesian_bound(
     rigid fields projected out, N tips (N, 3). Infinite when a flat direction that the data do not see moves a tip.
     `off` as for `tip_stds`.
     """
-    stds = tip_stds(posterior_covariance(information, prior_std), without_rigid(tip_jacobian, tips), off)
+    return spread_rms(posterior_covariance(information, prior_std), tip_jacobian, tips, off)
+
+
+def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array | None = None) -> float:
+    """RMS tip error (mm) of an estimate with a covariance (n, n), apart from rigid motion; `off` as for `tip_stds`."""
+    stds = tip_stds(covariance, without_rigid(tip_jacobian, tips), off)
     return math.sqrt(float((stds**2).sum(axis=1).mean()))
 
 
