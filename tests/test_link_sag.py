@@ -1,9 +1,11 @@
 """Joints that give under the weights of links: moments by hand, masses from a URDF, one arm in other conventions."""
 
 import dataclasses
+import tempfile
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from instruments_on_ur5 import ROBOT, TABLE, TOOL, flanges
 
 from casacal import (
@@ -17,14 +19,19 @@ from casacal import (
     bind,
     calibrate,
     lm,
+    load,
+    load_problem,
     simulate,
     tool_point,
 )
-from casacal.discrepancy import LinkSag
+from casacal.discrepancy import GravitySag, LinkSag
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 MASSES = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2)
 GIVE = np.array([0.0, 40.0, 60.0, 150.0, 200.0, 300.0]) * 1e-6
 """Radians for each kilogram at a lever of one metre; the first joint stands upright and feels no weight."""
+SOFT = np.array([0.0, 100.0, 140.0, 170.0, 200.0, 70.0]) * 1e-6
+"""The same of an arm that sags by some tenths of a millimetre."""
 AT_ZERO = ((0, -60, 89), (-250, -130, 89), (-600, -20, 89), (-817, -60, 89), (-817, -109, 60), (-817, -150, -6))
 """Centres of mass in the base frame where all joints stand at zero, mm."""
 
@@ -259,3 +266,38 @@ def test_it_takes_the_place_of_the_simpler_sag(sagging):
     plain = calibrate(Problem(ROBOT, TRACKER), sagging, reference=False)
     assert "give" in found.corrected
     assert found.tip_std[1] < 1.02 * plain.tip_std[1]
+
+
+@pytest.mark.parametrize(("weights", "tells"), [(True, LinkSag), (False, GravitySag)])
+def test_whose_weight_bends_an_arm_is_told_by_the_rows(weights, tells):
+    """Of an arm that nobody described: all links weigh, or one weight hangs at the flange."""
+    source = load_problem(ROOT / "problems" / "ur5")
+    if weights:
+        made = simulate(source.problem, source.cell, samples=120, seed=2)
+        off = np.array([SOFT * moments(q) for q in made.samples.joints])
+        rows = dataclasses.replace(made.samples, joints=made.samples.joints - off)
+    else:
+        made = simulate(source.problem, dataclasses.replace(source.cell, compliance=0.3), samples=120, seed=2)
+        rows = made.samples
+    found = calibrate(source.problem, rows, reference=False)
+    assert found.corrected == ("give",)
+    assert [type(each) for each in found.fit.problem.effects if each.key == "give"] == [tells]
+    joints = workspace_joints(ROBOT)
+    true = made.true_tips(joints)
+    shown = joints - np.array([SOFT * moments(q) for q in joints]) if weights else joints
+    error = tip_rms(without_rigid((found.predict(shown, frame="tip").positions - true).ravel(), true))
+    alone = calibrate(source.problem, rows, discrepancy="none", reference=False)
+    left = alone.predict(shown, frame="tip").positions - true
+    assert error < 1.6 * found.tip_std[1]
+    assert error < 0.5 * tip_rms(without_rigid(left.ravel(), true))
+    again = load_saved(found)
+    np.testing.assert_array_equal(
+        again.predict(shown, frame="tip", std=True).std, found.predict(shown, frame="tip", std=True).std
+    )
+
+
+def load_saved(found):
+    """The same from what result.json would hold."""
+    with tempfile.TemporaryDirectory() as folder:
+        found.save(folder + "/made")
+        return load(folder + "/made")

@@ -8,13 +8,28 @@ import pytest
 from conftest import ROOT
 from oracles import central_difference
 
-from casacal import CasacalError, annealing, bind, calibrate, evolution, huber, lm, load_problem, sckf, swarm, tukey
+from casacal import (
+    CasacalError,
+    annealing,
+    bind,
+    calibrate,
+    evolution,
+    huber,
+    lm,
+    load_problem,
+    sckf,
+    simulate,
+    swarm,
+    tukey,
+)
 from casacal.calibration.given import METHODS
 from casacal.cli.main import main
 from casacal.estimators import nlpsol, sckf_lm
 from casacal.estimators.ipopt_objective import Objective
 from casacal.estimators.population import Search
+from casacal.least_squares.losses import worth_under
 from casacal.study.metering import Metered
+from casacal.uncertainty.workspace import tip_rms, without_rigid, workspace_joints
 
 LOSSES = [huber(), tukey(4.0)]
 SEARCHES = {"annealing": annealing, "swarm": swarm, "evolution": evolution}
@@ -107,6 +122,45 @@ def test_searches_lower_the_stated_cost(name, loss):
     plain = SEARCHES[name](bound, seed=1, budget=60_000)
     assert plain.loss is None
     assert plain.cost == pytest.approx(bound.cost(plain.x), rel=1e-12)
+
+
+@pytest.mark.parametrize("loss", [huber(), tukey()], ids=["huber", "tukey"])
+def test_gross_rows_leave_the_arm_where_it_is_and_cost_what_they_cost(loss):
+    """From the drawing, where no row of a redescending loss has any pull left."""
+    source = load_problem(ROOT / "problems" / "hsr_jr680")
+    joints, errors, promised, clean = workspace_joints(source.problem.robot), [], [], []
+    for seed in range(4):
+        made = simulate(source.problem, source.cell, samples=120, seed=seed)
+        reading = made.samples.columns["reading"].copy()
+        rng = np.random.default_rng(seed)
+        gross = rng.choice(120, 6, replace=False)
+        reading[gross] += np.where(reading[gross] > 5, -1.0, 1.0)
+        rows = dataclasses.replace(made.samples, columns={"reading": reading})
+        found = calibrate(source.problem, rows, loss=loss)
+        assert found.reference.agrees
+        true = made.true_tips(joints)
+        off = found.predict(joints, frame="tip").positions - true
+        errors.append(tip_rms(without_rigid(off.ravel(), true)))
+        promised.append(found.unjudged.tip_std[1])
+        clean.append(calibrate(source.problem, made.samples, loss=loss, reference=False).unjudged.tip_std[1])
+        spread = np.sqrt((found.predict(joints, frame="tip", std=True).std ** 2).mean())
+        assert spread == pytest.approx(promised[-1], rel=0.1), "one promise"
+    rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (errors, promised)]
+    assert rms[0] < 1.4 * rms[1]
+    assert np.mean(promised) > np.mean(clean)
+
+
+@pytest.mark.parametrize("threshold", [0.1, 1.345, 8.0])
+def test_what_a_loss_leaves_of_the_rows_is_its_variance(threshold):
+    """Many places of 400 normal samples each, found by that loss."""
+    loss, rng = huber(threshold), np.random.default_rng(3)
+    samples, places = rng.normal(size=(4000, 400)), np.zeros((4000, 1))
+    for _ in range(200):
+        weight = loss.weight(samples - places)
+        places = (weight * samples).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)
+    r = samples - places
+    promised = np.mean([1 / (worth_under(loss, each) * loss.weight(each).sum()) for each in r[:400]])
+    assert promised == pytest.approx(float(places.var()), rel=0.08)
 
 
 @pytest.mark.parametrize("method", ["lm", "sckf-lm", "ipopt"])

@@ -26,16 +26,16 @@ class Loss:
 
 
 def worth_under(loss: Loss, r: Array) -> float:
-    """What J'WJ at residuals r (N,) is worth to the covariance of the estimate, from zero to one.
+    """What J'WJ at residuals r (N,) is to be multiplied by to be the information of the estimate.
 
-    An estimate of psi = rho' has J'J mean(psi')^2 / mean(psi^2) for its information (Huber, Robust Statistics, 1981,
-    section 7.6): gross rows still pull, and their weights alone do not say so.
+    That of psi = rho' is J'J mean(psi')^2 / mean(psi^2), and not more than J'J (Huber, Robust Statistics, 1981, section
+    7.6): gross rows still pull, and their weights alone do not say so.
     """
     pull = loss.weight(r) * r
     ahead, behind = r + STEP, r - STEP
     slope = float(np.mean(loss.weight(ahead) * ahead - loss.weight(behind) * behind)) / (2 * STEP)
-    spread = float(np.mean(pull**2) * np.mean(loss.weight(r)))
-    return float(np.clip(slope * max(slope, 0.0) / spread, 0.0, 1.0)) if spread > 0 else 1.0
+    spread, kept = float(np.mean(pull**2)), float(np.mean(loss.weight(r)))
+    return min(max(slope, 0.0) ** 2 / spread, 1.0) / kept if spread > 0 and kept > 0 else 1.0
 
 
 def huber(threshold: float = 1.345) -> Loss:
