@@ -1,42 +1,6 @@
 """A DH table in a file: read it, write it, or take from it what the controller's joints mean.
 
-As CSV (commas, semicolons or tabs), a block of comments, then a header whose names carry their units:
-
-    # name: UR5
-    # convention: standard
-    # parallel: 2, 3
-    joint,alpha_deg,a_mm,d_mm,theta_deg,kind,lower_deg,upper_deg
-    1,90,0,89.159,0,revolute,-360,360
-    2,0,-425,0,0,revolute,-360,360
-
-As TOML the same:
-
-    name = "UR5"
-    convention = "standard"
-    parallel = [2, 3]
-
-    [conventions]
-    signs = [1, -1, 1, 1, 1, 1]
-    offsets_deg = [0, 90, 0, 0, 0, 0]
-    coupling = [[3, 2, -1.0]]
-
-    [[joint]]
-    kind = "revolute"
-    alpha_deg = 90
-    a_mm = 0
-    d_mm = 89.159
-    theta_deg = 0
-    lower_deg = -360
-    upper_deg = 360
-
-- convention: standard, or modified (Craig's); it must be said. Row i is joint i.
-- alpha, theta, beta end in _deg or _rad, a and d in _mm or _m; alpha, a, d and theta are needed in each row.
-- kind: revolute (default) or prismatic; lower and upper, in _deg, _rad, _mm or _m, are the controller's limits, by
-  default +-180 degrees and +-1000 mm. In CSV, cells that do not concern a row stay empty.
-- parallel: rows, from 1, whose axis is parallel to the next one; beta is Hayati's turn there (see `DHTable`).
-- signs, offsets, coupling (in CSV `# signs: 1, -1, 1`, `# offsets_deg: 0, 90, 0`, `# coupling: 3 2 -1; ...`): what the
-  controller's joint values mean, as in `Conventions`. Offsets of sliding joints: offsets_mm. All may be left out.
-- joint (the row's number) and note are optional. Any other name is refused.
+docs/files.md says how the files look, as CSV and as TOML.
 """
 
 from __future__ import annotations
