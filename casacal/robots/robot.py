@@ -168,7 +168,7 @@ class Robot(Value, FromFunction):
     def from_dh_file(
         path: str | Path, *, length_std: Stds = None, angle_std: Stds = None, twist_std: Stds = None
     ) -> Robot:
-        """Robot from a DH table in CSV or TOML; `casacal.robots.files.dh_file` says how the files look.
+        """Robot from a DH table in CSV or TOML; docs/files.md says how the files look.
 
         Raises ProblemError that names the file, the line or joint, and what to do.
         """
