@@ -25,6 +25,7 @@ from casacal.planning.route import Route, joints_shown
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 from casacal.values import FrozenMapping
+from casacal.wording import sentence
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,9 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
             }
         )
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
-    context = {"robot": problem.robot.name, "name": name, "titles": titles, "rows": rows, "blanks": len(read)}
+    approach = problem.instrument.words.approach
+    said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
+    context = {**said, "titles": titles, "rows": rows, "blanks": len(read)}
     return rendered("sheet.html", context)
 
 

@@ -109,6 +109,8 @@ class Words:
     """What rows of one label have in common, as in "each face by the others"."""
     accuracy: bool = False
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
+    approach: str = ""
+    """What to see to at each posture, as in "if the dial is at the end of its travel, move along the plunger"."""
 
 
 Travel: TypeAlias = float | tuple[float, float]

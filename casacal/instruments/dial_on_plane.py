@@ -12,7 +12,7 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words
-from casacal.instruments.dial_parts import Step
+from casacal.instruments.dial_parts import APPROACH, Step
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.tool_tip import tool_point
 from casacal.kinematics import Expression, rotation, transform_point
@@ -149,7 +149,8 @@ class DialOnPlane(Instrument):
     def words(self) -> Words:
         """Distances from planes."""
         trusted = "the dial's gain" if self.reading and self.gain is None else ""
-        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
+        approach = APPROACH if self.reading else ""
+        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted, approach=approach)
 
     @property
     def known_by(self) -> str:
