@@ -83,6 +83,24 @@ def test_the_other_convention_of_a_table(ur5):
     assert found.about == "DH convention"
 
 
+@pytest.mark.parametrize(
+    ("flipped", "about", "says"),
+    [
+        ([3], "joint 3 flipped and wrong dial sign", "with both undone"),
+        ([2, 3, 5], "misfit", "Try the dial's sign first (--set sign=-1)"),
+    ],
+)
+def test_rows_are_not_blamed_for_what_is_wrong_with_all(ur5, flipped, about, says):
+    """One of two mistakes undone takes most of the misfit away, and leaves far too much; of four, nothing is found."""
+    problem, samples = ur5
+    assert problem.instrument.sign == -1
+    turned = np.where(np.isin(np.arange(1, 7), flipped), -1.0, 1.0)
+    (found,) = errors(problem.with_settings({"sign": 1}), REPLACE(samples, joints=samples.joints * turned))
+    assert found.about == about
+    assert says in str(found)
+    assert "remove them" not in str(found)
+
+
 def test_a_column_of_labels_that_is_missing(scara):
     problem, samples = scara
     wrong = labelled(samples, ["plane"] * len(samples))

@@ -77,7 +77,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
         return _in_order(_with_cause(findings, cause, some, few))
-    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
+    findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
         return _in_order([_unexplained(problem, samples, base, findings), *findings])
     findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
@@ -147,6 +148,9 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
     )
     if base > EXPLAINED:  # more than any arm errs
         fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+        probe = problem.instrument.probe
+        if probe is not None and probe.column is not None:
+            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
     return Finding("error", "misfit", cause, fix)
 
 
