@@ -10,8 +10,9 @@ import pytest
 from conftest import ROOT
 
 from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
+from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import studentised_outliers
-from casacal.checks.rows import odd_labels, outside
+from casacal.checks.rows import outside
 from casacal.checks.setup import tells_a_wrong_sign
 from casacal.cli.adjust import number_or_range
 from casacal.cli.main import main

@@ -14,10 +14,11 @@ from casacal.checks.beside_geometry import beside_geometry
 from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
 from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit
-from casacal.checks.fitted_faults import tool_moved
+from casacal.checks.fitted_faults import tool_keys, tool_moved
+from casacal.checks.labels import LABELS_ALIKE, absent_labels, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
-from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded
+from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
 from casacal.checks.set_aside import strays
 from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
 from casacal.errors import CasacalError, came
@@ -27,7 +28,7 @@ from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import times
+from casacal.wording import listed, times
 
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
@@ -141,7 +142,7 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         return Finding("error", "labels absent", cause, fix)
     if known:
         return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
-    cause = f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it"
+    cause = f"{cause}, and no {listed(_tried(problem), 'or')} explains it"
     fix = (
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause"
@@ -152,6 +153,18 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         if probe is not None and probe.column is not None:
             fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
     return Finding("error", "misfit", cause, fix)
+
+
+def _tried(problem: Problem) -> list[str]:
+    """Words for the mistakes that were looked for: what an instrument suspects of its columns, and of the cell."""
+    instrument = problem.instrument
+    suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
+    untried = len(suspected) < len(instrument.columns)
+    tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
+    tried += ["swapped joints", "coupling"]
+    if instrument.probe is not None and instrument.probe.column is not None:
+        tried.append("drift")
+    return [*tried, *(["tool offset"] if tool_keys(problem) else [])]
 
 
 def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:

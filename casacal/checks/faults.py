@@ -23,13 +23,12 @@ from casacal.checks.fitted_faults import (
 )
 from casacal.checks.numbers import numbers
 from casacal.instruments import Suspect
-from casacal.instruments.description import UNIT_MISTAKES, readings_within
+from casacal.instruments.description import readings_within
+from casacal.instruments.usual_mistakes import ANGLE_UNITS, UNIT_MISTAKES
 from casacal.problem.problem import Problem
 from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
-
-ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
 

@@ -43,15 +43,6 @@ class Suspect:
     order: tuple[str, ...] = ()
 
 
-UNIT_MISTAKES = {
-    25.4: "inches, written as mm",
-    1 / 25.4: "mm, written as inches",
-    1000.0: "metres, written as mm, or mm, written as micrometres",
-    0.001: "micrometres, written as mm",
-}
-"""What readings may be by mistake, by the factor that mends it."""
-
-
 Dimension = Literal["length", "angle", "number"]
 
 

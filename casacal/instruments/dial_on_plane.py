@@ -15,6 +15,7 @@ from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Tr
 from casacal.instruments.dial_parts import APPROACH, Step
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.tool_tip import tool_point
+from casacal.instruments.usual_mistakes import units_mistaken
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
 from casacal.values import FrozenMapping, is_real, plain
@@ -188,7 +189,7 @@ class DialOnPlane(Instrument):
             ("reading",),
             -1.0,
         )
-        return (sign, *(each for each in super().suspects if each.factor > 0))
+        return (sign, *units_mistaken(self.columns))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
         """The same with a plane for each label."""
