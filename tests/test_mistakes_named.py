@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, simulate
+from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.causes import _to_the_end, _Trial
 from casacal.checks.finding import Fault, Undone, misfit
@@ -67,6 +67,26 @@ def test_a_step_down_is_no_mistake(ur5):
     problem, samples = ur5
     dial = REPLACE(problem.instrument, steps={"floor": Step(on="block", height=-100.0)})
     assert not errors(Problem(problem.robot, dial), samples)
+
+
+@pytest.mark.parametrize(
+    ("steps", "refused", "severity", "says"),
+    [
+        ({"block": Step(on="base", height=100.0)}, "Step 'block' is on 'base', which is no", "error", "'base'"),
+        ({"top": Step(on="floor", height=100.0)}, "Step 'top' is no face of the cell", "warning", "'top'"),
+    ],
+)
+def test_a_step_on_no_face_is_refused_in_a_cell_and_named_in_rows(ur5, steps, refused, severity, says):
+    problem, samples = ur5
+    dial, cell = REPLACE(problem.instrument, steps=steps), load_problem(PROBLEMS / "ur5").cell
+    other = Problem(problem.robot, dial)
+    for made in (lambda: simulate(other, cell, samples=20), lambda: plan(other, cell, touches=20, pool=60)):
+        with pytest.raises(SimulationError, match=rf"{refused}.* Name one of its faces: floor, wall, side, block"):
+            made()
+    found = next(each for each in check(other, samples) if each.about == "step without a face")
+    assert (found.severity, says in found.cause) == (severity, True)
+    assert "The labels there are: floor, wall, side, block" in found.fix
+    assert not any(each.about == "step without a face" for each in check(problem, samples))
 
 
 def test_a_zero_a_quarter_turn_off(ur5):

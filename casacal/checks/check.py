@@ -15,7 +15,7 @@ from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
 from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit
 from casacal.checks.fitted_faults import tool_keys, tool_moved
-from casacal.checks.labels import LABELS_ALIKE, absent_labels, odd_labels
+from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
@@ -61,7 +61,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return _in_order(_of_several(problem, samples))
     samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples)]
-    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples)]
+    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:

@@ -10,9 +10,10 @@ import numpy as np
 from casacal.checks.finding import Finding
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.wording import counted
+from casacal.wording import counted, shortened
 
 LABELS_ALIKE = "labels alike"
+LOST_STEP = "step without a face"
 MARGIN = 2  # rows that a label needs beside one for each unknown of its own
 RARE = 0.03
 FEW = 3  # a label of no more rows, in no more than this part of all, is rare
@@ -34,6 +35,24 @@ def absent_labels(problem: Problem, samples: Samples) -> list[Finding]:
                 f"there is no column '{column}', which '{key}' is declared to depend on; all rows count as one group"
             )
             found.append(Finding("warning", "labels absent", cause, f"Add the column, or declare '{key}' without it"))
+    return found
+
+
+def lost_steps(problem: Problem, samples: Samples) -> list[Finding]:
+    """Errors on steps in rows that stand on a face without rows, warnings of steps that no row is on."""
+    probe = problem.instrument.probe
+    names = () if probe is None or probe.label is None else samples.faces(probe.label).names
+    if probe is None or names in ((), (probe.label,)):
+        return []
+    found, there = [], f"The labels there are: {shortened(names)}"
+    for step in probe.steps:
+        on = problem.instrument.instance("plane", step)
+        if step in names and on not in names:
+            cause = f"'{step}' is declared to stand on '{on}', and no row is on '{on}', so its height tells nothing"
+            found.append(Finding("error", LOST_STEP, cause, f"Correct the step in the problem, or the labels. {there}"))
+        elif step not in names:
+            cause = f"'{step}' is declared as a step on '{on}', and no row is on '{step}', so its height tells nothing"
+            found.append(Finding("warning", LOST_STEP, cause, f"Touch it, or correct the label. {there}"))
     return found
 
 
