@@ -90,10 +90,11 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
     form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    withdrawn = " and the dial withdrawn" if problem.instrument.words.approach else ""
     notes = (
         f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
         "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
-        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
+        f"the cell is known. Try the program slowly, with a hand on the stop{withdrawn}",
         "at each stop take the reading with casacal measure, or write it down; then let the program go on",
     )
     comments = (line for note in notes for line in in_comments(note))
