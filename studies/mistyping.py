@@ -159,7 +159,7 @@ class Terminal:
 def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> Operator:
     """A session from beginning to end."""
     source, route = route_of(problem)
-    write_plan(folder / "plan.csv", route, source.problem.layout(), source.name)
+    write_plan(folder / "plan.csv", route, source.problem, source.name)
     operator = Operator(world, rng)
     usual = ("--plan", str(folder / "plan.csv"), "--out", str(folder / "samples.csv"))
     terminal = Terminal(str(PROBLEMS / problem), *usual, "--tolerance", f"{TOLERANCE:g}")

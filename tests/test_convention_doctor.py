@@ -396,6 +396,9 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
     offsets = tuple(math.radians(offset) for offset in block["offsets_deg"])
     read = Conventions(tuple(block["signs"]), offsets, tuple((i, j, f) for i, j, f in block["coupling"]))
     assert largest_gap(table, truth, read, rng) < 1e-6
+    line = next(each for each in said.splitlines() if "into problem.py: " in each)
+    assert eval(line.partition("conventions=")[2], {"Conventions": Conventions, "deg": deg}) == read
+    assert "the joint's limits turn round as well" in said
     (tmp_path / "c.toml").write_text(said[said.index("# the pendant") :])
     assert read_conventions(tmp_path / "c.toml") == read
     assert main(["doctor", HSR, str(tmp_path / "p.csv"), "--tool", "0,0,120"]) == 1

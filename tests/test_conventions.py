@@ -25,6 +25,18 @@ def test_plain_conventions_change_nothing():
     assert np.array_equal(Conventions.plain(2).to_model(q), q)
 
 
+def test_signs_alone_are_conventions():
+    assert Conventions(signs=(1, 1, -1)) == Conventions((1, 1, -1), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_a_joint_turned_round_means_the_same_of_readings_turned_round(joint):
+    conventions = Conventions((1, -1, 1), (0.1, 0.2, 0.3), ((3, 2, -1.0), (1, 3, 2.0)))
+    q = np.array([1.0, 2.0, 5.0])
+    other = np.where(np.arange(1, 4) == joint, -q, q)
+    assert np.allclose(conventions.flipped(joint).to_model(other), conventions.to_model(q))
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from casacal import DialOnBody, DialOnPlane, Problem, Step, bind, check, lm, load_problem, simulate
+from casacal import Conventions, DialOnBody, DialOnPlane, Problem, Step, bind, check, deg, lm, load_problem, simulate
+from casacal.checks.labels import odd_labels
 from casacal.checks.outliers import studentised_outliers
-from casacal.checks.rows import odd_labels, outside
+from casacal.checks.rows import outside
 from casacal.checks.setup import tells_a_wrong_sign
 from casacal.cli.adjust import number_or_range
 from casacal.cli.main import main
@@ -160,6 +161,14 @@ def test_the_wrong_sign_is_seen_before_any_fit(hsr, corner_simulation):
 
 
 @pytest.mark.long
+def test_a_flipped_joint_ends_with_the_line_to_paste(hsr, corner_simulation):
+    samples = corner_simulation.samples
+    (found,) = (each for each in check(hsr.problem, flipped(samples, 4)) if each.severity == "error")
+    assert "with its limits: conventions=Conventions(signs=(1, 1, 1, -1, 1, 1))." in str(found)
+    pasted = eval(found.fix.partition("conventions=")[2], {"Conventions": Conventions, "deg": deg})
+    assert np.allclose(pasted.to_model(flipped(samples, 4).joints), samples.joints)
+
+
 def test_what_cannot_be_told_is_said(hsr, corner_simulation):
     constant = with_reading(corner_simulation.samples, np.full(120, 5.0))
     assert any(finding.about == "dial sign not tested" for finding in check(hsr.problem, constant))

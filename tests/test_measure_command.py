@@ -9,20 +9,24 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import ClassVar
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import ROOT
 from measured_world import World
 
-from casacal import CasacalError, load_problem, plan, read_route
+from casacal import CasacalError, Instrument, Parameter, Problem, load_problem, plan, read_route
 from casacal.cli.main import main
-from casacal.measuring.conversation import answered, command_of, touch_of
+from casacal.kinematics import position
+from casacal.measuring.conversation import answered, posture
 from casacal.measuring.gauges import gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch
 from casacal.measuring.touch_file import TouchFile
-from casacal.planning.written import write_plan
+from casacal.measuring.typed import command_of, help_words, touch_of
+from casacal.planning.written import plan_text, write_plan
 
 pty = pytest.importorskip("pty")
 HSR = ROOT / "problems" / "hsr_jr680"
@@ -34,7 +38,7 @@ def planned(hsr, tmp_path_factory):
     """A plan of 36 touches on disk, and the arm that answers."""
     folder = tmp_path_factory.mktemp("plan")
     made = plan(hsr.problem, hsr.cell, touches=36, pool=300, starts=1, seed=4)
-    write_plan(folder / "plan.csv", made, hsr.problem.layout(), hsr.name)
+    write_plan(folder / "plan.csv", made, hsr.problem, hsr.name)
     route = read_route(folder / "plan.csv", hsr.problem.layout())
     return folder / "plan.csv", route, World(hsr.problem, route, seed=6)
 
@@ -437,3 +441,35 @@ def test_a_file_that_cannot_be_made_is_refused_before_any_touch(planned, tmp_pat
     feed(monkeypatch, [])
     assert main(["measure", str(HSR), "--plan", str(planned[0]), "--out", str(tmp_path / "fine.csv")]) == 0
     assert list(tmp_path.glob("fine*")) == []
+
+
+class CableEncoder(Instrument):
+    """A cable that winds on a pulley whose angle is read."""
+
+    columns: ClassVar = {"encoder": "angle"}
+    column_stds: ClassVar = {"encoder": 0.002}
+    unknowns: ClassVar = {"post": Parameter((900.0, 0.0, 200.0), prior_std=5.0)}
+
+    def residual(self, pose, p, row):
+        return ca.norm_2(position(pose) - p.post) - 25.0 * row.encoder
+
+
+def test_an_angle_is_typed_in_the_unit_in_which_it_is_asked_for(hsr):
+    problem = Problem(hsr.problem.robot, CableEncoder())
+    layout, joints = problem.layout(), np.radians([10.0, 20.0, 30.0, -40.0, 50.0, 60.0])
+    touch = Touch(joints, {"encoder": np.radians(1085.44)}, {}, 1)
+    assert "encoder about 1085.44 deg" in posture(touch, layout)
+    for line in ("1085", "1085 deg", "18.936822 rad", "10 20 30 -40 50 60 1085"):
+        typed = touch_of(line, layout, touch, PLAIN)
+        assert typed.readings == pytest.approx((np.radians(1085),))
+        assert typed.joints == pytest.approx(joints)
+    with pytest.raises(CasacalError, match=r"in mm, which is no unit of this reading\. Give it in deg, ° or rad"):
+        touch_of("1085 mm", layout, touch, PLAIN)
+    told = help_words(problem)
+    assert "(encoder in degrees)" in told
+    assert "dial" not in told
+    assert "plunger" not in told
+    assert "move along the plunger" in help_words(hsr.problem)
+    assert "(reading in mm)" in help_words(hsr.problem)
+    notes = plan_text(plan(problem, touches=12, pool=60, starts=1), problem, "cable").splitlines()
+    assert not any("dial" in note or "plunger" in note for note in notes if note.startswith("#"))

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from casacal import DialOnPlane, Problem, Step, calibrate, check, load_problem, simulate
+from casacal import DialOnPlane, Problem, SimulationError, Step, calibrate, check, load_problem, plan, simulate
 from casacal.calibration.verdict import verdict_of
 from casacal.checks.causes import _to_the_end, _Trial
 from casacal.checks.finding import Fault, Undone, misfit
@@ -69,6 +69,26 @@ def test_a_step_down_is_no_mistake(ur5):
     assert not errors(Problem(problem.robot, dial), samples)
 
 
+@pytest.mark.parametrize(
+    ("steps", "refused", "severity", "says"),
+    [
+        ({"block": Step(on="base", height=100.0)}, "Step 'block' is on 'base', which is no", "error", "'base'"),
+        ({"top": Step(on="floor", height=100.0)}, "Step 'top' is no face of the cell", "warning", "'top'"),
+    ],
+)
+def test_a_step_on_no_face_is_refused_in_a_cell_and_named_in_rows(ur5, steps, refused, severity, says):
+    problem, samples = ur5
+    dial, cell = REPLACE(problem.instrument, steps=steps), load_problem(PROBLEMS / "ur5").cell
+    other = Problem(problem.robot, dial)
+    for made in (lambda: simulate(other, cell, samples=20), lambda: plan(other, cell, touches=20, pool=60)):
+        with pytest.raises(SimulationError, match=rf"{refused}.* Name one of its faces: floor, wall, side, block"):
+            made()
+    found = next(each for each in check(other, samples) if each.about == "step without a face")
+    assert (found.severity, says in found.cause) == (severity, True)
+    assert "The labels there are: floor, wall, side, block" in found.fix
+    assert not any(each.about == "step without a face" for each in check(problem, samples))
+
+
 def test_a_zero_a_quarter_turn_off(ur5):
     problem, samples = ur5
     wrong = REPLACE(samples, joints=samples.joints + math.pi / 2 * np.eye(6)[1])
@@ -81,6 +101,24 @@ def test_the_other_convention_of_a_table(ur5):
     problem, samples = ur5
     (found,) = errors(Problem(problem.robot.in_other_convention(), problem.instrument), samples)
     assert found.about == "DH convention"
+
+
+@pytest.mark.parametrize(
+    ("flipped", "about", "says"),
+    [
+        ([3], "joint 3 flipped and wrong dial sign", "with both undone"),
+        ([2, 3, 5], "misfit", "Try the dial's sign first (--set sign=-1)"),
+    ],
+)
+def test_rows_are_not_blamed_for_what_is_wrong_with_all(ur5, flipped, about, says):
+    """One of two mistakes undone takes most of the misfit away, and leaves far too much; of four, nothing is found."""
+    problem, samples = ur5
+    assert problem.instrument.sign == -1
+    turned = np.where(np.isin(np.arange(1, 7), flipped), -1.0, 1.0)
+    (found,) = errors(problem.with_settings({"sign": 1}), REPLACE(samples, joints=samples.joints * turned))
+    assert found.about == about
+    assert says in str(found)
+    assert "remove them" not in str(found)
 
 
 def test_a_column_of_labels_that_is_missing(scara):

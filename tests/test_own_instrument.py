@@ -5,7 +5,9 @@ import math
 import sys
 from dataclasses import replace
 from types import ModuleType
+from typing import ClassVar
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
@@ -341,6 +343,49 @@ def test_simulated_readings_keep_to_what_a_device_can_show():
     assert 0 < kept.columns["range"].min() < kept.columns["range"].max() < 3000
     with pytest.raises(SimulationError, match=r"inside the limits of .* and its readings"):
         simulate(laser(reading_limits={"range": (-2.0, -1.0)}), samples=5, seed=1)
+
+
+class CrossTable(Instrument):
+    """A ball on the flange over a table with two scales, and an encoder at the table's pivot."""
+
+    columns: ClassVar = {"x": "length", "y": "length", "turn": "angle"}
+    column_stds: ClassVar = {"x": 0.01, "y": 0.01, "turn": 1e-4}
+    reading_limits: ClassVar = {"turn": (0.0, 6.0)}
+    unknowns: ClassVar = {"pivot": Parameter((-2000.0, -2000.0), prior_std=5.0)}
+
+    def residual(self, pose, p, row):
+        at = position(pose)
+        turn = ca.atan2(at[1] - p.pivot[1], at[0] - p.pivot[0])
+        return ca.vertcat(at[0] - row.x, at[1] - row.y, 1000 * (turn - row.turn))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "about"),
+    [
+        (lambda read: {**read, "x": -read["x"]}, "sign of 'x'"),
+        (lambda read: {**read, "turn": -read["turn"]}, "sign of 'turn'"),
+        (lambda read: {**read, "x": read["y"], "y": read["x"]}, "'x' and 'y' swapped"),
+        (lambda read: {**read, "turn": np.degrees(read["turn"])}, "unit of the angles"),
+    ],
+)
+def test_mistakes_in_each_column_of_ones_own_instrument_are_named(wrong, about):
+    problem = Problem(load_problem(ROOT / "problems" / "hsr_jr680").problem.robot, CrossTable())
+    rows = simulate(problem, Disturbances(resolution=0.0), samples=80, seed=1).samples
+    assert not check(problem, rows)
+    assert [found.about for found in check(problem, replace(rows, columns=wrong(rows.columns)))] == [about]
+
+
+def test_check_claims_no_mistake_that_it_did_not_try_and_names_readings_out_of_limits():
+    class Untried(CrossTable):
+        suspects: ClassVar = ()
+
+    problem = Problem(load_problem(ROOT / "problems" / "hsr_jr680").problem.robot, Untried())
+    read = simulate(problem, Disturbances(resolution=0.0), samples=80, seed=1).samples
+    (found,) = check(problem, replace(read, columns={**read.columns, "x": -read.columns["x"]}))
+    assert "no swapped joints or coupling explains it" in found.cause
+    limits, _ = check(problem, replace(read, columns={**read.columns, "turn": -read.columns["turn"]}))
+    assert (limits.severity, limits.about) == ("error", "readings outside limits")
+    assert "Reverse the sign of column 'turn'" in limits.fix
 
 
 @pytest.mark.parametrize(

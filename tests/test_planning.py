@@ -244,7 +244,7 @@ def test_the_command_line_plans(tmp_path, capsys):
     assert len(lines) == 25
     source = load_problem(HSR)
     assert out.read_text() == plan_text(
-        plan(source.problem, source.cell, touches=20, pool=200), source.problem.layout(), source.name
+        plan(source.problem, source.cell, touches=20, pool=200), source.problem, source.name
     )
     assert main(["calibrate", str(HSR), str(out)]) == 2
     assert "reading" in capsys.readouterr().err, "a plan is no measurement"

@@ -57,7 +57,7 @@ def explained(problem: Problem, samples: Samples, base: float, *, gross: bool = 
     best = _simplest(tried)
     if best is None:
         return None
-    if best.size > max(BETTER * base, SUSPICIOUS) and gross:
+    if best.size > max(min(BETTER * base, EXPLAINED), SUSPICIOUS) and gross:
         pairs = _pairs(tried, problem)
         both = _simplest(pairs)
         if both is not None and both.size < min(BETTER * min(best.size, base), EXPLAINED):

@@ -14,10 +14,11 @@ from casacal.checks.beside_geometry import beside_geometry
 from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
 from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit
-from casacal.checks.fitted_faults import tool_moved
+from casacal.checks.fitted_faults import tool_keys, tool_moved
+from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
-from casacal.checks.rows import LABELS_ALIKE, OUTSIDE, absent_labels, odd_labels, outside, repeated, rounded
+from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
 from casacal.checks.set_aside import strays
 from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
 from casacal.errors import CasacalError, came
@@ -27,7 +28,7 @@ from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_moves import prior_scatter
-from casacal.wording import times
+from casacal.wording import listed, times
 
 MOST_ROWS = 600  # rows used to look for systematic faults; more add time, not insight
 OF_A_FACE = 12  # rows of a face, where faces are many, that tell of systematic faults
@@ -60,7 +61,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return _in_order(_of_several(problem, samples))
     samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples)]
-    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples)]
+    findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
@@ -77,7 +78,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     cause = explained(problem, few, base, gross=gross) if base > SUSPICIOUS else None
     if cause is not None:  # it also explains single rows that lie off
         return _in_order(_with_cause(findings, cause, some, few))
-    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some), *stray]
+    findings += [*rounded(bound), *setup_findings(some), *sign_before_fit(some)]
+    findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
         return _in_order([_unexplained(problem, samples, base, findings), *findings])
     findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
@@ -140,14 +142,29 @@ def _unexplained(problem: Problem, samples: Samples, base: float, findings: list
         return Finding("error", "labels absent", cause, fix)
     if known:
         return Finding("remark", "misfit", f"{cause}, which {', '.join(known)} would explain", "Correct those first")
-    cause = f"{cause}, and no wrong sign or unit, swapped joints, coupling, drift or tool offset explains it"
+    cause = f"{cause}, and no {listed(_tried(problem), 'or')} explains it"
     fix = (
         "Check the robot's nominal values and the instrument's noise; compliance, backlash or a warped face can also "
         "be the cause"
     )
     if base > EXPLAINED:  # more than any arm errs
         fix = "Check labels, columns and DH table; casacal doctor compares the table with poses on the pendant"
+        probe = problem.instrument.probe
+        if probe is not None and probe.column is not None:
+            fix = f"Try the dial's sign first (--set sign={-probe.sign}). {fix}. Do not delete rows"
     return Finding("error", "misfit", cause, fix)
+
+
+def _tried(problem: Problem) -> list[str]:
+    """Words for the mistakes that were looked for: what an instrument suspects of its columns, and of the cell."""
+    instrument = problem.instrument
+    suspected = [name for name in instrument.columns if any(name in each.columns for each in instrument.suspects)]
+    untried = len(suspected) < len(instrument.columns)
+    tried = [f"wrong sign or unit{f' of {listed(suspected)}' if untried else ''}"] if suspected or not untried else []
+    tried += ["swapped joints", "coupling"]
+    if instrument.probe is not None and instrument.probe.column is not None:
+        tried.append("drift")
+    return [*tried, *(["tool offset"] if tool_keys(problem) else [])]
 
 
 def _untold(problem: Problem, samples: Samples, base: float) -> list[Finding]:

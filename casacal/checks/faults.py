@@ -23,13 +23,14 @@ from casacal.checks.fitted_faults import (
 )
 from casacal.checks.numbers import numbers
 from casacal.instruments import Suspect
-from casacal.instruments.description import UNIT_MISTAKES, readings_within
+from casacal.instruments.description import readings_within
+from casacal.instruments.usual_mistakes import ANGLE_UNITS, UNIT_MISTAKES
 from casacal.problem.problem import Problem
+from casacal.problem.problem_text import conventions_line
+from casacal.robots.joints import Conventions
 from casacal.robots.robot import Robot
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
-
-ANGLE_UNITS = {180 / math.pi: "radians, written as degrees", math.pi / 180: "degrees, written as radians"}
 
 DOCTOR = "Run casacal doctor on rows of the pendant, and write the coupling into the problem's Conventions"
 
@@ -64,12 +65,16 @@ def _columns_and_joints(problem: Problem) -> Iterator[Fault]:
 
 def flips(problem: Problem) -> Iterator[Fault]:
     """Each joint counted the other way."""
-    count = len(problem.robot.axes)
+    count, arm = len(problem.robot.axes), problem.robot.arm
     for i in range(count):
         signs = np.ones(count)
         signs[i] = -1.0
         cause = f"joint {i + 1} seems to be counted in the other direction"
-        fix = f"Reverse the sign of column q{i + 1}, or of the joint in the problem"
+        fix = f"Reverse the sign of column q{i + 1}"
+        if arm is not None:
+            said = (arm.conventions or Conventions.plain(count)).flipped(i + 1)
+            line = conventions_line(said, problem.robot.axes)
+            fix += f", or turn the joint round in the problem, with its limits: {line}"
         yield Fault(f"joint {i + 1} flipped", cause, fix, _turned(np.diag(signs)))
 
 

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--serial PORT", "where a gauge is connected, such as COM3 or /dev/ttyUSB0")
     add(parser, "--gauge NAME", "digimatic, sylvac or plain; default: plain", default="plain")
     add(parser, "--pattern REGEX", "what the gauge sends, with (?P<value>...) around the number")
-    add(parser, "--unit UNIT", "of readings that say none: mm, in or um; default: mm")
+    add(parser, "--unit UNIT", "of readings that say none: mm, in or um, of angles deg or rad; default: mm, deg")
     add(parser, "--ask TEXT", "text that makes the gauge send a reading, sent when you press Enter")
     add(parser, "--baud N", "of the line; default: 9600", kind=whole_number, default=9600)
     add(parser, "--frame 8N1", "bits, parity and stop bits; default: 8N1", default="8N1")

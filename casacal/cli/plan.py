@@ -168,7 +168,7 @@ def _written(source: ProblemFile, options: argparse.Namespace, found: Plan, clea
     from casacal.planning.written import plan_text
 
     problem, name = source.problem, source.name
-    texts = {Path(options.out): plan_text(found, problem.layout(), name)}
+    texts = {Path(options.out): plan_text(found, problem, name)}
     if options.sheet is not None:
         texts[Path(options.sheet)] = sheet_page(problem, found, name)
     if options.program:

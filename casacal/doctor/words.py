@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from casacal.doctor.diagnosis import ENOUGH, Diagnosis
 from casacal.doctor.pendant_rows import MEANINGS
 from casacal.doctor.same_arm import Meaning
+from casacal.problem.problem_text import conventions_line
 from casacal.robots.files.dh_text import conventions_toml
 from casacal.robots.joints import Conventions, Joint
 
@@ -43,7 +44,10 @@ def diagnosis_text(found: Diagnosis, joints: Sequence[Joint] | None = None) -> s
     if best.simplest == Conventions.plain(len(best.simplest.signs)):
         lines.append("# nothing to change: the controller's joint values are those of the problem")
     else:
-        lines.append("# goes into a DH table in TOML, or as conventions=Conventions(...) into problem.py")
+        shown = [Joint()] * len(best.simplest.signs) if joints is None else joints
+        lines.append(f"# goes into a DH table in TOML, or into problem.py: {conventions_line(best.simplest, shown)}")
+    if -1 in best.simplest.signs:
+        lines.append("# where a sign is -1, the joint's limits turn round as well")
     return "\n".join(lines) + "\n" + conventions_toml(best.simplest, joints)
 
 

@@ -25,6 +25,7 @@ from casacal.planning.route import Route, joints_shown
 from casacal.problem.problem import Problem
 from casacal.samples.write import WRITTEN
 from casacal.values import FrozenMapping
+from casacal.wording import sentence
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,11 @@ def program_text(problem: Problem, route: Route, ways: Approaches, language: str
     refuse_unknown("language of programs", [language], PROGRAMS)
     form = PROGRAMS[language]
     form.language.refuse_others(problem.robot, "move", "Use the plan's CSV")
+    withdrawn = " and the dial withdrawn" if problem.instrument.words.approach else ""
     notes = (
         f"planned by casacal for {printable(name)}; joint values are those that the problem's robot.pose takes",
         "paths were checked for the tip and the faces as drawn, and for what plan was told to avoid. Nothing else of "
-        "the cell is known. Try the program slowly, with a hand on the stop and the dial withdrawn",
+        f"the cell is known. Try the program slowly, with a hand on the stop{withdrawn}",
         "at each stop take the reading with casacal measure, or write it down; then let the program go on",
     )
     comments = (line for note in notes for line in in_comments(note))
@@ -147,7 +149,9 @@ def sheet_page(problem: Problem, route: Route, name: str) -> str:
             }
         )
     titles = ["", *([] if pictures is None else ["posture"]), *layout.labels, *joints, *expected, *read]
-    context = {"robot": problem.robot.name, "name": name, "titles": titles, "rows": rows, "blanks": len(read)}
+    approach = problem.instrument.words.approach
+    said = {"robot": problem.robot.name, "name": name, "approach": sentence(approach) if approach else ""}
+    context = {**said, "titles": titles, "rows": rows, "blanks": len(read)}
     return rendered("sheet.html", context)
 
 

@@ -43,15 +43,6 @@ class Suspect:
     order: tuple[str, ...] = ()
 
 
-UNIT_MISTAKES = {
-    25.4: "inches, written as mm",
-    1 / 25.4: "mm, written as inches",
-    1000.0: "metres, written as mm, or mm, written as micrometres",
-    0.001: "micrometres, written as mm",
-}
-"""What readings may be by mistake, by the factor that mends it."""
-
-
 Dimension = Literal["length", "angle", "number"]
 
 
@@ -109,6 +100,8 @@ class Words:
     """What rows of one label have in common, as in "each face by the others"."""
     accuracy: bool = False
     """Whether its residual is the error of the tip itself, all three axes; a distance from a face is not."""
+    approach: str = ""
+    """What to see to at each posture, as in "if the dial is at the end of its travel, move along the plunger"."""
 
 
 Travel: TypeAlias = float | tuple[float, float]

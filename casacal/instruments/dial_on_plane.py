@@ -12,9 +12,10 @@ import casadi as ca
 from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.description import Dimension, Probe, Sight, Suspect, Travel, Words
-from casacal.instruments.dial_parts import Step
+from casacal.instruments.dial_parts import APPROACH, Step
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.tool_tip import tool_point
+from casacal.instruments.usual_mistakes import units_mistaken
 from casacal.kinematics import Expression, rotation, transform_point
 from casacal.unknowns import Direction, Parameter, Plane, Unknown
 from casacal.values import FrozenMapping, is_real, plain
@@ -149,7 +150,8 @@ class DialOnPlane(Instrument):
     def words(self) -> Words:
         """Distances from planes."""
         trusted = "the dial's gain" if self.reading and self.gain is None else ""
-        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted)
+        approach = APPROACH if self.reading else ""
+        return Words("distance from the planes", "mm", "planes", "planes fitted alone", trusted, approach=approach)
 
     @property
     def known_by(self) -> str:
@@ -187,7 +189,7 @@ class DialOnPlane(Instrument):
             ("reading",),
             -1.0,
         )
-        return (sign, *(each for each in super().suspects if each.factor > 0))
+        return (sign, *units_mistaken(self.columns))
 
     def with_faces_by_label(self) -> DialOnPlane | None:
         """The same with a plane for each label."""

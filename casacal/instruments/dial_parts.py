@@ -6,6 +6,12 @@ from dataclasses import dataclass
 
 from casacal.unknowns import Parameter
 
+APPROACH = (
+    "if the dial is at the end of its travel, move along the plunger until it reads about what is expected: readings "
+    "that differ determine the size of the arm"
+)
+"""What whoever touches with a dial should see to."""
+
 
 def dial_gain(percent: float = 0.15) -> Parameter:
     """How much too much or too little a dial may show of every way: a prior, from its certificate, else 0.15 %.

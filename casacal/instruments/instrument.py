@@ -11,7 +11,8 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.errors import ProblemError, came, refuse_unknown
-from casacal.instruments.description import UNIT_MISTAKES, Dimension, Probe, ResidualBlock, Sight, Suspect, Words
+from casacal.instruments.description import Dimension, Probe, ResidualBlock, Sight, Suspect, Words
+from casacal.instruments.usual_mistakes import mistakes_in
 from casacal.kinematics import Expression, position
 from casacal.unknowns import Unknown
 from casacal.user_code import Portable
@@ -156,18 +157,8 @@ class Instrument(Portable, ABC):
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
-        """Mistakes in its columns that `check` undoes one by one to see whether all fits then: sign and units."""
-        lengths = tuple(name for name, dimension in self.columns.items() if dimension == "length")
-        if not lengths:
-            return ()
-        cause, fix = "a longer way seems to be read as a shorter one", "Reverse the sign of the readings"
-        sign = Suspect("sign of the lengths", cause, fix, lengths, -1.0)
-        fix = "Correct the unit in the column's name"
-        units = (
-            Suspect("unit of the readings", f"the readings seem to be {words}", fix, lengths, factor)
-            for factor, words in UNIT_MISTAKES.items()
-        )
-        return (sign, *units) if len(lengths) == 1 else tuple(units)
+        """Mistakes in its columns that `check` undoes one by one to see whether all fits then: signs, units, swaps."""
+        return mistakes_in(self.columns)
 
     def with_faces_by_label(self) -> Instrument | None:
         """The same with a face of its own for each label, for `cures` that add one; None where that means nothing."""

@@ -13,6 +13,7 @@ from casacal.array_types import Array
 from casacal.errors import ProblemError
 from casacal.instruments.description import Sight, Suspect, Words
 from casacal.instruments.tool_tip import ToolTip, proposed_point
+from casacal.instruments.usual_mistakes import units_mistaken
 from casacal.kinematics import Expression, transform_point
 from casacal.unknowns import Direction, Frame, Parameter
 from casacal.unknowns.fits import rigid_fit
@@ -157,7 +158,7 @@ class TrackedPoint(PointInFrame):
         """Units, and a mirrored frame."""
         cause = "the points seem to come in a left-handed frame: one axis counted the other way, or two exchanged"
         fix = "Export them in a right-handed frame, or correct the column that is wrong"
-        return (*super().suspects, Suspect("left-handed frame", cause, fix, ("z",), -1.0))
+        return (*units_mistaken(self.columns), Suspect("left-handed frame", cause, fix, ("z",), -1.0))
 
     @property
     def words(self) -> Words:

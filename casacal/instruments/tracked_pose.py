@@ -15,6 +15,7 @@ from casacal.errors import ProblemError
 from casacal.instruments.description import Dimension, ResidualBlock, Sight, Suspect, Words
 from casacal.instruments.instrument import Instrument
 from casacal.instruments.orientations import Orientation
+from casacal.instruments.usual_mistakes import units_mistaken
 from casacal.kinematics import Expression, chain, position, rotation
 from casacal.unknowns import Frame
 from casacal.unknowns.fits import hand_eye, transform
@@ -95,7 +96,7 @@ class TrackedPose(Instrument):
     @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Units, a mirrored frame, and orientations in another order, or that turn the other way."""
-        lengths = tuple(Suspect(each.about, each.cause, each.fix, POSITION, each.factor) for each in super().suspects)
+        lengths = units_mistaken(dict.fromkeys(POSITION, "length"))
         mirror = "the positions seem to come in a left-handed frame: one axis counted the other way"
         right = "Export them in a right-handed frame, or correct the column that is wrong"
         return (*lengths, *self.written.suspects, Suspect("left-handed frame", mirror, right, ("z",), -1.0))

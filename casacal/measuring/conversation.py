@@ -1,111 +1,23 @@
-"""What an operator types at a session, and what the session says, in sentences."""
+"""What a session says to what an operator types, in sentences."""
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
-from casacal.array_types import Array
 from casacal.errors import CasacalError
 from casacal.measuring.examine import Suspected
 from casacal.measuring.gauges import Gauge
 from casacal.measuring.session import Session
 from casacal.measuring.touch import Touch, refuse_beyond_travel
+from casacal.measuring.typed import CORRECT, HELP, KEEP, QUIT, SKIP, Command, command_of, help_words, touch_of
 from casacal.planning.route import joints_shown
 from casacal.samples.layout import Layout
 from casacal.samples.write import WRITTEN
 from casacal.wording import counted
-
-UNDO, KEEP, CORRECT, SKIP, QUIT, HELP = "undo", "keep", "correct", "skip", "quit", "help"
-WORDS = {"u": UNDO, "k": KEEP, "c": CORRECT, "s": SKIP, "q": QUIT, "h": HELP, "?": HELP}
-"""Letters for words; the words themselves are understood as well."""
-
-HELP_WORDS = (
-    "Bring the arm to the posture. If the dial is at the end of its travel, move along the plunger until it reads "
-    "about what is expected: readings that differ determine the size of the arm. If the controller shows the joint "
-    "values as planned, type the reading alone; otherwise type all joint values (degrees, mm) and the reading. Add "
-    "the label if it was another face. u: take the last touch back, or the one in doubt (u 7: touch 7). k: it is "
-    "right. c: put it right as the first explanation has it (c 2: the second). s: leave this touch out. q: end; what "
-    "was measured is written already."
-)
-
-NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
-
-
-class Command(NamedTuple):
-    """A word, and the number after it, if any."""
-
-    word: str
-    number: int | None = None
-
-
-class Typed(NamedTuple):
-    """A touch as it was typed: joints (n,; rad, mm), readings in the order of the columns, labels in theirs."""
-
-    joints: Array
-    readings: tuple[float, ...]
-    labels: tuple[str, ...]
-
-
-def command_of(line: str) -> Command | None:
-    """The command that a line is; None where it is none."""
-    word, _, rest = (part.strip() for part in line.strip().partition(" "))
-    known = WORDS.get(word.lower(), word.lower())
-    if known not in WORDS.values():
-        return None
-    if rest and not rest.isdecimal():
-        raise CasacalError(f"'{rest}' after '{word}' is no number", "Give one, or nothing")
-    return Command(known, int(rest) if rest else None)
-
-
-def touch_of(line: str, layout: Layout, planned: Touch | None, gauge: Gauge) -> Typed:
-    """The touch that a line says: readings alone where joints are as planned, or joints and readings, then labels.
-
-    Angles in degrees, lengths in mm; numbers are apart by blanks or semicolons, or by commas where they have points.
-    A line with a single number is read as the gauge would write it, so that a unit may follow. Raises CasacalError for
-    lines that are neither.
-    """
-    gauge.refuse_error(line)
-    joints, readings = len(layout.joints), len(layout.columns)
-    if readings == 1 and planned is not None and (alone := _alone(line, gauge)) is not None:
-        return Typed(planned.joints, (alone,), _labels((), layout, planned))
-    # commas part cells where numbers have points, else they are decimal commas
-    apart = r"[\s;,]+" if re.search(r"\d\.\d", line) or not re.search(r"\d,\d", line) else r"[\s;]+|,\s+"
-    cells = [cell for cell in re.split(apart, line.strip()) if cell]
-    count = next((k for k, cell in enumerate(cells) if not NUMBER.fullmatch(cell)), len(cells))
-    numbers, labels = [_number(cell) for cell in cells[:count]], tuple(cells[count:])
-    if count == readings and planned is not None:
-        return Typed(planned.joints, tuple(numbers), _labels(labels, layout, planned))
-    if count == joints + readings:
-        q = np.array(numbers[:joints]) / [WRITTEN[kind][1] for kind in layout.joints]
-        return Typed(q, tuple(numbers[joints:]), _labels(labels, layout, planned))
-    wanted = counted(readings, "reading") if readings else ""
-    instead = f"{wanted}, or " if planned is not None and readings else ""
-    fix = f"Type {instead}{joints} joint values{f' and {wanted}' if wanted else ''}; h for help"
-    raise CasacalError(f"{counted(count, 'number')} came", fix)
-
-
-def _number(text: str) -> float:
-    return float(text.strip().replace(",", "."))
-
-
-def _alone(line: str, gauge: Gauge) -> float | None:
-    try:
-        return gauge.reading(line)
-    except CasacalError:
-        return _number(line) if gauge.name != "plain" and NUMBER.fullmatch(line.strip()) else None
-
-
-def _labels(typed: tuple[str, ...], layout: Layout, planned: Touch | None) -> tuple[str, ...]:
-    if typed and len(typed) != len(layout.labels):
-        raise CasacalError(f"'{' '.join(typed)}' follows the numbers", "Type h for help")
-    if not typed and planned is None and layout.labels:
-        raise CasacalError(f"The touch has no {layout.labels[0]}", "Type it after the numbers")
-    return typed if typed or planned is None else tuple(planned.labels[name] for name in layout.labels)
 
 
 @dataclass(frozen=True)
@@ -143,7 +55,7 @@ def answered(session: Session, proposed: Touch | None, line: str, gauge: Gauge) 
 
 def _obeyed(session: Session, proposed: Touch | None, command: Command) -> Answer:
     if command.word == HELP:
-        return Answer(session, (HELP_WORDS,))
+        return Answer(session, (help_words(session.problem),))
     if command.word == QUIT:
         return Answer(session, (), ended=True)
     if command.word == SKIP:

@@ -9,30 +9,38 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from casacal.errors import CasacalError, refuse_unknown
+from casacal.instruments.description import Dimension
+from casacal.wording import listed
 
 if TYPE_CHECKING:
     import serial
 
 
 INCH = 25.4
-UNITS: Mapping[str, float] = {"mm": 1.0, "in": INCH, '"': INCH, "inch": INCH, "um": 1e-3}
+DEGREE = math.pi / 180
+UNITS: Mapping[Dimension, Mapping[str, float]] = {
+    "length": {"mm": 1.0, "in": INCH, '"': INCH, "inch": INCH, "um": 1e-3},
+    "angle": {"deg": DEGREE, "\N{DEGREE SIGN}": DEGREE, "rad": 1.0},
+    "number": {"": 1.0},
+}
+"""What may follow a reading, with its factor to mm or rad, by what is read; first what a bare number is in."""
 
 NUMBER = r"(?P<value>[+-]?\s*(?:\d+[.,]?\d*|[.,]\d+))"
-UNIT = r"(?P<unit>mm|inch|in|um|\")?"
+UNIT = r"(?P<unit>mm|inch|in|um|\"|deg|\N{DEGREE SIGN}|rad)?"
 
 
 @dataclass(frozen=True)
 class Gauge:
     """How a gauge says a reading: a pattern with the groups `value` and, where it says it, `unit`; else it is `unit`.
 
-    errors: a pattern of lines by which it says that there is none. asks: what makes it send one; "" where only its
-    button does.
+    errors: a pattern of lines by which it says that there is none. unit: "" stands for mm, of angles for degrees. asks:
+    what makes it send one; "" where only its button does.
     """
 
     name: str
     pattern: str
     errors: str = r"(?!)"
-    unit: str = "mm"
+    unit: str = ""
     asks: str = ""
 
     def refuse_error(self, line: str) -> str:
@@ -43,15 +51,23 @@ class Gauge:
             raise CasacalError(f"The gauge says {text!r}, which is an error", fix)
         return text
 
-    def reading(self, line: str) -> float:
-        """The reading of a line, mm; raises CasacalError where there is none."""
+    def reads(self, line: str) -> bool:
+        """Whether a line has the form of a reading; raises CasacalError where it says that there is none."""
+        return re.fullmatch(self.pattern, self.refuse_error(line), re.IGNORECASE) is not None
+
+    def reading(self, line: str, kind: Dimension = "length") -> float:
+        """The reading of a line, mm, rad or as it is; raises CasacalError where there is none, or in another's unit."""
         text = self.refuse_error(line)
         found = re.fullmatch(self.pattern, text, re.IGNORECASE)
         if found is None:
             fix = "Look at --gauge and --pattern, or send it again"
             raise CasacalError(f"{text!r} is not a reading of a gauge called {self.name}", fix)
-        said = found.groupdict().get("unit")
-        value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * UNITS[(said or self.unit).lower()]
+        units = UNITS[kind]
+        unit = (found.groupdict().get("unit") or self.unit).lower() or next(iter(units))
+        if unit not in units:
+            fix = f"Give it in {listed(list(units), 'or')}" if kind != "number" else "Give it without a unit"
+            raise CasacalError(f"{text!r} is in {unit}, which is no unit of this reading", fix)
+        value = float(re.sub(r"\s", "", found["value"]).replace(",", ".")) * units[unit]
         if not math.isfinite(value):
             raise CasacalError(f"{text!r} is not a finite reading", "Send it again")
         return value
@@ -73,7 +89,8 @@ def gauge(name: str, *, pattern: str | None = None, unit: str | None = None, ask
     Raises CasacalError for a name or unit that there is not, and for a pattern that is none or has no group `value`.
     """
     refuse_unknown("gauge", [name], GAUGES)
-    refuse_unknown("unit", [] if unit is None else [unit], UNITS)
+    known_units = [each for units in UNITS.values() for each in units if each]
+    refuse_unknown("unit", [] if unit is None else [unit], known_units)
     known = GAUGES[name]
     if pattern is not None:
         try:

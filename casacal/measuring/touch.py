@@ -16,6 +16,7 @@ from casacal.planning.route import FIT, Route
 from casacal.problem.problem import Problem
 from casacal.samples.layout import LARGEST, Layout
 from casacal.samples.samples import Samples
+from casacal.samples.write import WRITTEN
 from casacal.values import FrozenMapping, Value, is_finite, read_only
 
 
@@ -166,7 +167,7 @@ def _of_readings(problem: Problem, touch: Touch) -> Iterator[Slip]:
         def slip(kind: str, words: str, said: float, weight: float, name: str = name) -> Slip:
             return Slip(kind, words, replace(touch, columns={**touch.columns, name: said}), weight)
 
-        unit = {"length": "mm", "angle": "rad"}.get(dimension, "")
+        unit, factor = WRITTEN[dimension][0].replace("_", " ").strip(), WRITTEN[dimension][1]
         yield slip("sign", f"the sign of the {name}", -value, -1.0)
         if probe is not None and name == probe.column and probe.turn:
             for turns in (1, -1, 2, -2)[: 2 * MOST_TURNS]:
@@ -175,10 +176,10 @@ def _of_readings(problem: Problem, touch: Touch) -> Iterator[Slip]:
                 way = "forgotten" if turns > 0 else "too many"
                 yield slip("revolution", f"{many} of the pointer {way}: {said:.{SHOWN}f} {unit}", said, -abs(turns))
         if dimension == "length":
-            for factor, words in ((25.4, "inches, not mm"), (1 / 25.4, "mm, not inches")):
-                yield slip("unit", f"the {name} in {words}", value * factor, -4.0)
-        for said, weight in _mistyped(value):
-            yield slip("digit", f"a digit of the {name}: {said:.{SHOWN}f} {unit}", said, weight)
+            for inch, words in ((25.4, "inches, not mm"), (1 / 25.4, "mm, not inches")):
+                yield slip("unit", f"the {name} in {words}", value * inch, -4.0)
+        for typed, weight in _mistyped(value * factor):
+            yield slip("digit", f"a digit of the {name}: {typed:.{SHOWN}f} {unit}".rstrip(), typed / factor, weight)
 
 
 def _of_joints(problem: Problem, touch: Touch, planned: Touch | None) -> Iterator[Slip]:

@@ -13,7 +13,7 @@ from casacal.planning.clearance import Clearance
 from casacal.planning.plan import Plan
 from casacal.planning.route import AGAIN, CHECK, FIT, postures_text
 from casacal.planning.set_ups import POOL, SetUp, worth_most
-from casacal.samples.layout import Layout
+from casacal.problem.problem import Problem
 from casacal.wording import METRE, UNBOUNDED
 
 FLAT = 0.93  # error over that of fewer touches above which more bring little
@@ -104,24 +104,24 @@ def document(
     return found
 
 
-def plan_text(plan: Plan, layout: Layout, name: str) -> str:
+def plan_text(plan: Plan, problem: Problem, name: str) -> str:
     """The plan as CSV: number, purpose, joints (degrees, mm), readings to expect, labels.
 
-    layout: of the problem's samples. name: of the problem. Readings have other names than in samples, so that a plan
-    cannot be taken for a measurement.
+    problem: with the one instrument that it was made for. name: of the problem. Readings have other names than in
+    samples, so that a plan cannot be taken for a measurement.
     """
+    layout, approach = problem.layout(), problem.instrument.words.approach
     notes = [
         f"planned by casacal for {name}: not a measurement",
         f"expected tip error {plan.error:.4g} mm RMS, apart from the position of the base, if stated noise and priors "
         f"are right; of as many at random {plan.at_random:.4g} mm",
-        "bring the arm to each posture; if the dial is at the end of its travel, move along the plunger until it "
-        "reads about what is expected (readings that differ determine the size of the arm); write down the joint "
-        "values that the controller shows, and the reading",
+        f"bring the arm to each posture; {f'{approach}; ' if approach else ''}write down the joint values that the "
+        f"controller shows{', and the reading' if layout.columns else ''}",
         "purpose fit: for calibration; again: the same touch repeated at the end; check: kept for casacal verify",
     ]
     return postures_text(plan.samples, plan.purposes, layout, notes)
 
 
-def write_plan(path: str | Path, plan: Plan, layout: Layout, name: str) -> None:
+def write_plan(path: str | Path, plan: Plan, problem: Problem, name: str) -> None:
     """Write `plan_text` to a file, whole or not at all."""
-    write_text(path, plan_text(plan, layout, name))
+    write_text(path, plan_text(plan, problem, name))

@@ -106,10 +106,15 @@ def conventions(said: Conventions, joints: Sequence[Joint]) -> str:
     else:
         shown = (f"deg({degrees(o)})" if turn else plain(o) for o, turn in zip(said.offsets, turns, strict=True))
         offsets = tuple_of(shown, 8)
-    parts = [f"signs={tuple_of(map(str, said.signs))}", f"offsets={offsets}"]
+    parts = [f"signs={tuple_of(map(str, said.signs))}", *([f"offsets={offsets}"] if any(said.offsets) else [])]
     if said.coupling:
         parts.append(f"coupling={tuple_of(f'({i}, {j}, {plain(factor)})' for i, j, factor in said.coupling)}")
     return listed("Conventions(", parts, ")", 4, taken=len("conventions="))
+
+
+def conventions_line(said: Conventions, joints: Sequence[Joint]) -> str:
+    """The argument of a robot that says them, on one line."""
+    return f"conventions={' '.join(conventions(said, joints).split())}"
 
 
 def angles(values: Sequence[float]) -> str:

@@ -72,19 +72,21 @@ def joints_of(joints: int | str | Sequence[Joint]) -> tuple[Joint, ...]:
 class Conventions:
     """q of the model = signs * (q of the controller + coupling) + offsets.
 
-    signs: +1 or -1 per joint. offsets: rad, or mm where a joint slides. coupling: (i, j, factor), joints counted from
-    1: factor * q_j is added to q_i, both as the controller shows them; (3, 2, -1.0) where joint 3 is measured against
-    the ground and joint 2 turns the same way. Raises ProblemError for anything else.
+    signs: +1 or -1 per joint. offsets: rad, or mm where a joint slides; none by default. coupling: (i, j, factor),
+    joints counted from 1: factor * q_j is added to q_i, both as the controller shows them; (3, 2, -1.0) where joint 3
+    is measured against the ground and joint 2 turns the same way. Raises ProblemError for anything else.
     """
 
     signs: tuple[int, ...]
-    offsets: tuple[float, ...]
+    offsets: tuple[float, ...] = ()
     coupling: tuple[tuple[int, int, float], ...] = ()
 
     def __post_init__(self) -> None:
         joints = len(self.signs)
         if any(sign not in (1, -1) for sign in self.signs):
             raise ProblemError(f"The joint signs are {self.signs}", "Use 1 or -1 for each joint")
+        if not self.offsets:
+            object.__setattr__(self, "offsets", (0.0,) * joints)
         if len(self.offsets) != joints or not all(math.isfinite(offset) for offset in self.offsets):
             fix = "Give one finite offset for each joint"
             raise ProblemError(f"Got {len(self.offsets)} joint offsets for {joints} signs", fix)
@@ -99,6 +101,12 @@ class Conventions:
     def plain(joints: int) -> Conventions:
         """Of a controller that means what the model means."""
         return Conventions((1,) * joints, (0.0,) * joints)
+
+    def flipped(self, joint: int) -> Conventions:
+        """The same where the controller counts a joint, from 1, the other way than these say."""
+        signs = tuple(-sign if k == joint else sign for k, sign in enumerate(self.signs, 1))
+        coupling = tuple((i, j, -factor if joint in (i, j) else factor) for i, j, factor in self.coupling)
+        return Conventions(signs, self.offsets, coupling)
 
     def check_joints(self, count: int, name: str) -> None:
         """Raise ProblemError unless these are conventions of `count` joints."""

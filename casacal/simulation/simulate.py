@@ -20,7 +20,7 @@ from casacal.simulation.faults import ArmErrors, DialErrors, waved
 from casacal.simulation.reach import Touch
 from casacal.simulation.rows import fitting_rows
 from casacal.simulation.session import touched_rows
-from casacal.simulation.touches import default_cell
+from casacal.simulation.touches import default_cell, refuse_lost_steps
 from casacal.simulation.true_arm import Draw, check_asked, frame_coordinates, plane_coordinates
 from casacal.values import FrozenMapping, Value
 
@@ -132,6 +132,7 @@ def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw
             f"{type(instrument).__name__} touches faces, and the disturbances that came have none",
             "Give a Cell(faces=...)",
         )
+    refuse_lost_steps(problem, instrument.probe, cell)
     rows, local, arm, dial = touched_rows(problem, instrument, instrument.probe, cell, samples, draw)
     return Simulation(problem, Measurements.of(rows), FrozenMapping(local), cell, draw.seed, arm, dial)
 

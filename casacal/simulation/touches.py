@@ -125,6 +125,21 @@ GRAZING = math.radians(75.0)  # tilt at which a tip without a dial still touches
 ENOUGH = 0.1  # part of the touches of the worst face that must succeed
 
 
+def refuse_lost_steps(problem: Problem, probe: Probe, cell: Cell) -> None:
+    """Raise SimulationError for a step that stands on no face of a cell, or is none of the faces that somebody named.
+
+    The faces of `default_cell` are nobody's, and have no steps.
+    """
+    labels = [face.label for face in cell.faces]
+    for step in probe.steps:
+        on = problem.instrument.instance("plane", step)
+        fix = f"Name one of its faces: {', '.join(labels)}; or add that face to the cell"
+        if on not in labels:
+            raise SimulationError(f"Step '{step}' is on '{on}', which is no face of the cell", fix)
+        if step not in labels and tuple(cell.faces) != tuple(default_cell(problem).faces):
+            raise SimulationError(f"Step '{step}' is no face of the cell", fix)
+
+
 def default_cell(problem: Problem) -> Cell:
     """Three faces where this arm touches them most readily; the same for the same problem.
 
