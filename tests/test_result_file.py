@@ -351,6 +351,32 @@ def test_damage_is_found_where_another_validator_finds_it(made):
     assert damaged > 30
 
 
+@pytest.mark.parametrize(
+    ("way", "value", "good"),
+    [
+        (("parameters", 0, "estimate"), 1e5, False),
+        (("parameters", 0, "estimate"), -1e5, False),
+        (("parameters", 0, "std"), None, True),
+        (("noise", "by_face", "wall", "stated_mm"), 0, False),
+        (("noise", "by_face", "wall", "used_mm"), -1.0, False),
+        (("discrepancy", "effects", 0, "times"), 0, False),
+        (("schema",), True, False),
+        (("converged",), 1, False),
+    ],
+)
+def test_sizes_and_kinds_are_those_of_another_validator(made, way, value, good):
+    document = json.loads((made / "dh" / "out" / "result.json").read_text())
+    document["noise"]["by_face"] = {"wall": {"stated_mm": 0.01, "used_mm": 0.01}}
+    document["discrepancy"] = {"effects": [{"key": "k", "words": "w", "times": 1.0}], "unknowns": []}
+    holder = document
+    for step in way[:-1]:
+        holder = holder[step]
+    holder[way[-1]] = value
+    schema = json.loads(schema_text())
+    assert jsonschema.Draft202012Validator(schema).is_valid(document) is good
+    assert [each for each, _ in misfits(schema, document)] == ([] if good else [way])
+
+
 def mutated(document, rng):
     """A copy in which one value anywhere is another one, gone, or there twice."""
     changed = copy.deepcopy(document)
