@@ -111,7 +111,7 @@ def chosen(method: str | Method | None, loss: Loss | None) -> tuple[Method, str]
     if method is None:
         method = "sckf-lm" if loss is None else "lm"
     if not isinstance(method, str):
-        if not callable(method):
+        if not callable(method) or hasattr(method, "options"):  # a study's Method takes a seed as well
             fix = f"Give a name ({', '.join(METHODS)}) or a function of the least-squares problem"
             raise CasacalError(f"Got {came(method)} as the method", fix)
         run, name = method, str(getattr(method, "__name__", type(method).__name__)).replace("_", "-")

@@ -90,7 +90,7 @@ class SimulatedTrial:
 class Simulated:
     """A setting of a study: a problem in a simulated cell.
 
-    problem: what is true, one `DialOnPlane`; its prior is what true errors are drawn from. cell: what it touches, and
+    problem: what is true, with one instrument; its prior is what true errors are drawn from. cell: what it touches, and
     what disturbs the arm without being in its model. samples: touches of a trial. heldout: how many of them, the last
     ones, are not fitted but judged. fitted: what is assumed, with the same unknowns; by default the problem itself.
     Raises StudyError when nothing would be left to fit.
