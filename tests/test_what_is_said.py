@@ -112,7 +112,7 @@ def test_targets_outside_the_limits_say_which_joint_and_by_how_much(tmp_path, ca
 def test_what_is_promised_of_the_tip_is_compensated_at_the_tip(flange, tip, said):
     found = SimpleNamespace(hidden_tool=None, flange_std=(3.0, flange), tip_std=(3.0, tip))
     step = next_step(found, SimpleNamespace(level="calibrated"), out="out/fit")
-    assert step.startswith("correct joint targets with casacal compensate out/fit/result.json TARGETS")
+    assert step.startswith("verify with fresh touches, then correct joint targets with casacal compensate out/fit/res")
     assert ("--frame tip" in step) == said
 
 

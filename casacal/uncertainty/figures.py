@@ -10,7 +10,8 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import taken_out
-from casacal.least_squares.information import determined
+from casacal.least_squares.arrow import Arrow
+from casacal.least_squares.information import determined, posterior_spread
 from casacal.least_squares.linalg import svd
 from casacal.least_squares.losses import Loss
 from casacal.least_squares.objective import LeastSquares
@@ -59,7 +60,10 @@ def _inverse_root(rows: Array, prior: Array) -> Array:
 
 def _by_group(bound: BoundProblem, result: Result) -> Array:
     """The same where groups are many: of the shared unknowns, and of a group's own with these known."""
-    covariance, found = result.spread[0], np.zeros(bound.rows)
+    told, found = bound.normal(result.x, result.loss).information, np.zeros(bound.rows)
+    covariance = result.spread[0]
+    if result.loss is not None and isinstance(told, Arrow):  # J'WJ itself, whatever it is worth
+        covariance = posterior_spread(told, bound.prior_std)[0]
     held = np.where(np.isfinite(covariance), covariance, 0.0)
     for part in bound.group_rows(result.x, result.loss):
         out = taken_out(part.held(bound.prior_information[part.members]))
