@@ -10,7 +10,6 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.elimination import taken_out
-from casacal.least_squares.arrow import Arrow
 from casacal.least_squares.information import determined, posterior_spread
 from casacal.least_squares.linalg import svd
 from casacal.least_squares.losses import Loss
