@@ -291,13 +291,17 @@ def test_whose_weight_bends_an_arm_is_told_by_the_rows(weights, tells):
     assert error < 1.6 * found.tip_std[1]
     assert error < 0.5 * tip_rms(without_rigid(left.ravel(), true))
     again = load_saved(found)
+    given = load_saved(found, problem=source.problem)  # which declares no effects
+    np.testing.assert_array_equal(
+        given.predict(shown, frame="tip").positions, found.predict(shown, frame="tip").positions
+    )
     np.testing.assert_array_equal(
         again.predict(shown, frame="tip", std=True).std, found.predict(shown, frame="tip", std=True).std
     )
 
 
-def load_saved(found):
+def load_saved(found, problem=None):
     """The same from what result.json would hold."""
     with tempfile.TemporaryDirectory() as folder:
         found.save(folder + "/made")
-        return load(folder + "/made")
+        return load(folder + "/made", problem=problem)

@@ -145,9 +145,17 @@ def test_gross_rows_leave_the_arm_where_it_is_and_cost_what_they_cost(loss):
         clean.append(calibrate(source.problem, made.samples, loss=loss, reference=False).unjudged.tip_std[1])
         spread = np.sqrt((found.predict(joints, frame="tip", std=True).std ** 2).mean())
         assert spread == pytest.approx(promised[-1], rel=0.1), "one promise"
+        assert promised[-1] == pytest.approx(tip_from(found, joints), rel=1e-6)
     rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (errors, promised)]
     assert rms[0] < 1.4 * rms[1]
     assert np.mean(promised) > np.mean(clean)
+
+
+def tip_from(found, joints):
+    """Tip error to expect by the covariance of all that moves the tip, mm RMS."""
+    tips = found.motion.arm.tips(found.motion.x, joints)
+    field = without_rigid(found.motion.arm.tip_jacobian(found.motion.x, joints), tips)
+    return np.sqrt(np.einsum("ij,jk,ik->", field, found.motion.covariance, field) / len(tips))
 
 
 @pytest.mark.parametrize("threshold", [0.1, 1.345, 8.0])

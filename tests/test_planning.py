@@ -252,6 +252,8 @@ def test_the_command_line_plans(tmp_path, capsys):
     said = json.loads(capsys.readouterr().out)
     assert said["touches"] == {"fit": 16, "check": 3, "again": 1}
     assert said["tip_rms_mm"]["expected"] < said["tip_rms_mm"]["at_random"]
+    (warned,) = said["warnings"]
+    assert "16 touches are fitted, but casacal calibrate needs at least 3" in warned
 
 
 def test_the_command_line_refuses(tmp_path, capsys):

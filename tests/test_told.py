@@ -491,10 +491,11 @@ def test_what_columns_tell_is_left_out_of_plans_and_sessions_and_a_loss_says_so(
     problem = source.problem.with_effects(TorqueCompliance(columns_of=TORQUES))
     planned = [plan(each, source.cell, touches=30, pool=200, starts=1).error for each in (problem, source.problem)]
     assert planned[0] == planned[1]
-    made = simulate(problem, source.cell, samples=6, seed=1).samples
+    made = simulate(problem, source.cell, samples=45, seed=1).samples
     session = Session(problem)
     for q, reading, code in zip(made.joints, made.columns["reading"], made.labels["plane"].codes, strict=True):
         session = session.take(q, float(reading), made.labels["plane"].names[code])
-    assert len(session) == 6
+    assert len(session) == 45
+    assert session.tip_error < 1.0
     robust = calibrate(loaded.source.problem, loaded.samples, loss=huber(), reference=False)
     assert any("The problem declares" in each and "torque" in each for each in warnings(robust))

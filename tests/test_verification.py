@@ -569,6 +569,8 @@ def test_the_same_postures_touched_again_are_fresh(spent):
     assert f"{again.rows} of {again.rows} rows are in postures that were fitted." in again.summary()
     elsewhere = verify(arm, frame_of(spent[2]))
     assert elsewhere.remarks == ()
+    one = frame_of(spent[2]).assign(q1_deg=old["q1_deg"].iloc[:FRESH].to_numpy())
+    assert not [said for said in verify(arm, one).remarks if "postures" in said], "one joint alone makes no posture"
     moved = verify(arm, old.assign(reading_mm=old["reading_mm"] + 0.2 + rng.normal(size=len(old)) * 0.01))
     assert moved.rows == len(old)
     assert moved.fitted_lines == ()

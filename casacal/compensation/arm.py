@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
+from casacal.discrepancy import LinkSag
 from casacal.errors import CasacalError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
@@ -33,6 +34,11 @@ class CalibratedArm(Value):
     source: ProblemFile
     document: Mapping[str, Any]
 
+    def with_its_kit(self, problem: Problem) -> Problem:
+        """A problem with its effects; where it has none with those of any arm, by whichever weight bends this one."""
+        by_links = any(each["words"] == LinkSag.words for each in self.discrepancy.get("effects", ()))
+        return problem.with_link_kit if by_links and not problem.effects else problem.with_kit
+
     @cached_property
     def used(self) -> Problem:
         """The problem with the effects that are corrected, and no others, in its pose.
@@ -42,7 +48,7 @@ class CalibratedArm(Value):
         problem, keys = self.source.problem, self.corrected
         if not keys:
             return problem.without_effects
-        known = {effect.key: effect for effect in problem.with_kit.effects}
+        known = {effect.key: effect for effect in self.with_its_kit(problem).effects}
         if lost := [key for key in keys if key not in known]:
             raise CasacalError(
                 f"{self.file}: it corrects an effect beside the geometry ('{lost[0]}') that the problem does not have",

@@ -39,7 +39,7 @@ class Moved:
 def moved_arm(result: CalibratedArm) -> Moved:
     """All that moves the arm of a result; raises CasacalError where it holds no covariance, or of another kit."""
     problem, effects = result.source.problem, with_effects(result)
-    problem = problem if effects is None else problem.with_kit
+    problem = problem if effects is None else result.with_its_kit(problem)
     model, away = problem.model, dict.fromkeys(problem.model.names, 0.0)
     names = [name for key, unknown in model.unknowns.items() for name in unknown.names(key)]
     if effects is not None:

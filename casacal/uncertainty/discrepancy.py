@@ -14,6 +14,7 @@ from casacal.binding.noise_scale import OTHERS, SHARED, by_face, of_repeats, tim
 from casacal.discrepancy.compliance import LinkSag
 from casacal.discrepancy.effect import Effect, Site
 from casacal.discrepancy.smooth import JointField
+from casacal.errors import ProblemError
 from casacal.estimators import lm
 from casacal.least_squares.information import diagonal_of
 from casacal.problem.problem import Problem
@@ -61,7 +62,10 @@ def with_effects(bound: BoundProblem, problem: Problem, *, find_noise: bool = Tr
                 return found
     found = standard.sized(least)
     if times_found(found).get(LinkSag.key, 0.0) > SAGS:
-        by_links = _Linear.of(bound, problem.with_link_kit, geometry.x)
+        try:
+            by_links = _Linear.of(bound, problem.with_link_kit, geometry.x)
+        except ProblemError:  # joints that do not carry one another in order have no links beyond them
+            return found
         if by_links.best(least).evidence > standard.best(least).evidence:
             return by_links.sized(least)
     return found

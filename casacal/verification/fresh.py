@@ -159,7 +159,7 @@ def _bound(
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
     if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
-        bound = bound.under(problem.with_kit).with_sizes(times)
+        bound = bound.under(result.with_its_kit(problem)).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
     if bound.rows * bound.unknowns > MOST:
