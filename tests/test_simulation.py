@@ -16,6 +16,7 @@ from casacal import (
     Plane,
     Problem,
     Robot,
+    TrackedPoint,
     bind,
     chain,
     corner,
@@ -74,6 +75,18 @@ def test_the_same_seed_gives_the_same_samples_and_another_seed_does_not(hsr):
     np.testing.assert_array_equal(one.joints, two.joints)
     np.testing.assert_array_equal(one.columns["reading"], two.columns["reading"])
     assert np.abs(one.joints - other.joints).max() > 0.01
+
+
+def test_another_session_measures_the_same_arm_in_other_postures(hsr):
+    for problem, cell in ((hsr.problem, hsr.cell), (Problem(hsr.problem.robot, TrackedPoint(noise_std=0.01)), None)):
+        one, other = (simulate(problem, cell, samples=30, seed=5, session=k) for k in (0, 1))
+        joints = one.samples.joints
+        np.testing.assert_array_equal(one.true_tips(joints), other.true_tips(joints))
+        assert np.abs(joints - other.samples.joints).max(axis=1).min() > 1e-3
+        again = simulate(problem, cell, samples=30, seed=5, session=1).samples
+        np.testing.assert_array_equal(again.joints, other.samples.joints)
+    with pytest.raises(SimulationError, match="The session is -1"):
+        simulate(hsr.problem, hsr.cell, session=-1)
 
 
 def test_noise_resolution_and_outliers_are_as_asked(hsr):

@@ -37,7 +37,7 @@ STEPS = {
     "Touches, here simulated in random postures": "simulate {0}/ur5 --samples 90 --seed {1} --out {0}/ur5/samples.csv",
     "Mistakes in the samples": "check {0}/ur5",
     "The calibration": "calibrate {0}/ur5 --holdout 0.2 --out {0}/fit",
-    "Fresh touches of the same arm": "simulate {0}/ur5 --samples 40 --tilt 20 --seed {1} --out {0}/fresh.csv",
+    "Fresh touches of the same arm": "simulate {0}/ur5 --samples 40 --seed {1} --session 1 --out {0}/fresh.csv",
     "Was the promise kept": "verify {0}/fit/result.json {0}/fresh.csv --into-report",
     "Targets for the true arm": (
         "compensate {0}/fit/result.json {0}/targets.csv --format urscript --out {0}/ur5.script"

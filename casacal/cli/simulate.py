@@ -48,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
+    words = "occasion on which the arm of that seed is measured: another one has other postures and noise; default: 0"
+    add(parser, "--session K", words, kind=whole_number, default=0)
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
     for name, (unit, words) in NUMBERS.items():
         add(parser, f"--{name} {unit}", words, kind=float)
@@ -79,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         _spare_measurements(place)
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files))
     cell, counts = _cell(source, options), _counts(source, options.samples)
-    simulation = simulate(source.problem, cell, samples=counts, seed=options.seed)
+    simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
     before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
     paths = write_simulation(simulation, source, Path(options.out))
     faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []

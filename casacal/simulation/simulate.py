@@ -137,7 +137,9 @@ def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw
     return Simulation(problem, Measurements.of(rows), FrozenMapping(local), cell, draw.seed, arm, dial)
 
 
-def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mapping[str, int], seed: int) -> Simulation:
+def simulate_several(
+    problem: Problem, cell: Disturbances | None, counts: Mapping[str, int], seed: int, session: int = 0
+) -> Simulation:
     """Samples of every instrument on the same true arm; what they share is the same, too.
 
     Those that touch faces touch those of the cell. Raises SimulationError as `simulate` does, and for what only those
@@ -151,7 +153,8 @@ def simulate_several(problem: Problem, cell: Disturbances | None, counts: Mappin
         names = {key: key for key in problem.robot.parameters} | dict(problem.full_names[i])
         known = {key: local[full] for key, full in names.items() if full in local}
         own = cell if alone.instrument.probe is not None else _elsewhere(alone, cell)
-        part = simulate_one(alone, own, counts[name], Draw(seed, i, FrozenMapping(known)))
+        occasion = i + len(problem.names) * session
+        part = simulate_one(alone, own, counts[name], Draw(seed, occasion, FrozenMapping(known)))
         parts.append(part)
         for of_part, of_all in ((part.local, local), (part.frames, frames)):
             for key, value in of_part.items():
@@ -180,6 +183,7 @@ def simulate(
     *,
     samples: int | Mapping[str, int] = 120,
     seed: int = 0,
+    session: int = 0,
 ) -> Simulation:
     """Draw a true arm from the prior and let its instruments measure.
 
@@ -194,12 +198,14 @@ def simulate(
         samples: rows, shared evenly between the faces, or between the labels; of several instruments each has so
             many, or as many as stand by its name.
         seed: of every random number drawn here.
+        session: on which occasion the arm of that seed is measured: another one has other postures and other noise.
 
     Raises SimulationError when it cannot be measured as asked.
 
     """
-    if not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise SimulationError(f"The seed is {seed!r}", "Give a whole number from zero on")
+    for name, number in (("seed", seed), ("session", session)):
+        if not isinstance(number, (int, np.integer)) or number < 0:
+            raise SimulationError(f"The {name} is {number!r}", "Give a whole number from zero on")
     if not isinstance(problem, Problem):
         raise SimulationError(
             f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one"
@@ -208,8 +214,8 @@ def simulate(
         raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
     counts = _counts(problem, samples)
     if len(problem.instruments) > 1:
-        return simulate_several(problem, cell, counts, int(seed))
-    return simulate_one(problem, cell, counts[problem.names[0]], Draw(int(seed)))
+        return simulate_several(problem, cell, counts, int(seed), int(session))
+    return simulate_one(problem, cell, counts[problem.names[0]], Draw(int(seed), int(session)))
 
 
 def _counts(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int]:
