@@ -102,17 +102,6 @@ def test_what_other_programs_add_to_a_urdf_is_no_matter(tmp_path):
     ]
 
 
-def test_a_urdf_of_many_links_is_read(tmp_path):
-    """Twenty thousand links beside the arm, which take half a minute where each is looked for among all."""
-    links = "".join(f'<link name="x{k}"/>' for k in range(20_000))
-    joints = "".join(
-        f'<joint name="f{k}" type="fixed"><parent link="base"/><child link="x{k}"/></joint>' for k in range(20_000)
-    )
-    (tmp_path / "arm.urdf").write_text(URDF.replace("</robot>", f"{links}{joints}</robot>"))
-    arm = Robot.from_urdf(tmp_path / "arm.urdf", tip="flange").arm
-    assert len(arm.moving) == 3
-
-
 def test_a_label_that_begins_with_a_hash_does_not_vanish(tmp_path):
     shutil.copytree(HSR, tmp_path / "p")
     text = (HSR / "samples.csv").read_text()

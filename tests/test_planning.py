@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.how_many import touches_for
 from casacal.planning.plan import plan
-from casacal.planning.route import AGAIN, CHECK, FIT, shortest_way
+from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
 from casacal.planning.written import plan_text
 from casacal.robots.joint_space import AXIS_WEIGHT
@@ -254,6 +255,42 @@ def test_the_command_line_plans(tmp_path, capsys):
     assert said["tip_rms_mm"]["expected"] < said["tip_rms_mm"]["at_random"]
     (warned,) = said["warnings"]
     assert "16 touches are fitted, but casacal calibrate needs at least 3" in warned
+
+
+def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
+    """The touches to fit in one file, those to verify with in another, each face with as many as place it."""
+    files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other")}
+    assert main(["plan", str(HSR), "--out", files["plan"], "--touches", "50", "--pool", "200", "--check", "0.2"]) == 0
+    assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["s"], "--json"]) == 0
+    out = capsys.readouterr().out
+    said, problem = json.loads(out[out.index("{") :]), load_problem(HSR).problem
+    fitted, kept = (problem.read(files[name]) for name in ("s", "s_check"))
+    assert said["samples"] == len(fitted)
+    assert said["left_out"] == 50 - len(fitted) - len(kept)
+    assert [Path(name).name for name in said["written"]] == ["s.csv", "s_check.csv", "s.truth.json"]
+    assert len(kept) == 10
+    assert min(len(rows) for rows in kept.labels["plane"].rows().values()) >= 4
+    for rows, purposes in ((fitted, (FIT, AGAIN)), (kept, (CHECK,))):
+        planned = read_route(files["plan"], problem.layout())
+        wanted = planned.samples.take([k for k, purpose in enumerate(planned.purposes) if purpose in purposes])
+        if len(wanted) == len(rows):
+            assert np.abs(wanted.joints - rows.joints).max() < 0.03
+            assert list(wanted.labels["plane"]) == list(rows.labels["plane"])
+    for words, refused in (
+        (["--plan", files["s"]], "which a plan does not have"),
+        (["--plan", files["plan"], "--samples", "9"], "Give one of them"),
+        (["--plan", files["plan"], "--repeats", "2"], "Give one of them"),
+        (["--plan", str(tmp_path / "nowhere.csv")], "no such file"),
+    ):
+        assert main(["simulate", str(HSR), "--out", files["other"], *words]) == 2
+        assert refused in capsys.readouterr().err
+    ur5 = str(ROOT / "problems" / "ur5")
+    assert main(["simulate", ur5, "--plan", files["plan"], "--out", files["other"]]) == 2
+    assert "was planned for 'hsr_jr680'" in capsys.readouterr().err
+    (tmp_path / "other_check.csv").write_text("mine")
+    assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["other"]]) == 2
+    assert "exists and was not simulated" in capsys.readouterr().err
+    assert not (tmp_path / "other.csv").exists()
 
 
 def test_the_command_line_refuses(tmp_path, capsys):

@@ -8,6 +8,7 @@ import pytest
 from oracles import dh_chain
 
 from casacal import (
+    CasacalError,
     Cell,
     DialOnPlane,
     Direction,
@@ -16,6 +17,7 @@ from casacal import (
     Plane,
     Problem,
     Robot,
+    Samples,
     TrackedPoint,
     bind,
     chain,
@@ -87,6 +89,84 @@ def test_another_session_measures_the_same_arm_in_other_postures(hsr):
         np.testing.assert_array_equal(again.joints, other.samples.joints)
     with pytest.raises(SimulationError, match="The session is -1"):
         simulate(hsr.problem, hsr.cell, session=-1)
+
+
+def heights_over_faces(simulation, tips):
+    """How far tips (N, 3) stand above the face that each row names, mm."""
+    faces = {face.label: face for face in simulation.cell.faces}
+    pairs = zip(tips, simulation.samples.labels["plane"], strict=True)
+    return np.array([(tip - faces[label].centre) @ faces[label].axes[0] for tip, label in pairs])
+
+
+def test_in_given_postures_joints_stay_and_the_plunger_reads(hsr):
+    still = exact(hsr.cell)
+    wanted = simulate(hsr.problem, dataclasses.replace(still, error_scale=0.0), samples=60, seed=1).samples
+    simulation = simulate(hsr.problem, still, samples=wanted, seed=4)
+    rows = simulation.samples
+    tips, _ = true_tips(simulation, rows.joints, rows.columns["reading"])
+    assert np.abs(heights_over_faces(simulation, tips)).max() < 1e-6
+    there, numbers = [], np.array(rows.lines) - 1
+    for k, number in enumerate(numbers):
+        there.append(np.array_equal(rows.joints[k], wanted.joints[number]))
+        if not there[-1]:  # the dial would be at an end of its travel: its operator moves until it is not
+            assert rows.columns["reading"][k] == wanted.columns["reading"][number]
+    assert 10 < sum(there) < len(rows), "an arm that errs by millimetres is at the end of some of its 10 mm"
+    assert np.abs(rows.joints - wanted.joints[numbers]).max() < 0.03
+    assert list(rows.labels["plane"]) == [wanted.labels["plane"][k] for k in numbers]
+    assert (rows.columns["reading"] >= 0).all()
+    assert (rows.columns["reading"] <= 10).all()
+
+
+def test_given_postures_know_what_errs_beside_the_geometry(hsr):
+    wanted = simulate(hsr.problem, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=45, seed=1).samples
+    for changes, off in (
+        ({"gear_waves": ((1, 2e-4),), "compliance": 0.3}, 1e-3),
+        ({"thermal": 5e-5}, 1e-6),
+        ({"flatness": 0.05}, 0.05),
+        ({"repeatability": 0.01}, 0.05),
+    ):
+        simulation = simulate(hsr.problem, dataclasses.replace(exact(hsr.cell), **changes), samples=wanted, seed=4)
+        rows, when = simulation.samples, (np.array(simulation.samples.lines) - 1) / 44
+        tips = simulation.true_tips(rows.joints, readings=rows.columns["reading"], when=when)
+        found = np.abs(heights_over_faces(simulation, tips)).max()
+        assert found < off
+        assert ("flatness" in changes or "repeatability" in changes) == (found > 1e-3)
+    lagging = simulate(hsr.problem, exact(hsr.cell, backlash=1e-3), samples=wanted, seed=4)
+    ways = np.sign(np.diff(wanted.joints, axis=0, prepend=np.zeros((1, 6))))[np.array(lagging.samples.lines) - 1]
+    tips, _ = true_tips(lagging, lagging.samples.joints - ways * 5e-4, lagging.samples.columns["reading"])
+    assert np.abs(heights_over_faces(lagging, tips)).max() < 1e-6
+
+
+def test_a_tracker_sees_given_postures_and_a_tool_without_a_dial_moves_until_it_touches(hsr):
+    tracked = Problem(hsr.problem.robot, TrackedPoint(noise_std=1e-9))
+    joints = simulate(tracked, samples=20, seed=3).samples.joints
+    seen = simulate(tracked, samples=Samples.of_joints(joints), seed=5)
+    np.testing.assert_array_equal(seen.samples.joints, joints)
+    points = np.column_stack(list(seen.samples.columns.values()))
+    apart = [np.linalg.norm(each[:, None] - each, axis=2) for each in (points, seen.true_tips(joints))]
+    np.testing.assert_allclose(*apart, rtol=0, atol=3e-3)  # the simulated resolution is 1 um
+    touching = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, reading=False, plane=Plane(per="plane")))
+    wanted = simulate(touching, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=30, seed=1).samples
+    simulation = simulate(touching, exact(hsr.cell), samples=wanted, seed=4)
+    rows = simulation.samples
+    assert len(rows) > 25
+    assert np.abs(rows.joints - wanted.joints[np.array(rows.lines) - 1]).max(axis=1).min() > 1e-4
+    tips, _ = true_tips(simulation, rows.joints, np.zeros(len(rows)))
+    assert np.abs(heights_over_faces(simulation, tips)).max() < 1e-6
+
+
+def test_postures_that_fit_no_problem_are_refused(hsr):
+    wanted = simulate(hsr.problem, hsr.cell, samples=6).samples
+    elsewhere = dataclasses.replace(hsr.cell, faces=hsr.cell.faces[:1])
+    with pytest.raises(SimulationError, match="which is no face of the cell"):
+        simulate(hsr.problem, elsewhere, samples=wanted)
+    with pytest.raises(CasacalError, match="no label 'plane'"):
+        simulate(hsr.problem, hsr.cell, samples=Samples.of_joints(wanted.joints))
+    with pytest.raises(CasacalError, match="Give 6 per row"):
+        simulate(hsr.problem, hsr.cell, samples=Samples.of_joints(wanted.joints[:, :5]))
+    away = dataclasses.replace(wanted, joints=wanted.joints + 10)
+    with pytest.raises(SimulationError, match="In none of the 6 postures"):
+        simulate(hsr.problem, dataclasses.replace(hsr.cell, travel=1e-9), samples=away)
 
 
 def test_noise_resolution_and_outliers_are_as_asked(hsr):

@@ -25,6 +25,7 @@ from casacal.least_squares.result import Result, Status
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.measurements import Measurements
 from casacal.samples.repeats import listing
+from casacal.samples.samples import Samples
 from casacal.samples.write import write_samples
 from casacal.simulation.simulate import Simulation
 from casacal.uncertainty.expectation import Box
@@ -150,22 +151,30 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def write_simulation(simulation: Simulation, source: ProblemFile, path: Path) -> list[Path]:
-    """Write simulated samples, and the truth as x.truth.json beside x.csv, both or neither; returns both paths."""
+def write_simulation(
+    simulation: Simulation, source: ProblemFile, path: Path, kept: tuple[Path, Samples] | None = None
+) -> list[Path]:
+    """Write simulated samples, and the truth as x.truth.json beside x.csv, all or nothing; returns the paths.
+
+    kept: rows of the same simulation that are not for fitting, and the file for them in the same folder.
+    """
     measured, truth_path = simulation.measured, path.with_suffix(".truth.json")
     targets = sample_paths(path, source.problem.names)
     if path.exists() and not path.is_file():
         raise CasacalError(f"'{path}' is no file, and the truth goes beside it", "Name a file, such as x.csv")
     comments = [f"simulated by casacal {__version__} for {source.name}, seed {simulation.seed}: not a measurement"]
-    with side_by_side([*targets, truth_path]) as (*places, answer):
+    further = [] if kept is None else [kept]
+    with side_by_side([truth_path, *(place for place, _ in further), *targets]) as (answer, *places):
+        for place, (_, rows) in zip(places, further, strict=False):
+            write_samples(place, source.problem.layout(), rows, comments)
         written = []
-        for i, (place, some) in enumerate(zip(places, measured.sets, strict=True)):
+        for i, (place, some) in enumerate(zip(places[len(further) :], measured.sets, strict=True)):
             write_samples(place, source.problem.layout(i), some, comments)
             written.append(replace(source.problem.read(place, i), file=str(targets[i])))
         document = truth_document(simulation, source, bind(source.problem.without_effects, *written), path.parent)
         document["data"]["file"] = " and ".join(target.name for target in targets)
         write_json(answer, sealed(document))
-    return [*targets, truth_path]
+    return [*targets, *(place for place, _ in further), truth_path]
 
 
 def sample_paths(path: Path, names: Sequence[str]) -> list[Path]:

@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import os
 import queue
-import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -81,7 +80,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     """The session as it begins or goes on, and its file."""
     from casacal.measuring.session import Session
     from casacal.measuring.touch_file import TouchFile
-    from casacal.planning.route import read_route
+    from casacal.planning.route import read_route, refuse_plan_of_another
 
     layout = source.problem.layout()
     route = _labelled(read_route(options.plan, layout), source, options.session)
@@ -97,11 +96,7 @@ def _begun(source: ProblemFile, options: argparse.Namespace) -> tuple[Session, T
     content = hashlib.sha256(Path(options.plan).read_bytes()).hexdigest()[:12]
     file = TouchFile(Path(options.out), layout, f"measured by casacal: {source.name}, plan {content}")
     file.refuse_others()
-    first = Path(options.plan).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
-    planned = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
-    if planned and planned[1] != source.name:
-        what = f"{options.plan} was planned for '{planned[1]}', and the problem is '{source.name}'"
-        raise CasacalError(what, "Name its own plan")
+    refuse_plan_of_another(options.plan, source.name)
     if file.begun():
         touches, cut = file.read()
         if cut:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import number_or_range
-from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
+    from casacal.planning.route import Route
     from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
+    from casacal.samples.samples import Samples
+    from casacal.simulation.simulate import Simulation
 
 HELP = "simulate samples, with the true arm"
 
@@ -47,6 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, *PROBLEM)
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
+    words = (
+        "measure in the postures of what casacal plan wrote; touches kept to verify go to x-check.csv, as with measure"
+    )
+    add(parser, "--plan FILE", words)
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
     words = "occasion on which the arm of that seed is measured: another one has other postures and noise; default: 0"
     add(parser, "--session K", words, kind=whole_number, default=0)
@@ -69,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
-    from casacal.wording import METRE, UNBOUNDED, listed
+    from casacal.wording import METRE, UNBOUNDED, counted, listed
 
     out = Path(options.out)
     _spare_measurements(out)
@@ -77,24 +85,36 @@ def run(options: argparse.Namespace) -> int:
         fix = f"Name it {out.with_suffix('.csv').name}"
         raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
     source = load_problem(options.problem)
-    for place in sample_paths(out, source.problem.names):
+    route, cell = _route(source, options), _cell(source, options)
+    checks = out.with_name(f"{out.stem}_check{out.suffix}")
+    for place in (*sample_paths(out, source.problem.names), *([] if route is None else [checks])):
         _spare_measurements(place)
-        spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files))
-    cell, counts = _cell(source, options), _counts(source, options.samples)
+        spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
+    counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
+    simulation, kept = _parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
-    paths = write_simulation(simulation, source, Path(options.out))
-    faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
+    paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
+    left_out = 0 if route is None else len(route) - len(simulation.measured) - (0 if kept is None else len(kept))
     if options.json:
+        faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
         tip = {"before_rms_mm": before, "after_rms_mm": after}
-        say_json({"samples": sum(counts.values()), "faces": faces, "tip": tip, "written": written})
+        found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
+        say_json(found if route is None else {**found, "left_out": left_out})
         return DONE
-    where = "in random postures"
-    if isinstance(cell, Cell):
-        where = f"on {', '.join(faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
-    each = [f"{count} samples" + (f" of the {name}" if len(counts) > 1 else "") for name, count in counts.items()]
+    each = [
+        f"{len(some)} samples" + (f" of the {name}" if len(source.problem.names) > 1 else "")
+        for name, some in zip(source.problem.names, simulation.measured.sets, strict=True)
+    ]
+    where = _where(cell) if route is None else f"in the postures of {options.plan}"
     say_paragraphs(f"Simulated, not measured: {', '.join(each)} {where}")
+    if left_out:
+        one = left_out == 1
+        say_paragraphs(
+            f"warning: {counted(left_out, 'touch')} of the plan {'is' if one else 'are'} left out, as the true arm "
+            f"cannot make {'it' if one else 'them'} within the range of readings and joints"
+        )
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
@@ -111,6 +131,44 @@ def run(options: argparse.Namespace) -> int:
         )
     say_paragraphs(f"Written: {', '.join(written)}")
     return DONE
+
+
+def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
+    """The plan in whose postures to measure, if any."""
+    from casacal.planning.route import read_route, refuse_plan_of_another
+
+    if options.plan is None:
+        return None
+    asked = [f"--{name}" for name in ("samples", "repeats") if getattr(options, name)]
+    if asked:
+        raise CasacalError(f"Got --plan and {asked[0]}", "Give one of them: a plan says what is touched")
+    problem = of_instrument(source, None).problem
+    found = read_route(options.plan, problem.layout())
+    refuse_plan_of_another(options.plan, source.name)
+    return found
+
+
+def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
+    """What is to be fitted, and the rows that the plan keeps to verify, if any."""
+    from casacal.planning.route import CHECK
+    from casacal.samples.measurements import Measurements
+
+    if route is None or CHECK not in route.purposes:
+        return simulation, None
+    rows = simulation.samples
+    check = [k for k, line in enumerate(rows.lines) if route.purposes[line - 1] == CHECK]
+    fit = sorted(set(range(len(rows))) - set(check))
+    if not check or not fit:
+        return simulation, None
+    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check)
+
+
+def _where(cell: Disturbances) -> str:
+    from casacal.problem.cell import Cell
+
+    if not isinstance(cell, Cell):
+        return "in random postures"
+    return f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
 
 
 def _spare_measurements(out: Path) -> None:
@@ -146,8 +204,6 @@ def _wave(text: str) -> tuple[int, float]:
 
 
 def _cell(source: ProblemFile, options: argparse.Namespace) -> Disturbances:
-    from dataclasses import replace
-
     from casacal.problem.cell import AMOUNTS, OF_FACES, Disturbances
     from casacal.simulation.touches import default_cell
 

@@ -201,6 +201,23 @@ def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.
     return all_of_them, least
 
 
+def kept_to_verify(problem: Problem, pool: Samples, left: Chosen, count: int, rng: np.random.Generator) -> Chosen:
+    """So many of the measurements that are left, drawn at random, on as many faces as they suffice to place.
+
+    `verify` finds each face anew from its own rows, and takes none with fewer than that needs.
+    """
+    groups, least = [left], 1
+    for key in problem.instrument.datum:
+        unknown = problem.instrument.unknowns[key]
+        least = int((~np.isfinite(unknown.prior_stds)).sum()) // problem.models[0].components + 1
+        groups = [np.intersect1d(left, rows) for _, rows in instances(problem.instrument, key, unknown, pool)]
+    groups = [rows for rows in groups if rows.size >= least] or [left]
+    used = rng.permutation(len(groups))[: max(count // least, 1)]
+    order = [rng.permutation(groups[k]) for k in used]
+    turns = [rows[turn] for turn in range(max(map(len, order))) for rows in order if turn < len(rows)]
+    return np.array([*turns, *np.setdiff1d(left, turns)][:count], dtype=np.intp)
+
+
 def row_slopes(bound: BoundProblem, x: Array) -> Array:
     """Whitened slopes (N, m, n) of each measurement at x (n,), in units of what filters start from."""
     return np.asarray((bound.jacobian(x) * bound.start_std).reshape(len(bound.measured), -1, bound.unknowns))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.errors import CasacalError, came, refuse_unknown
-from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
+from casacal.planning.choice import Choice, kept_to_verify, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
@@ -115,10 +115,11 @@ def plan(
     rng = np.random.default_rng([seed, 1])
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
-    fresh = rng.choice(np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best), checks, False)
+    left = np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best)
+    fresh = kept_to_verify(problem, reachable, left, checks, rng)
     way = shortest_way(problem.robot, reachable.joints[np.concatenate([best, fresh])])
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
-    purposes = [FIT] * len(best) + [CHECK] * checks
+    purposes = [FIT] * len(best) + [CHECK] * len(fresh)
     draws = [choice.error(rng.choice(pool, len(best), replace=False)) for _ in range(DRAWS)]
     fitted = np.concatenate([best, twice])
     std = np.where(np.isfinite(bound.prior_std), bound.prior_std, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.slots import instances
-from casacal.errors import SamplesError
+from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import joint_units
 from casacal.robots.robot import Robot
@@ -89,6 +90,14 @@ def read_route(path: str | Path, layout: Layout) -> Route:
             raise SamplesError(read.file, f"'{purpose}' is no purpose", fix, line=line, column="purpose")
     readings = {name.removeprefix(EXPECTED): values for name, values in read.columns.items()}
     return Route(replace(read, columns=readings, extra={}), purposes)
+
+
+def refuse_plan_of_another(path: str | Path, name: str) -> None:
+    """Raise CasacalError for a plan whose first line says that it was made for another problem than that of a name."""
+    first = Path(path).read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+    planned = re.match(r"\W*planned by casacal for (.+): not a measurement", first)
+    if planned and planned[1] != name:
+        raise CasacalError(f"{path} was planned for '{planned[1]}', and the problem is '{name}'", "Name its own plan")
 
 
 SWEEPS = 40  # times that all pairs of steps are looked at

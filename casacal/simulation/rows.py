@@ -16,7 +16,7 @@ from casacal.problem.cell import Cell, Disturbances, Face
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
-from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved
+from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved, waved
 from casacal.simulation.touches import random_tips, spot, stands
 from casacal.simulation.true_arm import Draw, check_asked, own_noise, plane_coordinates, row_labels
 from casacal.tables.columns import Labels
@@ -70,30 +70,41 @@ class Bench:
         return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
-def fitting_rows(problem: Problem, cell: Disturbances, samples: int, draw: Draw) -> tuple[Samples, Bench, ArmErrors]:
+def fitting_rows(
+    problem: Problem, cell: Disturbances, samples: int | Samples, draw: Draw
+) -> tuple[Samples, Bench, ArmErrors]:
     """Samples of an instrument that is shown no faces, the true arm before it, and the arm's errors.
 
-    Raises SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
+    samples: how many, or the postures in which to measure; those in which the true arm cannot are left out. Raises
+    SimulationError when no posture inside the joint limits fits, or a cell asks for what only faces have.
     """
     check_asked(problem, cell)
     truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
-    labels = row_labels(problem, cell, samples)
-    bench = _bench(problem, cell, labels, truth_rng, samples, draw)
-    instrument, robot = problem.instrument, problem.robot
-    gross = noise_rng.random(samples) < cell.outliers
-    outlier = gross * noise_rng.choice([-1.0, 1.0], size=samples) * cell.outlier_size * noise_rng.uniform(1, 2, samples)
+    given, count = (samples, len(samples)) if isinstance(samples, Samples) else (None, samples)
+    labels = row_labels(problem, cell, count) if given is None else dict(given.labels)
+    bench = _bench(problem, cell, labels, truth_rng, count, draw)
+    instrument, n = problem.instrument, len(problem.robot.axes)
+    gross = noise_rng.random(count) < cell.outliers
+    outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
     own = own_noise(problem) if cell.repeatability is None else cell.repeatability
-    target = noise_rng.normal(size=(samples, problem.model.components)) * own + outlier[:, None]
-    free = _found(bench, target, pose_rng)
-    joints, readings = free[:, : len(robot.axes)], free[:, len(robot.axes) :]
-    scatter, lag = noise_rng.normal(size=joints.shape) * cell.joint_std, last_moves(joints) * cell.backlash / 2
-    arm = ArmErrors(drawn_waves(robot, cell.waves, gear_rng))
-    recorded = rounded(unwaved(arm.waves, joints - scatter + lag), cell.encoder_step)
-    columns, read = {}, instrument.as_read(dict(zip(instrument.columns, readings.T, strict=True)))
+    target = noise_rng.normal(size=(count, problem.model.components)) * own + outlier[:, None]
+    scatter = noise_rng.normal(size=(count, n)) * cell.joint_std
+    arm = ArmErrors(drawn_waves(problem.robot, cell.waves, gear_rng))
+    if given is None:
+        free, met = _found(bench, target, pose_rng), np.ones(count, dtype=bool)
+        lag = last_moves(free[:, :n]) * cell.backlash / 2
+        said = unwaved(arm.waves, free[:, :n] - scatter + lag)
+    else:
+        standing = waved(arm.waves, given.joints) + scatter - last_moves(given.joints) * cell.backlash / 2
+        free, met = _read_there(bench, standing, target)
+        said = given.joints + free[:, :n] - standing
+    recorded = rounded(said, cell.encoder_step)
+    columns, read = {}, instrument.as_read(dict(zip(instrument.columns, free[:, n:].T, strict=True)))
     for name, dimension in instrument.columns.items():
-        shown = read[name] + noise_rng.normal(size=samples) * instrument.column_stds.get(name, 0.0)
+        shown = read[name] + noise_rng.normal(size=count) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    return Samples(recorded, columns, labels, tuple(range(1, samples + 1)), {}, draw.name, draw.name), bench, arm
+    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, draw.name, draw.name)
+    return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
 
 
 def _named(instrument: Instrument, key: str, label: str | None) -> str:
@@ -172,15 +183,12 @@ def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
     n = len(robot.axes)
     free = np.full((count, n + bench.read), np.nan)
     waiting, instrument = np.arange(count), bench.problem.instrument
-    ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
-    least, most = np.array(ends).reshape(-1, 2).T
     for _ in range(ROUNDS):
         start = _starts(bench, target, waiting, rng)
         found, met = _met(bench, start, target[waiting], waiting)
-        inside = inside_limits(robot, found[:, :n]) & (bench.beyond(found, waiting) < 1e-6)
-        inside &= ((found[:, n:] >= least) & (found[:, n:] <= most)).all(axis=1)
-        free[waiting[met & inside]] = found[met & inside]
-        waiting = waiting[~(met & inside)]
+        met &= _inside(bench, found) & (bench.beyond(found, waiting) < 1e-6)
+        free[waiting[met]] = found[met]
+        waiting = waiting[~met]
         if not waiting.size:
             return free
     raise SimulationError(
@@ -188,6 +196,27 @@ def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
         f"{type(instrument).__name__} vanish in {len(waiting)} of {count} rows",
         "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
     )
+
+
+def _inside(bench: Bench, free: Array) -> Rows:
+    """Which joints and readings (N, n) are inside their limits."""
+    instrument, n = bench.problem.instrument, len(bench.problem.robot.axes)
+    ends = [instrument.reading_limits.get(name, (-np.inf, np.inf)) for name in instrument.columns]
+    least, most = np.array(ends).reshape(-1, 2).T
+    readings = free[:, n:]
+    return inside_limits(bench.problem.robot, free[:, :n]) & ((readings >= least) & (readings <= most)).all(axis=1)
+
+
+def _read_there(bench: Bench, standing: Array, target: Array) -> tuple[Array, Rows]:
+    """Joints and readings (N, n) at which the residuals (N, m) are met by an arm that stands there, and where they are.
+
+    Joints stay where readings can follow them; where there are none, the arm moves on until it meets the residual.
+    """
+    instrument, rows = bench.problem.instrument, np.arange(len(target))
+    readings = [instrument.begins_at.get(name, 0.0) for name in instrument.columns]
+    start = np.hstack([standing, np.tile(readings, (len(standing), 1))])
+    found, met = _met(bench, start, target, rows, held=bench.read >= target.shape[1])
+    return found, met & _inside(bench, found)
 
 
 def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) -> Array:
@@ -208,11 +237,12 @@ def _starts(bench: Bench, target: Array, rows: Index, rng: np.random.Generator) 
     return np.asarray(free.reshape(len(rows), CANDIDATES, -1)[np.arange(len(rows)), pick])
 
 
-def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array, Rows]:
-    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive."""
+def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool = False) -> tuple[Array, Rows]:
+    """Where Gauss-Newton's smallest steps lead from the starts, and which rows arrive; joints may be held."""
     free = start.copy()
     n = len(bench.problem.robot.axes)
-    ease = np.concatenate([np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW), np.full(bench.read, 1.0 / SLOW)])
+    unit = np.where(bench.problem.robot.revolute, 1.0, 1.0 / SLOW)
+    ease = np.concatenate([unit * (not held), np.full(bench.read, 1.0 / SLOW)])
     size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
     e, slopes = bench.residual(free, rows)
     for _ in range(STEPS):
@@ -224,7 +254,7 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index) -> tuple[Array,
         eye = np.eye(gram.shape[1])
         gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * eye + 1e-300 * eye
         step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
-        largest = np.abs(step[:, :n] / ease[:n]).max(axis=1, initial=0.0)
+        largest = np.abs(step[:, :n] / unit).max(axis=1, initial=0.0)
         free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]
         e, slopes = bench.residual(free, rows)
     return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))

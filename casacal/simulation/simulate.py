@@ -14,6 +14,7 @@ from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.cell import Cell, Disturbances
 from casacal.problem.problem import Problem
+from casacal.samples.layout import Layout
 from casacal.samples.measurements import Measurements
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, DialErrors, waved
@@ -118,7 +119,7 @@ class Simulation(Value):
         return self.arm_errors.tips(touch, q, ways, places)
 
 
-def simulate_one(problem: Problem, cell: Disturbances | None, samples: int, draw: Draw) -> Simulation:
+def simulate_one(problem: Problem, cell: Disturbances | None, samples: int | Samples, draw: Draw) -> Simulation:
     """Samples of a problem with one instrument; raises SimulationError when it cannot be measured as asked."""
     instrument = problem.instrument
     if instrument.probe is None:
@@ -181,7 +182,7 @@ def simulate(
     problem: Problem,
     cell: Disturbances | None = None,
     *,
-    samples: int | Mapping[str, int] = 120,
+    samples: int | Mapping[str, int] | Samples = 120,
     seed: int = 0,
     session: int = 0,
 ) -> Simulation:
@@ -196,7 +197,8 @@ def simulate(
         problem: a robot with its instruments; what they share is the same for all.
         cell: what surrounds and disturbs it; by default `default_cell(problem)` where faces are touched.
         samples: rows, shared evenly between the faces, or between the labels; of several instruments each has so
-            many, or as many as stand by its name.
+            many, or as many as stand by its name. Or the postures to measure in, such as `samples` of a plan. Those
+            are left out where the true arm cannot, as the reading is beyond its range; `lines` count all of them.
         seed: of every random number drawn here.
         session: on which occasion the arm of that seed is measured: another one has other postures and other noise.
 
@@ -212,10 +214,26 @@ def simulate(
         )
     if cell is not None and not isinstance(cell, Disturbances):
         raise SimulationError(f"Got {came(cell)} as the cell", "Give a Cell(faces=...), or Disturbances(...)")
+    if isinstance(samples, Samples):
+        found = simulate_one(problem, cell, _postures(problem, samples), Draw(int(seed), int(session)))
+        if not len(found.samples):
+            raise SimulationError(
+                f"In none of the {len(samples)} postures can the true arm measure",
+                "Plan them for this problem and cell",
+            )
+        return found
     counts = _counts(problem, samples)
     if len(problem.instruments) > 1:
         return simulate_several(problem, cell, counts, int(seed), int(session))
     return simulate_one(problem, cell, counts[problem.names[0]], Draw(int(seed), int(session)))
+
+
+def _postures(problem: Problem, samples: Samples) -> Samples:
+    """Postures of an only instrument; raises ProblemError of several, SamplesError without joints and labels for it."""
+    _ = problem.instrument
+    layout = problem.layout()
+    samples.check(Layout(layout.joints, {}, layout.labels))
+    return samples
 
 
 def _counts(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int]:

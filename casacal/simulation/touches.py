@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,14 +36,14 @@ def find_touches(
     which: Index,
     lift: Array,
     rng: np.random.Generator,
-    form_rng: np.random.Generator,
+    seeds: Sequence[int | None],
     growth: Array,
 ) -> tuple[Array, Array]:
     """Joint values (N, n) at which the tip truly touches, and the true readings (N,).
 
-    lift: by how much each touch stands above its face, mm. growth: times (N,) that the tip is further from the base.
+    lift: by how much each touch stands above its face, mm. seeds: of the form of each face. growth: times (N,) that the
+    tip is further from the base.
     """
-    seeds = [int(form_rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
     joints, readings = np.full((len(which), len(touch.robot.axes)), np.nan), np.full(len(which), np.nan)
     waiting = np.arange(len(which))
     for _ in range(ROUNDS):
@@ -60,13 +60,32 @@ def find_touches(
     )
 
 
+def form_seeds(cell: Cell, rng: np.random.Generator) -> list[int | None]:
+    """A seed for the form of each face; None where faces are flat."""
+    return [int(rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+
+
+def levels(cell: Cell, which: Index, uv: Array, seeds: Sequence[int | None], lift: Array) -> Array:
+    """Heights n . x (N,; mm) of touches at places uv (N, 2; -1 to 1) of their faces, with form and lift."""
+    normals, centres = (
+        np.array(each)[which] for each in zip(*((f.axes[0], f.centre) for f in cell.faces), strict=True)
+    )
+    heights: Array = lift + (normals * centres).sum(axis=1)
+    for i, seed in enumerate(seeds):
+        if seed is not None:
+            here = which == i
+            form_rng = np.random.default_rng(seed)
+            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
+    return heights
+
+
 def try_touches(
     touch: Touch,
     probe: Probe,
     cell: Cell,
     which: Index,
     lift: Array,
-    form_seeds: list[int | None],
+    seeds: Sequence[int | None],
     rng: np.random.Generator,
     waiting: Index | None = None,
     growth: Array | None = None,
@@ -95,13 +114,7 @@ def try_touches(
     )
     joints = touch.reach(targets, directions, readings, touch.nearest(targets, directions, poses))
     joints, inside = touch.within_limits(joints)
-    heights = lift + (axes[:, 0] * centres).sum(axis=1)
-    for i, form_seed in enumerate(form_seeds):
-        if form_seed is not None:
-            here = which == i
-            form_rng = np.random.default_rng(form_seed)
-            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
-    heights = heights / grown  # where the arm without its growth stands as it touches
+    heights = levels(cell, which, uv, seeds, lift) / grown  # where the arm without its growth stands as it touches
     joints = touch.land(joints, readings, axes[:, 0], heights)
     tip, direction, *_ = touch(joints, readings)
     offset = np.abs(np.einsum("kx,kax->ka", tip - centres, axes[:, 1:]))

@@ -46,7 +46,8 @@ class UrdfFile:
             parents = {joint.parent for joint in self.joints}
             tip = self._only([link for link in self.links if link not in parents], "tip")
         if base is None:
-            base = self._only([link for link in self.links if not self.above(link)], "base")
+            children = {joint.child for joint in self.joints}
+            base = self._only([link for link in self.links if link not in children], "base")
         for link in (base, tip):
             if link not in self.links:
                 fix = f"Name one of {', '.join(self.links)}"
