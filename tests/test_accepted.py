@@ -293,6 +293,7 @@ def test_tolerance_and_risk_are_refused_where_they_are_none(good):
 # ------------------------------------------------------------------------------------------------ a real arm
 
 
+@pytest.mark.long
 def test_the_tracker_files_of_the_motoman_verify_it(motoman_data):
     """Both sets: as drawn what the paper's authors say, less noise; better after; accepted, undecided, rejected."""
     source = load_problem(ROOT / "problems" / "motoman_ma1400")

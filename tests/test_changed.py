@@ -164,6 +164,7 @@ def test_an_arm_that_did_not_change_is_not_called_changed(name, stands):
     assert alarms <= binom.ppf(0.999, 6, 0.01)
 
 
+@pytest.mark.long_unless("hsr_jr680-0-0.002")
 @pytest.mark.parametrize(
     ("name", "joint", "shift"),
     [

@@ -182,6 +182,7 @@ def test_the_expected_error_is_worked_out_as_a_calibration_does():
         )
 
 
+@pytest.mark.long
 def test_a_face_that_moved_is_fitted_anew_and_others_stay(tmp_path):
     _, _, arm = robot("hsr_jr680")
     moves = []

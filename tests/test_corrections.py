@@ -149,6 +149,7 @@ def test_every_split_must_speak_for_a_correction(sagging, monkeypatch, faces, re
     assert not tried["wave1"].corrected
 
 
+@pytest.mark.long
 def test_more_touches_of_a_corrected_arm_do_not_make_it_worse(sagging):
     """Cures weigh a touch by the noise that is left beside the effects, not by what geometry alone leaves."""
     found = sagging[1]
@@ -166,6 +167,7 @@ def test_a_correction_that_does_not_help_the_tip_is_left_out(sagging, monkeypatc
     assert "no gain at the tip" in told.became
 
 
+@pytest.mark.long
 def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):
     found = sagging[1]
     joints = workspace_joints(found.fit.problem.robot)[:20]

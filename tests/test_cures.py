@@ -307,6 +307,7 @@ def test_a_doubt_is_settled_before_the_cure(one_face):
     assert f"Then: {best_cure(one_face)}" in flat
 
 
+@pytest.mark.long
 def test_a_verdict_that_denies_the_result_denies_the_figures(hsr, corner_simulation, three_faces):
     samples = corner_simulation.samples
     wrong = dataclasses.replace(samples, columns={"reading": -samples.columns["reading"]})
@@ -345,6 +346,7 @@ def test_two_figures_can_be_told_apart(now, after, said):
     assert fall(now, after) == said
 
 
+@pytest.mark.long
 def test_labels_of_other_things_stay_as_they_mostly_are(hsr, monkeypatch):
     """Tools by day: extra touches are made on the commonest day; many days are taken out of the sum as faces are."""
     tool = Parameter((0.0, 0.0, 0.0), unit="mm", prior_std=0.5, per="day", labels=("_x", "_y", "_z"))

@@ -91,6 +91,7 @@ def forced(found):
     return told
 
 
+@pytest.mark.long
 def test_no_figure_of_accuracy_stands_anywhere_in_the_result(denied, capsys):
     """The whole document is walked: a part that somebody adds later is looked at too."""
     folder, found = denied
@@ -305,6 +306,7 @@ def test_what_is_used_with_care_says_so(with_care, arguments, form, tmp_path, ca
     assert json.loads(capsys.readouterr().out)["verdict"] == {"level": "use with care", "words": words}
 
 
+@pytest.mark.long
 def test_a_urdf_of_a_result_to_be_used_with_care_says_so_once(tmp_path):
     from robots_of_others import UR5_URDF
 

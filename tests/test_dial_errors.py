@@ -127,6 +127,7 @@ def test_a_result_remembers_it_and_fresh_rows_of_that_dial_are_expected(tmp_path
     assert verify(tmp_path / "result.json", fresh).kept
 
 
+@pytest.mark.long
 def test_figures_say_whom_they_trust(hsr, corner_simulation):
     trusting = verdict_of(calibrate(hsr.problem, corner_simulation.samples, reference=False))
     assert "priors and the dial's gain are right" in trusting.words

@@ -110,6 +110,7 @@ def test_a_shifted_zero_moves_the_residual_along_the_plunger(sign):
     np.testing.assert_allclose(tip, away - sign * shift * pose[:3, :3] @ axis, atol=1e-10)
 
 
+@pytest.mark.long
 def test_a_zero_that_was_set_anew_is_found(middle, hsr):
     problem, samples = middle
     later = np.arange(len(samples)) >= len(samples) // 2
@@ -170,6 +171,7 @@ def test_a_zero_of_each_session_is_simulated_with_one_session_and_fits_its_truth
     assert np.sqrt((bound.residual(simulation.truth(bound)) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.long
 def test_the_tip_of_a_session_is_that_of_its_zero_and_of_an_unseen_session_as_doubtful_as_its_prior(hsr):
     problem = hsr.problem.with_settings({"travel": MIDDLE, "sign": -1})
     samples = simulate(problem, hsr.cell, seed=0).samples
@@ -215,6 +217,7 @@ def test_zeros_of_sessions_are_no_doubt_of_the_arm(middle):
     assert verdict_of(found).level == "calibrated", verdict_of(found).reasons
 
 
+@pytest.mark.long
 def test_targets_of_a_session_are_refused_and_rows_without_one_share_a_zero(middle, tmp_path):
     problem, samples = middle
     again = Problem(problem.robot, dataclasses.replace(problem.instrument, zero_shift=dial_zero()))

@@ -151,6 +151,7 @@ class Wobble(Effect):
         return ca.vertcat(here.p.wobble[0] * ca.sin(3 * here.q[2]), ca.SX.zeros(here.q.numel() - 1))
 
 
+@pytest.mark.long
 def test_an_effect_of_ones_own_takes_a_few_lines(hsr, clean):
     problem = hsr.problem.with_effects(Wobble())
     wobbling = dataclasses.replace(
@@ -345,6 +346,7 @@ def test_a_promise_is_kept_by_an_arm_with_waves_and_broken_by_a_dial(hsr):
     assert not verify(found, off).kept
 
 
+@pytest.mark.long
 def test_what_errs_beside_the_geometry_is_expected_of_fresh_rows(hsr, calibrated, tmp_path):
     """Their residuals hold it anew: the prediction grows with the sizes, up to what geometry and faces absorb."""
     fresh = simulate(hsr.problem, hsr.cell, samples=60, seed=77).samples

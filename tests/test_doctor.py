@@ -169,6 +169,7 @@ def test_a_flipped_joint_ends_with_the_line_to_paste(hsr, corner_simulation):
     assert np.allclose(pasted.to_model(flipped(samples, 4).joints), samples.joints)
 
 
+@pytest.mark.long
 def test_what_cannot_be_told_is_said(hsr, corner_simulation):
     constant = with_reading(corner_simulation.samples, np.full(120, 5.0))
     assert any(finding.about == "dial sign not tested" for finding in check(hsr.problem, constant))
@@ -190,6 +191,7 @@ def test_few_rows_and_parallel_faces_are_warned_about(hsr):
     assert findings["faces nearly parallel"] == "warning"
 
 
+@pytest.mark.long
 def test_unexplained_misfit_is_an_error(hsr):
     bent = simulate(hsr.problem, REPLACE(hsr.cell, joint_std=1e-3), seed=1).samples
     assert "misfit" in {f.about for f in check(hsr.problem, bent) if f.severity == "error"}

@@ -27,6 +27,7 @@ from casacal.uncertainty.workspace import (
 )
 
 
+@pytest.mark.long
 def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
     problem = load_problem(ROOT / "problems" / "motoman_ma1400").problem
     loose = problem.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})

@@ -328,6 +328,7 @@ def test_gross_rows_are_named(hsr):
     assert lines <= set(re.findall(r"\d+", Page(page).text_of("outliers").partition("lines ")[2]))
 
 
+@pytest.mark.long
 def test_rows_that_were_set_aside_are_counted_as_such(hsr):
     """Counts are those of the rows that were changed; the noise is the one that the column is made of."""
     samples = hsr.problem.read(HSR / "samples.csv")

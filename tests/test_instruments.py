@@ -228,6 +228,7 @@ def seen_by(name, seed=7, samples=90):
     return simulate(PROBLEMS[name], samples=samples, seed=seed).samples
 
 
+@pytest.mark.long
 def test_metres_for_millimetres_are_named():
     for name in ("Distance", "TrackedPoint"):
         samples = seen_by(name)

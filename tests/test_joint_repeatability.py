@@ -209,6 +209,7 @@ def _dense(bound, x):
     return -(np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(middle)[1] + y @ projector @ y) / 2
 
 
+@pytest.mark.long
 def test_far_touches_weigh_less_and_intervals_know(hsr, found):
     """The covariance of the estimate is that of weighted least squares, by rows with these very standard deviations."""
     loose_one = next(each for each in found if each.fit.scale.get(REPEATABILITY))

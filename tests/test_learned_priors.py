@@ -57,6 +57,7 @@ def test_one_arm_s_intervals_hold():
     assert held >= 43
 
 
+@pytest.mark.long
 def test_lengths_and_angles_have_factors_of_their_own():
     wide = TRACKER.with_prior({"a": 2.8, "d": 2.8})  # four times the default
     cell = Disturbances(resolution=0.0, repeatability=0.0)

@@ -268,6 +268,7 @@ def test_it_takes_the_place_of_the_simpler_sag(sagging):
     assert found.tip_std[1] < 1.02 * plain.tip_std[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("weights", "tells"), [(True, LinkSag), (False, GravitySag)])
 def test_whose_weight_bends_an_arm_is_told_by_the_rows(weights, tells):
     """Of an arm that nobody described: all links weigh, or one weight hangs at the flange."""

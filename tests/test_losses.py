@@ -124,6 +124,7 @@ def test_searches_lower_the_stated_cost(name, loss):
     assert plain.cost == pytest.approx(bound.cost(plain.x), rel=1e-12)
 
 
+@pytest.mark.long_unless("huber")
 @pytest.mark.parametrize("loss", [huber(), tukey()], ids=["huber", "tukey"])
 def test_gross_rows_leave_the_arm_where_it_is_and_cost_what_they_cost(loss):
     """From the drawing, where no row of a redescending loss has any pull left."""

@@ -49,6 +49,7 @@ def read(samples, change):
     return REPLACE(samples, columns={"reading": change(samples.columns["reading"])})
 
 
+@pytest.mark.long_unless("pair0-80")
 @pytest.mark.parametrize(("pair", "rows"), [(("floor", "wall"), 80), (("block", "floor"), 120)])
 def test_labels_of_two_faces_that_are_exchanged_throughout(pair, rows):
     """A step in another's place does not fit; one in the place of its own floor may, with the normal turned round."""
@@ -97,12 +98,14 @@ def test_a_zero_a_quarter_turn_off(ur5):
     assert "Add -90 degrees to column q2" in found.fix
 
 
+@pytest.mark.long
 def test_the_other_convention_of_a_table(ur5):
     problem, samples = ur5
     (found,) = errors(Problem(problem.robot.in_other_convention(), problem.instrument), samples)
     assert found.about == "DH convention"
 
 
+@pytest.mark.long_unless("flipped1-misfit-Try the dial's sign first (--set sign=-1)")
 @pytest.mark.parametrize(
     ("flipped", "about", "says"),
     [

@@ -109,6 +109,7 @@ def test_a_column_type_is_told_to_be_kind(place, capsys):
     assert "there is no field 'type'. Did you mean 'kind'?" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_scara_goes_where_new_sends_it(place, capsys):
     """It cannot tilt its tool, and yet every command that is advised works; each face is inclined against the tool."""
     rows = "1,0,350,200,0,R\n2,180,250,0,0,R\n3,0,0,0,0,P\n4,0,0,50,0,R\n"

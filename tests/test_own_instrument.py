@@ -90,6 +90,7 @@ def test_each_method_calibrates_and_reports(place, samples, method, tmp_path, ca
     assert "distance from the planes" not in page.lower()
 
 
+@pytest.mark.long_unless("wire")
 def test_check_predict_compensate_and_export(place, samples, tmp_path, capsys):
     assert main(["check", str(place), str(samples)]) in (0, 1)
     assert main(["calibrate", str(place), str(samples), "--method", "lm", "--out", str(tmp_path)]) in (0, 1)

@@ -319,6 +319,7 @@ def test_errors_of_no_rows_are_those_of_the_prior():
     assert error_of(np.zeros((0, 1, 2)), known, weight) == pytest.approx(np.sqrt(0.25 + 9.0))
 
 
+@pytest.mark.long
 def test_ranges_below_zero_need_no_equals_sign(tmp_path, capsys):
     out, common = tmp_path / "plan.csv", ["--pool", "120", "--touches", "12"]
     for option in (["--keep-out", "-100:100,-100:100,0:1"], ["--keep-out=-100:100,-100:100,0:1"]):
@@ -327,6 +328,7 @@ def test_ranges_below_zero_need_no_equals_sign(tmp_path, capsys):
     assert "is not X0:X1,Y0:Y1,Z0:Z1" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_without_a_number_the_plan_chooses_one_and_names_the_set_up_that_is_worth_most(hsr, tmp_path, capsys):
     """As many as tell more than averaged noise; HSR has no known length, so a gauge block is worth most."""
     count = touches_for(hsr.problem, hsr.cell)

@@ -38,6 +38,7 @@ def rms(residuals):
     return float(np.sqrt(squares_of(np.asarray(residuals), "distance").mean()))
 
 
+@pytest.mark.long_unless("Panda")
 @pytest.mark.parametrize("problem", [UR5, PANDA, IIWA], ids=lambda problem: problem.robot.name)
 def test_the_arm_that_packages_are_given_is_the_arm_as_drawn(problem, tmp_path):
     """As modified DH by the oracle's chain, and as a URDF read back: the tips of casacal, at postures of the rows."""

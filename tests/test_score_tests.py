@@ -340,6 +340,7 @@ def test_check_is_silent_of_clean_arms_and_beside_errors(hsr):
     assert not any("dial_gain" in each.fix for each in found)
 
 
+@pytest.mark.long
 def test_a_rough_face_is_no_effect(hsr):
     """One face four times as rough as stated: with noise as stated, a test in five would see an effect in it."""
     chances = []

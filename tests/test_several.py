@@ -64,6 +64,7 @@ def changed(simulated, name, **changes):
     return Measurements(problem.names, tuple(sets.values()))
 
 
+@pytest.mark.long
 def test_every_unknown_has_a_name_and_the_shared_tool_is_there_once(simulated):
     names = bind(problem, simulated.measured).names
     assert [name for name in names if "tool" in name] == [
@@ -202,6 +203,7 @@ def test_one_command_from_samples_to_a_verified_arm(tmp_path, capsys):
     assert "There is no instrument named 'lamp'" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_samples_by_name_on_the_command_line(tmp_path, capsys):
     place = tmp_path / "cell"
     place.mkdir()
@@ -420,6 +422,7 @@ def test_each_instrument_has_its_own_tip_in_whatever_order(order, simulated):
         assert len(columns) == known, "arm, tip and station; faces and places differ by label"
 
 
+@pytest.mark.long
 def test_numbers_of_each_instrument_are_set_by_its_name(tmp_path, capsys):
     wide = problem.with_settings({"dial.sign": -1, "tracker.noise_std": 0.2})
     assert (wide.instruments[0].sign, wide.instruments[1].noise_std, wide.instruments[2].noise_std) == (-1, 0.2, 0.03)
@@ -475,6 +478,7 @@ def test_files_are_named_all_or_none(tmp_path, capsys):
     assert "There are no samples of the tracker" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_advice_can_be_typed(simulated, found):
     """What a finding says to try names the instrument; whose tip is expected stands in the verdict."""
     dial = simulated.measured.sets[0]

@@ -460,6 +460,7 @@ def test_an_update_still_corrects_torques_and_what_changed(loaded, asked, tmp_pa
     assert verify(made, again).kept
 
 
+@pytest.mark.long
 def test_play_whose_way_is_told_is_corrected_before_faces_too():
     """Joints that come from either side: no zero of a joint stands for that, and it counts where nobody tells it."""
     source = load_problem(ROOT / "problems" / "ur5")
@@ -486,6 +487,7 @@ def test_play_whose_way_is_told_is_corrected_before_faces_too():
         assert error < 1.5 * np.sqrt((each.std**2).mean())
 
 
+@pytest.mark.long
 def test_what_columns_tell_is_left_out_of_plans_and_sessions_and_a_loss_says_so(loaded):
     source = load_problem(ROOT / "problems" / "ur5")
     problem = source.problem.with_effects(TorqueCompliance(columns_of=TORQUES))

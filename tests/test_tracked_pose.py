@@ -278,6 +278,7 @@ def test_orientations_are_not_called_millimetres(rows, tmp_path):
     np.testing.assert_array_equal(touches.parts[0].after, e[:, :3])
 
 
+@pytest.mark.long
 def test_effects_along_the_residual_are_of_its_unit(rows):
     """A field of a millimetre moves positions by millimetres, and no orientation by a radian."""
     bound = bind(problem.with_kit, rows)
@@ -297,6 +298,7 @@ class Shift(Drift):
         return super().residual(here)[0]
 
 
+@pytest.mark.long
 def test_an_effect_of_one_component_moves_all_of_its_unit_alike(rows):
     bound = bind(problem.with_effects(Shift()), rows)
     x = bound.x0.copy()
@@ -323,6 +325,7 @@ def instrument(orientation):
     return dataclasses.replace(problem.instrument, orientation=orientation)
 
 
+@pytest.mark.long_unless("rotation vector")
 @pytest.mark.parametrize("orientation", WAYS)
 def test_however_an_orientation_is_written_the_fit_is_the_same(rows, orientation):
     other = other_way(rows, orientation)

@@ -471,6 +471,7 @@ def test_planes_that_are_all_held_leave_nothing_to_the_control(capsys):
     assert "Use with care" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_contact_problem_is_judged_too(hsr):
     contact = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.02, reading=False))
     samples = simulate(contact, hsr.cell, seed=2).samples

@@ -34,6 +34,7 @@ def small(hsr):
     return plan(hsr.problem, hsr.cell, touches=12, pool=60, starts=1, seed=2)
 
 
+@pytest.mark.long
 def test_the_message_carries_a_verdict_that_denies(hsr, corner_simulation):
     wrong = hsr.problem.with_settings({"sign": -1})
     found = calibrate(wrong, corner_simulation.samples, method="lm", reference=False)
@@ -56,6 +57,7 @@ def test_what_cannot_be_corrected_names_no_function(hsr, small):
     assert "()" not in str(refused.value)
 
 
+@pytest.mark.long_unless("option")
 @pytest.mark.parametrize("way", ["asked", "option"])
 def test_the_session_is_asked_for_where_the_problem_tells_sessions_apart(tmp_path, monkeypatch, capsys, way):
     (tmp_path / "mine").mkdir()
@@ -182,6 +184,7 @@ def with_a_dial_the_other_way_round(folder, simulation):
     return str(folder / "turned.csv")
 
 
+@pytest.mark.long
 def test_a_plan_after_samples_that_look_wrong_says_so(corner_simulation, tmp_path, capsys):
     turned, out = with_a_dial_the_other_way_round(tmp_path, corner_simulation), str(tmp_path / "plan")
     asked = ["plan", str(HSR), "--touches", "8", "--pool", "100", "--out", out, "--after"]
@@ -194,6 +197,7 @@ def test_a_plan_after_samples_that_look_wrong_says_so(corner_simulation, tmp_pat
     assert "looks wrong" not in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_advice_to_check_keeps_what_was_set_but_not_what_is_wrong(corner_simulation, tmp_path, capsys):
     turned = with_a_dial_the_other_way_round(tmp_path, corner_simulation)
     sign = load_problem(HSR).problem.instrument.sign
@@ -203,6 +207,7 @@ def test_the_advice_to_check_keeps_what_was_set_but_not_what_is_wrong(corner_sim
     assert f"run casacal check {HSR} {turned} --set noise_std=0.012 --prior a2=0.5 --accuracy 0.7." in said
 
 
+@pytest.mark.long
 def test_the_better_set_up_says_that_it_keeps_clear_of_nothing(tmp_path, capsys):
     asked = ["plan", str(HSR), "--touches", "40", "--pool", "300", "--out", str(tmp_path / "plan")]
     assert main([*asked, "--keep-out", "5000:5100,0:10,0:10"]) == 0

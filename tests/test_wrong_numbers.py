@@ -36,6 +36,7 @@ def test_a_lost_zero_is_named_with_its_size_and_the_advice_mends_it(hsr, degrees
     assert math.degrees(mended.x[mended.fit.names.index("theta3")]) == pytest.approx(degrees, abs=0.15)
 
 
+@pytest.mark.long
 def test_check_names_it_too(hsr):
     for degrees in (0.6, 5.0):  # one by the prior that it contradicts, one by undoing it
         errors = [found for found in check(hsr.problem, with_lost_zero(hsr, 2, degrees)) if found.severity == "error"]
