@@ -6,7 +6,7 @@ import numpy as np
 
 from casacal import Problem, Run
 from casacal.study.statistics import holm, mean_interval, paired, quantiles
-from casacal.uncertainty.identifiability import verdict
+from casacal.uncertainty.identifiability import known_from
 from studies import rivals
 from studies.paper_ranking import PAPER
 from studies.reporting import number, table
@@ -172,15 +172,15 @@ def parameters(run: Run, problem: Problem, settings: tuple[str, str]) -> list[st
         start, prior = unknown.values[place], float(unknown.prior_stds[place])
         cells = []
         for found in details:
-            word = verdict(found["std"][i], prior)
-            cells += [f"{factor * (start + found['x'][i]):.4f}", f"{factor * found['std'][i]:.4f}", word]
+            known = known_from(found["std"][i], prior)
+            cells += [f"{factor * (start + found['x'][i]):.4f}", f"{factor * found['std'][i]:.4f}", known]
         true = start + details[0]["truth"][i]
         unit = "deg" if unknown.unit == "rad" else unknown.unit
         rows.append((name, unit, f"{factor * start:.4f}", f"{factor * true:.4f}", *cells))
     header = ("", "unit", "nominal", "truth", "one face", "std", "known from", "three faces", "std", "known from")
     return [
-        "Estimates of SCKF+LM. Known from *data*: standard deviation below half of the prior's; *no*: the prior's",
-        "value stands.",
+        "Estimates of SCKF+LM. Known from *samples*: standard deviation below half of the prior's; *prior alone*: the",
+        "prior's value stands.",
         "",
         *table(header, rows),
     ]

@@ -18,6 +18,7 @@ from casacal.cli.calibrate import METHOD_NAMES
 from casacal.cli.main import main
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
+KNOWN_FROM = {"samples", "samples and prior", "prior alone", "held"}
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ def test_calibrate_writes_all_it_promises(calibrated):
     names = [row["name"] for row in document["parameters"]]
     assert names[:6] == [f"alpha{i}" for i in range(1, 7)]
     assert {"a3", "theta2", "tool_x"} <= set(names)
-    assert {row["identifiable"] for row in document["parameters"]} <= {"data", "prior", "no"}
+    assert {row["known_from"] for row in document["parameters"]} <= KNOWN_FROM
     for plane in document["planes"].values():
         assert np.linalg.norm(plane["normal"]) == pytest.approx(1)
     assert set(document["planes"]) == {"floor", "wall", "side"}
@@ -68,7 +69,7 @@ def test_calibrate_writes_all_it_promises(calibrated):
     with (calibrated / "parameters.csv").open(encoding="utf-8") as stream:
         table = list(csv.DictReader(stream))
     assert [row["name"] for row in table] == names
-    assert {row["identifiable"] for row in table} <= {"data", "prior", "no"}
+    assert {row["known_from"] for row in table} <= KNOWN_FROM
     for picture in ("residuals.png", "convergence.png"):
         assert (calibrated / picture).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
@@ -134,7 +135,7 @@ def test_fixing_and_priors(run, tmp_path):
     assert "Reference: not run" in out
     rows = {row["name"]: row for row in json.loads((tmp_path / "result.json").read_text())["parameters"]}
     assert rows["alpha2"]["estimate"] == rows["alpha2"]["nominal"]
-    assert rows["a3"]["note"] == "held at nominal"
+    assert rows["a3"]["known_from"] == "held"
     assert rows["d1"]["std"] <= 0.1 + 1e-12
 
 

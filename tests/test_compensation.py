@@ -87,10 +87,10 @@ def arm_result(robot, changes):
     names = [name for key, u in robot.parameters.items() for name in u.names(key)]
     nominal = np.concatenate([np.atleast_1d(u.nominal) for u in robot.parameters.values()])
     rows = [
-        {"name": n, "unit": "", "nominal": float(v), "estimate": float(v + c), "std": 0.0, "identifiable": "data"}
+        {"name": n, "unit": "", "nominal": float(v), "estimate": float(v + c), "std": 0.0, "known_from": "samples"}
         for n, v, c in zip(names, nominal, changes, strict=True)
     ]
-    rows += [{"name": f"tool_{axis}", "nominal": 0.0, "estimate": 0.0, "identifiable": "no"} for axis in "xyz"]
+    rows += [{"name": f"tool_{axis}", "nominal": 0.0, "estimate": 0.0, "known_from": "prior alone"} for axis in "xyz"]
     document = {
         "converged": True,
         "parameters": rows,

@@ -92,7 +92,7 @@ def test_commas_and_quotes_in_labels_stay_in_their_cells(hsr, tmp_path):
     with (tmp_path / "parameters.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows[-3:]] == ["tool, x", 'tool"y"', "tool;z"]
-    assert all(float(row["std"]) >= 0 and row["note"] for row in rows)
+    assert all(float(row["std"]) >= 0 and row["known_from"] for row in rows)
 
 
 @pytest.mark.long

@@ -135,8 +135,7 @@ def test_tables_are_those_of_the_result(page, document):
         for part in ("fit", "heldout"):
             figures = document["metrics"][when][part]
             assert next(rows)[1:] == [f"{figures[key]:.4f}" for key in ("rmse_mm", "mae_mm", "std_mm", "max_mm")]
-    known = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
-    free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
+    free = [row for row in document["parameters"] if row["known_from"] != "held"]
     assert len(shown["parameter-table"]) == 1 + len(free)
     for row, cells in zip(free, shown["parameter-table"][1:], strict=True):
         factor = 180 / math.pi if row["unit"] == "rad" else 1.0
@@ -144,7 +143,7 @@ def test_tables_are_those_of_the_result(page, document):
         change = row["estimate"] - row["nominal"]
         for cell, value in zip(cells[2:6], (row["nominal"], row["estimate"], change, row["std"]), strict=True):
             assert float(cell) == pytest.approx(factor * value, abs=0.5001e-4)
-        assert cells[7] == known[row["identifiable"]]
+        assert cells[7] == row["known_from"]
     tip = document["tip"]
     expected = [f"{tip[key]:.3f} mm" for key in ("prior_rms_mm", "expected_rms_mm", "without_prior_rms_mm")]
     assert [cells[1] for cells in shown["tip-figures"][1:4]] == expected

@@ -13,7 +13,7 @@ from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.cures import cure_for, cures
 from casacal.samples.write import write_samples
 from casacal.uncertainty.expectation import classical_accuracy
-from casacal.uncertainty.identifiability import correlated_pairs, identifiability, prior_scale, sparse_basis, verdict
+from casacal.uncertainty.identifiability import correlated_pairs, identifiability, known_from, prior_scale, sparse_basis
 from casacal.uncertainty.workspace import workspace_joints
 
 CENTRE = (1350.0, 0.0, 700.0)
@@ -96,9 +96,10 @@ def test_a_sparse_basis_spans_the_same_space():
     assert (np.abs(sparse) < 1e-12).sum() >= 6
 
 
-def test_verdicts():
-    assert [verdict(s, 1.0) for s in (0.1, 0.6, 0.99, math.inf)] == ["data", "prior", "no", "no"]
-    assert verdict(3.0, math.inf) == "data"
+def test_what_determined_a_parameter():
+    found = [known_from(std, 1.0) for std in (0.1, 0.6, 0.99, math.inf)]
+    assert found == ["samples", "samples and prior", "prior alone", "prior alone"]
+    assert known_from(3.0, math.inf) == "samples"
 
 
 @pytest.mark.long_unless("3 orthogonal, tilt 30")

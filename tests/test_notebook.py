@@ -34,7 +34,7 @@ def test_parameters_are_a_frame_of_what_result_json_holds(found, hsr):
     for name, row in table.iterrows():
         assert row["estimate"] == rows[name]["estimate"]
         assert row["std"] == rows[name]["std"]
-        assert row["known_from"] == rows[name]["identifiable"]
+        assert row["known_from"] == rows[name]["known_from"]
         assert row["change"] == pytest.approx(row["estimate"] - row["nominal"])
     assert set(table.loc["a3", ["unit", "nominal"]]) == {"mm", -206.14449}
 

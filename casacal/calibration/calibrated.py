@@ -136,9 +136,9 @@ class Calibrated(Calibration, AsArm):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """One row per number of the arm and the instrument: unit, nominal, estimate, change, std, known_from, note.
+        """One row per number of the arm and the instrument: unit, nominal, estimate, change, std, known_from.
 
-        Angles in rad, lengths in mm. known_from: "data", "prior" or "no", as `identifiable` in result.json.
+        Angles in rad, lengths in mm. known_from: "samples", "samples and prior", "prior alone" or "held".
         """
         return parameter_table(parameter_rows(self.fit, self.used_x, self.result.std, denied=self.denied))
 
@@ -204,7 +204,7 @@ class Calibrated(Calibration, AsArm):
         return f"<casacal calibration of {name} by {self.method}: {len(self.samples)} samples, {shown}{level}>"
 
     def _repr_html_(self) -> str:
-        table = self.parameters.drop(columns="note").to_html(float_format=lambda value: f"{value:.5g}")
+        table = self.parameters.to_html(float_format=lambda value: f"{value:.5g}")
         return f"<p>{html.escape(repr(self).strip('<>'))}. {html.escape(self.message)}</p>{table}"
 
     def _drawn(self, draw: Any, ax: Any, size: tuple[float, float]) -> Any:

@@ -24,7 +24,7 @@ from casacal.uncertainty.identifiability import (
     NullDirection,
     WeakDirection,
     identifiability,
-    verdict,
+    known_from,
 )
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
@@ -126,7 +126,7 @@ class Calibration(Fitted):
         arm, covariance = motion.arm, motion.covariance
         stds = np.sqrt(np.diagonal(covariance))
         tool = np.array([j for j in tool_unknowns(arm, motion.x) if arm.units[j] == "mm"], dtype=int)
-        hidden = [j for j in tool if verdict(stds[j], float(arm.prior_std[j])) != "data"]
+        hidden = [j for j in tool if known_from(stds[j], float(arm.prior_std[j])) != "samples"]
         if not hidden:
             return None
         with_tool = covariance[tool]

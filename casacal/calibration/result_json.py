@@ -138,7 +138,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Parameters as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "identifiable", "note"))
+    writer.writerow(("name", "unit", "nominal", "estimate", "change", "std", "known_from"))
     for row in rows:
         change = row["estimate"] - row["nominal"]
         numbers = (
@@ -147,7 +147,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
             f"{change:.6g}",
             "" if math.isnan(row["std"]) else f"{row['std']:.6g}",
         )
-        writer.writerow((row["name"], row["unit"], *numbers, row["identifiable"], row["note"]))
+        writer.writerow((row["name"], row["unit"], *numbers, row["known_from"]))
     return text.getvalue()
 
 
@@ -198,7 +198,7 @@ def truth_document(simulation: Simulation, source: ProblemFile, bound: BoundProb
         **parts.head_of(source, truth, simulation.seed, bound.backend, folder),
         "data": data,
         "cost": truth.cost,
-        "parameters": [{**row, "note": "true value of the simulated arm"} for row in rows],
+        "parameters": [{**row, "known_from": "simulation"} for row in rows],
         **parts.geometry(bound, x),
         "metrics": None,
         "identifiability": None,

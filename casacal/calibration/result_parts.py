@@ -29,19 +29,12 @@ from casacal.least_squares.result import Result
 from casacal.problem.as_data import problem_data
 from casacal.problem.problem_file import ProblemFile
 from casacal.uncertainty.discrepancy import times_found
-from casacal.uncertainty.identifiability import Identifiability, verdict
+from casacal.uncertainty.identifiability import Identifiability, known_from
 from casacal.uncertainty.scores import ScoreTest
 from casacal.uncertainty.transfer import LeftOut
 from casacal.version import __version__
 
 _LOG = logging.getLogger("casacal")
-
-NOTES = {
-    "data": "determined by the samples",
-    "prior": "partly determined by the samples, partly by the prior",
-    "no": "not determined: the prior's value and spread stand",
-    "held": "held at nominal",
-}
 
 
 def without_tips(found: Identifiability) -> Identifiability:
@@ -97,23 +90,18 @@ def seen_from(folder: Path | None, file: str) -> str:
 
 
 def parameter_rows(bound: BoundProblem, x: Array, stds: Array, *, denied: bool = False) -> list[dict[str, Any]]:
-    """One entry per number of a parameter: name, unit, nominal, estimate, std, identifiable, note.
+    """One entry per number of a parameter: name, unit, nominal, estimate, std, known_from.
 
     Where the verdict denies the result, a standard deviation would be worth nothing: NaN.
     """
     rows = []
     for name, unit, nominal, j in bound.parameters():
         if j is None:
-            row = {"estimate": nominal, "std": 0.0, "identifiable": "no", "note": NOTES["held"]}
+            row = {"estimate": nominal, "std": 0.0, "known_from": "held"}
         else:
             std = float(stds[j])
-            word = verdict(std, float(bound.prior_std[j]))
-            row = {
-                "estimate": nominal + float(x[j]),
-                "std": math.nan if denied else std,
-                "identifiable": word,
-                "note": NOTES[word],
-            }
+            known = known_from(std, float(bound.prior_std[j]))
+            row = {"estimate": nominal + float(x[j]), "std": math.nan if denied else std, "known_from": known}
         rows.append({"name": name, "unit": unit, "nominal": nominal, **row})
     return rows
 

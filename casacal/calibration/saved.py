@@ -173,10 +173,10 @@ def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
 
     table = pd.DataFrame(list(rows), columns=list(COLUMNS)).set_index("name")
     table.insert(3, "change", table["estimate"] - table["nominal"])
-    return table.rename(columns={"identifiable": "known_from"})
+    return table
 
 
-COLUMNS = ("name", "unit", "nominal", "estimate", "std", "identifiable", "note")  # of a parameter in result.json
+COLUMNS = ("name", "unit", "nominal", "estimate", "std", "known_from")  # of a parameter in result.json
 
 
 @dataclass(frozen=True, eq=False, repr=False)

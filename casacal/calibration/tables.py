@@ -14,7 +14,7 @@ from casacal.calibration.metrics import parts_of
 from casacal.calibration.motion import tip_error
 from casacal.calibration.result_parts import parameter_rows, without_predictions
 from casacal.pages.render import fixed, mm, shortened, shown_unit
-from casacal.uncertainty.identifiability import KNOWN_FROM, NullDirection, WeakDirection, correlated_pairs
+from casacal.uncertainty.identifiability import NullDirection, WeakDirection, correlated_pairs
 from casacal.uncertainty.scores import ScoreTest
 from casacal.wording import capital, listed, sized
 
@@ -81,7 +81,7 @@ def parameters(calibration: Calibration, *, denied: bool) -> tuple[Table, list[s
     priors = dict(zip(calibration.fit.names, calibration.fit.prior_std.tolist(), strict=True))
     held, rows = [], []
     for row in parameter_rows(calibration.fit, calibration.used_x, calibration.result.std, denied=denied):
-        if row["note"] == "held at nominal":
+        if row["known_from"] == "held":
             held.append(row["name"])
             continue
         unit, factor = shown_unit(row["unit"])
@@ -90,9 +90,7 @@ def parameters(calibration: Calibration, *, denied: bool) -> tuple[Table, list[s
         share = f"{100 * row['std'] / prior:.0f} %" if math.isfinite(prior) and math.isfinite(std) else "no prior"
         spread = ["–", "–"] if math.isnan(std) else [fixed(std), share]
         change = fixed(estimate - nominal, signed=True)
-        rows.append(
-            [row["name"], unit, fixed(nominal), fixed(estimate), change, *spread, KNOWN_FROM[row["identifiable"]]]
-        )
+        rows.append([row["name"], unit, fixed(nominal), fixed(estimate), change, *spread, row["known_from"]])
     titles = ("Parameter", "Unit", "#Nominal", "#Calibrated", "#Change", "#Std. dev.", "#Of prior", "Known from")
     return Table(titles, rows), held
 

@@ -128,7 +128,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
     counts = Counter(outcome.value for outcome in compensation.outcomes)
     arm = result.source.problem.robot.parameters
     names = {name for key, unknown in arm.items() for name in unknown.names(key)}
-    unseen = [row["name"] for row in result.document["parameters"] if row["identifiable"] == "no"]
+    unseen = [row["name"] for row in result.document["parameters"] if row.get("known_from") in ("prior alone", "held")]
     held = [name for name in unseen if name in names]
     lines = [
         f"casacal compensate: {targets.file} (SHA-256 {targets.sha256[:12]}), result {result.file} of "

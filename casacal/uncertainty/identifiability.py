@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -36,8 +36,8 @@ MEANING: dict[Kind, str] = {
 }
 
 
-KNOWN_FROM = {"data": "samples", "prior": "samples and prior", "no": "prior alone"}
-"""Verdicts on parameters, as people read them."""
+KnownFrom: TypeAlias = Literal["samples", "samples and prior", "prior alone", "held"]
+"""What determined a parameter, in files and tables alike; "held" was not estimated."""
 
 WEAK = "better known from the priors than from these samples"
 
@@ -191,12 +191,12 @@ def sparse_basis(basis: Array) -> Array:
     return work
 
 
-def verdict(posterior_std: float, prior_std: float) -> Literal["data", "prior", "no"]:
-    """Who determined a parameter: "data" (posterior/prior std < 0.5), "prior" (to 0.95) or nobody ("no")."""
+def known_from(posterior_std: float, prior_std: float) -> KnownFrom:
+    """What determined a parameter: the samples (posterior/prior std < 0.5), both (to 0.95), or its prior alone."""
     if not np.isfinite(posterior_std):
-        return "no"
+        return "prior alone"
     ratio = posterior_std / prior_std if np.isfinite(prior_std) else 0.0
-    return "data" if ratio < 0.5 else "prior" if ratio <= 0.95 else "no"
+    return "samples" if ratio < 0.5 else "samples and prior" if ratio <= 0.95 else "prior alone"
 
 
 def _beyond(space: Array, inner: Array) -> Array:

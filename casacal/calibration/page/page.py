@@ -19,7 +19,6 @@ from casacal.calibration.told import verdict_lines
 from casacal.calibration.verdict import Level, verdict_of
 from casacal.pages.render import count, fixed, mm, rendered
 from casacal.uncertainty.expectation import Box
-from casacal.uncertainty.identifiability import KNOWN_FROM
 from casacal.wording import capital, numbered_lines, sized
 
 LOOKS: Mapping[Level, str] = {"calibrated": "good", "use with care": "care", "do not use": "bad"}
@@ -97,8 +96,8 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tupl
     """What stands in the boxes under the verdict: title, value, words."""
     before, after, tip = document["metrics"]["before"], document["metrics"]["after"], document["tip"]
     part, where = ("fit", "fitted rows") if after["heldout"] is None else ("heldout", "held-out rows")
-    free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
-    known = sum(row["identifiable"] == "data" for row in free)
+    free = [row for row in document["parameters"] if row["known_from"] != "held"]
+    known = sum(row["known_from"] == "samples" for row in free)
     found, reference = document["identifiability"], calibration.reference
     expected = ("Expected tip error", "not stated", "the result must not be used")
     if document["verdict"]["level"] != "do not use":
@@ -119,8 +118,7 @@ def _figures(calibration: Calibration, document: Mapping[str, Any]) -> list[tupl
 
 def _marked(row: Sequence[str]) -> list[str]:
     """A parameter's row with the mark of who determined it."""
-    key = next(key for key, words in KNOWN_FROM.items() if words == row[-1])
-    return [*row[:-1], Markup('<span class="known {}">{}</span>').format(key, row[-1])]
+    return [*row[:-1], Markup('<span class="known {}">{}</span>').format(row[-1].replace(" ", "-"), row[-1])]
 
 
 def _noise(calibration: Calibration, noise: Mapping[str, Any]) -> str:
