@@ -82,8 +82,8 @@ def test_the_demonstration_goes_the_whole_way(tmp_path, capsys, monkeypatch):
     assert main(["demo", "--seed", "3"]) == 0
     said = capsys.readouterr().out
     shown = re.findall(r"^\$ casacal (\w+)", said, re.M)
-    assert shown == ["new", "plan", "simulate", "check", "calibrate", "simulate", "verify", "compensate"]
-    for name in ("plan.csv", "ur5/samples.csv", "fit/report.html", "fresh.csv", "ur5.script"):
+    assert shown == ["new", "plan", "simulate", "check", "calibrate", "verify", "compensate"]
+    for name in ("plan.csv", "ur5/samples.csv", "fit/report.html", "ur5/samples_check.csv", "ur5.script"):
         assert (tmp_path / "casacal_demo" / name).stat().st_size > 0
     assert "Calibrated: expect a tip error of" in said
     assert main(["demo"]) == 2
@@ -93,9 +93,9 @@ def test_the_demonstration_goes_the_whole_way(tmp_path, capsys, monkeypatch):
 def test_the_demonstration_ends_where_a_step_fails(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("casacal.cli.plan.run", lambda options: 1)
-    assert main(["demo", "--out", "a b"]) == 1
+    assert main(["demo", "--out=-a b"]) == 1
     assert re.findall(r"^\$ casacal (\w+)", capsys.readouterr().out, re.M) == ["new", "plan"]
-    assert (tmp_path / "a b" / "ur5" / "problem.py").is_file()
+    assert (tmp_path / "-a b" / "ur5" / "problem.py").is_file()
 
 
 def test_every_command_and_option_is_on_a_page():

@@ -98,6 +98,7 @@ def test_coordinates_that_share_a_prior_change_together(hsr):
         (lambda: Parameter(1.0, prior_std=0.0), "positive"),
         (lambda: Parameter(1.0, unit="volt", prior_std=math.inf), "start_std"),
         (lambda: Direction((0, 0, 0)), "not all zero"),
+        (lambda: Direction((0, 0, 1), prior_std=(0.1, 0.2)), "Give one number of rad"),
         (lambda: Plane(normal=(0, 0, 1)), "Give both"),
         (lambda: Plane(free=False), "Say where it is"),
         (lambda: Frame(((2, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))), "rigid"),

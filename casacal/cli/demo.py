@@ -33,12 +33,13 @@ STEPS = {
     "A problem from the data sheet": (
         "new ur5 --dh {0}/ur5.csv --tool 0,0,120 --sign -1 --travel 10 --accuracy 1 --out {0}"
     ),
-    "What to touch, and what that will be worth": "plan {0}/ur5 --touches 60 --out {0}/plan.csv",
-    "Touches, here simulated in random postures": "simulate {0}/ur5 --samples 90 --seed {1} --out {0}/ur5/samples.csv",
+    "What to touch, and what that will be worth": "plan {0}/ur5 --touches 80 --out {0}/plan.csv",
+    "Touches, here by a simulated arm": "simulate {0}/ur5 --plan {0}/plan.csv --seed {1} --out {0}/ur5/samples.csv",
     "Mistakes in the samples": "check {0}/ur5",
-    "The calibration": "calibrate {0}/ur5 --holdout 0.2 --out {0}/fit",
-    "Fresh touches of the same arm": "simulate {0}/ur5 --samples 40 --seed {1} --session 1 --out {0}/fresh.csv",
-    "Was the promise kept": "verify {0}/fit/result.json {0}/fresh.csv --into-report",
+    "The calibration": "calibrate {0}/ur5 --out {0}/fit",
+    "Was the promise kept, by touches that were not fitted": (
+        "verify {0}/fit/result.json {0}/ur5/samples_check.csv --into-report"
+    ),
     "Targets for the true arm": (
         "compensate {0}/fit/result.json {0}/targets.csv --format urscript --out {0}/ur5.script"
     ),
@@ -61,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.files import writable
 
     out = Path(options.out)
+    folder = f"./{out.as_posix()}" if options.out.startswith("-") else out.as_posix()  # which is no option
     if out.exists():
         raise CasacalError(f"'{options.out}' exists already", "Name another folder with --out, or remove it first")
     with writable(out):
@@ -68,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         (out / "ur5.csv").write_text(SHEET, encoding="utf-8")
         (out / "targets.csv").write_text(TARGETS, encoding="utf-8")
     for purpose, step in STEPS.items():
-        typed = [part.format(out.as_posix(), options.seed) for part in step.split()]
+        typed = [part.format(folder, options.seed) for part in step.split()]
         say(f"\n# {purpose}\n$ {shlex.join(['casacal', *typed])}")
         below = options.parser.parse_args(typed)
         below.typed, below.parser = shlex.join(["casacal", *typed]), options.parser

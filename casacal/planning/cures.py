@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Cure:
     touches: int
     expected_rms_mm: float
     recommended: bool
-    covariance: Array
+    covariance: Array = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)

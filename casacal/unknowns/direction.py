@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, came
 from casacal.kinematics import Expression
 from casacal.unknowns.unknown import check_stds, start_stds, tangent_basis, unit_vector
 from casacal.unknowns.whole import Whole, shared_std, tilted, tilts_of
-from casacal.values import plain
+from casacal.values import is_real, plain
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,8 @@ class Direction(Whole):
             unit_vector(self.vector, "A direction")
         elif not self.free and not self.held_as_proposed:
             raise ProblemError("A direction is held but has no vector", "Say where it points, or leave it free")
+        if not is_real(self.prior_std):
+            raise ProblemError(f"Got {came(self.prior_std)} as the prior_std of a direction", "Give one number of rad")
         check_stds(np.array([self.prior_std]), "prior_std of a direction")
 
     @property
