@@ -207,6 +207,7 @@ def test_memory_says_what_files_say(found, by_command):
         assert mine[key] == document[key], key
     saved = load(by_command)
     assert saved.success
+    assert saved.tip_std == pytest.approx(found.tip_std)
     for q in (Q, Q.tolist(), by_command / "q.csv", pd.read_csv(by_command / "q.csv"), Samples.of_joints(Q)):
         for arm in (found, saved):
             prediction = arm.predict(q, frame="tip", std=True)

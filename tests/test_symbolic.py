@@ -157,6 +157,8 @@ def test_values_are_those_of_the_unknowns(ur5):
             np.testing.assert_allclose(normal, ((1 - s) * n[:3] + u[0] * n[3:6] + u[1] * n[6:9]) / (1 + s), atol=1e-14)
     with pytest.raises(ProblemError, match="no unknown 'a9'"):
         ur5.symbolic.index("a9")
+    with pytest.raises(ProblemError, match="Got a str as the kind of row"):
+        ur5.symbolic.cubature_step("dial")
 
 
 def test_another_size_is_refused(ur5):

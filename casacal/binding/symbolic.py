@@ -26,7 +26,7 @@ import numpy as np
 from casacal.array_types import Array, Index
 from casacal.binding.blocks import Block
 from casacal.binding.slots import Slot
-from casacal.errors import ProblemError
+from casacal.errors import ProblemError, came
 from casacal.kernels.filter_passes import Cubature
 from casacal.kinematics import Expression
 from casacal.least_squares.objective import LeastSquares
@@ -170,8 +170,11 @@ class SymbolicProblem:
 
         (mean (n), root (n x n), d (nd), w (m)) -> mean, root: a belief over (x - x0) / start_std, at first 0 and the
         identity. The residuals of the row are taken in one by one. A row that leaves less than 1e-10 of a variance
-        gives what is not a number: there the NumPy filter triangularises in full.
+        gives what is not a number: there the NumPy filter triangularises in full. Raises ProblemError for what is no
+        kind of row.
         """
+        if not isinstance(kind, RowKind):
+            raise ProblemError(f"Got {came(kind)} as the kind of row", "Give one of `kinds`")
         n, model, kept = len(self.names), kind.model, Cubature(kind.model.residual, "blocks")
         mean, root = ca.MX.sym("mean", n), ca.MX.sym("root", n, n)
         d, w = ca.MX.sym("d", model.residual.numel_in(2)), ca.MX.sym("w", model.components)

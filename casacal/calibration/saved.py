@@ -176,6 +176,7 @@ def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     return table
 
 
+TIP = ("prior_rms_mm", "expected_rms_mm")
 COLUMNS = ("name", "unit", "nominal", "estimate", "std", "known_from")  # of a parameter in result.json
 
 
@@ -206,6 +207,13 @@ class SavedCalibration(Value, AsArm):
         """The objective at the estimate; NaN where the file does not say."""
         cost = self.found.document.get("cost")
         return math.nan if cost is None else float(cost)
+
+    @property
+    def tip_std(self) -> tuple[float, float]:
+        """Tip error to expect, mm RMS, from priors and now, as `Calibrated.tip_std`; NaN where the file says none."""
+        tip = self.found.document.get("tip") or {}
+        before, now = (math.nan if tip.get(key) is None else float(tip[key]) for key in TIP)
+        return before, now
 
     @property
     def metrics(self) -> Any:
