@@ -12,7 +12,9 @@ from casacal import (
     Cell,
     DialOnPlane,
     Direction,
+    Disturbances,
     Face,
+    FixedPoint,
     Parameter,
     Plane,
     Problem,
@@ -117,24 +119,46 @@ def test_in_given_postures_joints_stay_and_the_plunger_reads(hsr):
     assert (rows.columns["reading"] <= 10).all()
 
 
-def test_given_postures_know_what_errs_beside_the_geometry(hsr):
-    wanted = simulate(hsr.problem, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=45, seed=1).samples
-    for changes, off in (
-        ({"gear_waves": ((1, 2e-4),), "compliance": 0.3}, 1e-3),
-        ({"thermal": 5e-5}, 1e-6),
-        ({"flatness": 0.05}, 0.05),
-        ({"repeatability": 0.01}, 0.05),
-    ):
-        simulation = simulate(hsr.problem, dataclasses.replace(exact(hsr.cell), **changes), samples=wanted, seed=4)
-        rows, when = simulation.samples, (np.array(simulation.samples.lines) - 1) / 44
-        tips = simulation.true_tips(rows.joints, readings=rows.columns["reading"], when=when)
-        found = np.abs(heights_over_faces(simulation, tips)).max()
-        assert found < off
-        assert ("flatness" in changes or "repeatability" in changes) == (found > 1e-3)
-    lagging = simulate(hsr.problem, exact(hsr.cell, backlash=1e-3), samples=wanted, seed=4)
-    ways = np.sign(np.diff(wanted.joints, axis=0, prepend=np.zeros((1, 6))))[np.array(lagging.samples.lines) - 1]
-    tips, _ = true_tips(lagging, lagging.samples.joints - ways * 5e-4, lagging.samples.columns["reading"])
-    assert np.abs(heights_over_faces(lagging, tips)).max() < 1e-6
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"flatness": 0.05, "flatness_reach": 0.4},
+        {"gear_waves": ((1, 2e-4),), "joint_std": 2e-5, "outliers": 0.1, "outlier_size": 0.5},
+        {"thermal": 5e-5, "backlash": 1e-4, "hysteresis": 0.02, "approach": "alternating"},
+        {"compliance": 0.05, "repeatability": 0.004},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_the_postures_of_a_simulation_give_its_readings_once_more(hsr, changes):
+    """All that is drawn is the same, so that both ways to the readings must end at the same ones."""
+    cell = dataclasses.replace(exact(hsr.cell), **changes)
+    first = simulate(hsr.problem, cell, samples=45, seed=4).samples
+    again = simulate(hsr.problem, cell, samples=first, seed=4).samples
+    assert again.lines == first.lines
+    np.testing.assert_array_equal(again.joints, first.joints)
+    np.testing.assert_allclose(again.columns["reading"], first.columns["reading"], rtol=0, atol=1e-4)
+    repeated = simulate(hsr.problem, dataclasses.replace(cell, repeats=3), samples=first, seed=4).samples
+    np.testing.assert_array_equal(repeated.joints, first.joints)
+    other = simulate(hsr.problem, cell, samples=first, seed=4, session=1).samples
+    away = np.abs(other.columns["reading"] - first.columns["reading"])
+    assert (away.max() > 1e-4) == bool({"joint_std", "repeatability"} & changes.keys()), "noise is new, faces are not"
+
+
+def test_a_face_is_touched_with_the_noise_of_touching_and_a_spike_is_met_in_given_postures(hsr):
+    touching = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, reading=False, plane=Plane(per="plane")))
+    wanted = simulate(touching, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=90, seed=1).samples
+    simulation = simulate(touching, dataclasses.replace(hsr.cell, repeatability=0.02, resolution=0.0), samples=wanted)
+    tips, _ = true_tips(simulation, simulation.samples.joints, np.zeros(len(simulation.samples)))
+    assert heights_over_faces(simulation, tips).std() == pytest.approx(0.02, rel=0.25)
+    spike = Problem(hsr.problem.robot, FixedPoint(noise_std=1e-9))
+    wanted = simulate(spike, Disturbances(error_scale=0.0), samples=20, seed=1).samples
+    met = simulate(spike, Disturbances(backlash=1e-3), samples=wanted, seed=4)
+    bound = bind(spike, met.samples)
+    moved = np.abs(met.samples.joints - wanted.joints[np.array(met.samples.lines) - 1])
+    assert 1e-5 < moved.max() < 0.2
+    lag = np.sign(np.diff(wanted.joints, axis=0, prepend=np.zeros((1, 6))))[np.array(met.samples.lines) - 1] * 5e-4
+    standing = dataclasses.replace(met.samples, joints=met.samples.joints - lag)
+    assert np.abs(bound.on(standing).plain_residual(met.truth(bound.on(standing)))).max() < 1e-5
 
 
 def test_a_tracker_sees_given_postures_and_a_tool_without_a_dial_moves_until_it_touches(hsr):
