@@ -296,6 +296,8 @@ def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simul
     faces = [*list(samples.labels["plane"])[:6], "elsewhere"]
     rows = dataclasses.replace(samples, joints=joints, columns={"reading": reading}, labels={"plane": Labels.of(faces)})
     np.testing.assert_array_equal(copies_of(rows), [False, False, True, False, False, not collide, False])
+    again = dataclasses.replace(rows, extra={"purpose": ("fit", "fit", "again", "fit", "fit", "fit", "fit")})
+    assert not copies_of(again)[2], "a plan asked for it once more"
     joints, signed = np.zeros((2, 3)), -np.zeros((2, 3))
     np.testing.assert_array_equal(copies_of(Samples.of_joints(np.vstack([joints[:1], signed[:1]]))), [False, True])
 

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
+from casacal.planning.choice import kept_to_verify, pool_of
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.how_many import touches_for
 from casacal.planning.plan import plan
@@ -266,24 +268,34 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     said, problem = json.loads(out[out.index("{") :]), load_problem(HSR).problem
     fitted, kept = (problem.read(files[name]) for name in ("s", "s_check"))
     assert said["samples"] == len(fitted)
-    assert said["left_out"] == 50 - len(fitted) - len(kept)
+    assert (said["left_out"], said["kept"]) == ([], 10)
+    assert len(fitted) == 40
     assert [Path(name).name for name in said["written"]] == ["s.csv", "s_check.csv", "s.truth.json"]
     assert len(kept) == 10
     assert min(len(rows) for rows in kept.labels["plane"].rows().values()) >= 4
+    planned = read_route(files["plan"], problem.layout())
     for rows, purposes in ((fitted, (FIT, AGAIN)), (kept, (CHECK,))):
-        planned = read_route(files["plan"], problem.layout())
         wanted = planned.samples.take([k for k, purpose in enumerate(planned.purposes) if purpose in purposes])
-        if len(wanted) == len(rows):
-            assert np.abs(wanted.joints - rows.joints).max() < 0.03
-            assert list(wanted.labels["plane"]) == list(rows.labels["plane"])
+        assert np.abs(wanted.joints - rows.joints).max() < 0.03
+        assert list(wanted.labels["plane"]) == list(rows.labels["plane"])
+        assert set(rows.extra["purpose"]) <= set(purposes)
+    files["checks"] = str(tmp_path / "checks.csv")
+    Path(files["checks"]).write_text(re.sub(",(fit|again),", ",check,", Path(files["plan"]).read_text()))
     for words, refused in (
         (["--plan", files["s"]], "which a plan does not have"),
         (["--plan", files["plan"], "--samples", "9"], "Give one of them"),
         (["--plan", files["plan"], "--repeats", "2"], "Give one of them"),
+        (["--plan", files["plan"], "--tilt", "9"], "Give one of them"),
+        (["--plan", files["checks"]], "are kept to verify"),
         (["--plan", str(tmp_path / "nowhere.csv")], "no such file"),
     ):
         assert main(["simulate", str(HSR), "--out", files["other"], *words]) == 2
         assert refused in capsys.readouterr().err
+    assert main(["simulate", str(HSR), "--out", files["s"], "--samples", "40"]) == 0
+    assert "s_check.csv is there from before" in capsys.readouterr().out
+    three = str(ROOT / "problems" / "ur5_three_instruments")
+    assert main(["simulate", three, "--plan", files["plan"], "--out", files["other"]]) == 2
+    assert "A plan is of one instrument" in capsys.readouterr().err
     ur5 = str(ROOT / "problems" / "ur5")
     assert main(["simulate", ur5, "--plan", files["plan"], "--out", files["other"]]) == 2
     assert "was planned for 'hsr_jr680'" in capsys.readouterr().err
@@ -291,6 +303,18 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["other"]]) == 2
     assert "exists and was not simulated" in capsys.readouterr().err
     assert not (tmp_path / "other.csv").exists()
+
+
+@pytest.mark.parametrize("name", ["adept_cobra600", "instruments/ball_bar", "instruments/plate"])
+def test_what_is_kept_to_verify_can_be_verified(name):
+    """Whatever is touched is placed by it: faces by tips that are not on a line, anchors by five lengths."""
+    source = load_problem(ROOT / "problems" / name)
+    pool = pool_of(source.problem, source.cell, 150, 0)
+    for seed in range(4):
+        kept = kept_to_verify(source.problem, pool, np.arange(20, 150), 11, np.random.default_rng(seed))
+        assert kept.min() >= 20
+        assert len(set(kept.tolist())) == 11
+        bind(source.problem, pool.take(kept))
 
 
 def test_the_command_line_refuses(tmp_path, capsys):

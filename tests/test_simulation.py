@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from oracles import dh_chain
 
 from casacal import (
@@ -24,6 +25,7 @@ from casacal import (
     bind,
     chain,
     corner,
+    load_problem,
     plate,
     simulate,
 )
@@ -188,9 +190,37 @@ def test_postures_that_fit_no_problem_are_refused(hsr):
         simulate(hsr.problem, hsr.cell, samples=Samples.of_joints(wanted.joints))
     with pytest.raises(CasacalError, match="Give 6 per row"):
         simulate(hsr.problem, hsr.cell, samples=Samples.of_joints(wanted.joints[:, :5]))
-    away = dataclasses.replace(wanted, joints=wanted.joints + 10)
-    with pytest.raises(SimulationError, match="In none of the 6 postures"):
-        simulate(hsr.problem, dataclasses.replace(hsr.cell, travel=1e-9), samples=away)
+    beyond = wanted.joints.copy()
+    beyond[3, 0] = math.radians(357)
+    with pytest.raises(CasacalError, match=r"line 4: joint 1 stands at 357 degrees, outside its limits -160 to 160"):
+        simulate(hsr.problem, hsr.cell, samples=dataclasses.replace(wanted, joints=beyond))
+    away = [dataclasses.replace(face, centre=(*face.centre[:2], face.centre[2] - 9000)) for face in hsr.cell.faces[:1]]
+    floor = wanted.take([k for k, label in enumerate(wanted.labels["plane"]) if label == away[0].label])
+    with pytest.raises(SimulationError, match="In none of the 2 postures"):
+        simulate(hsr.problem, dataclasses.replace(hsr.cell, faces=tuple(away)), samples=floor)
+    for given, words in ((floor.joints, "a ndarray"), ("plan.csv", "a str"), (None, "nothing")):
+        with pytest.raises(SimulationError, match=f"Got {words} as the samples"):
+            simulate(hsr.problem, hsr.cell, samples=given)
+
+
+def test_no_reading_of_given_postures_is_outside_the_travel(hsr):
+    wanted = simulate(hsr.problem, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=45, seed=1).samples
+    for travel, low, high in ((2.0, 0, 2), ((-5.0, 5.0), -5, 5)):
+        cell = dataclasses.replace(hsr.cell, travel=travel)
+        found = simulate(hsr.problem, cell, samples=wanted, seed=4).samples.columns["reading"]
+        assert low <= found.min()
+        assert found.max() <= high
+
+
+def test_a_label_stands_for_the_same_thing_in_whatever_order_rows_name_them():
+    spike = load_problem(ROOT / "problems" / "instruments" / "spike").problem
+    wanted = simulate(spike, Disturbances(error_scale=0.0), samples=30, seed=1).samples
+    (column,) = spike.layout().labels
+    order = np.argsort([-ord(label[0]) for label in wanted.labels[column]], kind="stable")
+    ways = [simulate(spike, samples=rows, seed=5).samples for rows in (wanted, wanted.take(order))]
+    for rows, lines in ((ways[0], np.arange(30)), (ways[1], order)):
+        planned = wanted.joints[lines[np.array(rows.lines) - 1]]
+        assert np.abs(rows.joints - planned).max() < 0.3, "no place of another label is touched"
 
 
 def test_noise_resolution_and_outliers_are_as_asked(hsr):

@@ -613,6 +613,21 @@ def test_of_very_many_rows_a_spread_is_kept():
     assert not fitted_among(watched, elsewhere, listed)[0].any()  # another instrument
 
 
+def test_touches_that_were_made_again_are_not_those_that_were_fitted():
+    """In the same postures some read the same by chance; rows that were pasted all do."""
+    rng, layout = np.random.default_rng(35), Layout(("angle", "angle"), {"reading": "length"})
+    joints, true = rng.uniform(-2, 2, (60, 2)), rng.uniform(0, 9, 60)
+    first, again = (
+        Samples(joints, {"reading": true + rng.normal(size=60) * 0.005}, {}, range(60), {}, "f", "s") for _ in range(2)
+    )
+    listed = listing(first, layout)
+    near = np.abs(again.columns["reading"] - first.columns["reading"]) < 0.0024
+    assert 5 < near.sum() < 30
+    assert not fitted_among(again, layout, listed)[0].any()
+    pasted = joined(again.take(np.arange(20)), first.take(np.arange(20, 60)))
+    assert fitted_among(pasted, layout, listed)[0][20:].all()
+
+
 def test_where_nothing_is_read_the_joints_are_the_reading():
     layout, joints = Layout(("angle", "angle"), {}), np.random.default_rng(34).uniform(-2, 2, (30, 2))
     listed = listing(Samples(joints, {}, {}, range(30), {}, "f", "s"), layout)

@@ -96,9 +96,9 @@ def run(options: argparse.Namespace) -> int:
     if clearance is not None and clearance.shapes is not None and clearance.shapes.words:
         say_paragraphs(clearance.shapes.words)
     say_paragraphs(*(f"warning: {each}" for each in warned), *(f"Written: {place}" for place in written))
-    if source.problem.instrument.probe is not None:
-        command = shlex.join(["casacal", "measure", options.problem, "--plan", options.out, "--out"])
-        say_paragraphs(f"Next: {command} SAMPLES")
+    named = [] if options.instrument is None else ["--instrument", options.instrument]
+    command = shlex.join(["casacal", "measure", options.problem, *named, "--plan", options.out, "--out"])
+    say_paragraphs(f"Next: {command} SAMPLES")
     return DONE
 
 

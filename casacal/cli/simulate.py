@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import number_or_range
-from casacal.cli.common import DONE, JSON, PROBLEM, add, of_instrument, spare, whole_number
+from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from casacal.planning.route import Route
     from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
+    from casacal.robots.robot import Robot
     from casacal.samples.samples import Samples
     from casacal.simulation.simulate import Simulation
 
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, "--out FILE", "samples to write, such as x.csv; the truth goes to x.truth.json", required=True)
     add(parser, "--samples N ...", "number of touches; default: 120; with several instruments dial=120, once for each")
     words = (
-        "measure in the postures of what casacal plan wrote; touches kept to verify go to x-check.csv, as with measure"
+        "measure in the postures of what casacal plan wrote; touches kept to verify go to x_check.csv, as with measure"
     )
     add(parser, "--plan FILE", words)
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
@@ -77,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     from casacal.problem.problem_file import load_problem
     from casacal.simulation.simulate import simulate
     from casacal.uncertainty.expectation import planned_accuracy
-    from casacal.wording import METRE, UNBOUNDED, counted, listed
+    from casacal.wording import METRE, UNBOUNDED
 
     out = Path(options.out)
     _spare_measurements(out)
@@ -92,59 +93,120 @@ def run(options: argparse.Namespace) -> int:
         spare([place, out.with_suffix(".truth.json")], *(file.path for file in source.files), options.plan)
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
+    made = None if route is None else simulation.samples
     simulation, kept = _parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
-    left_out = 0 if route is None else len(route) - len(simulation.measured) - (0 if kept is None else len(kept))
     if options.json:
         faces = [face.label for face in cell.faces] if isinstance(cell, Cell) else []
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
-        say_json(found if route is None else {**found, "left_out": left_out})
+        if route is not None and made is not None:
+            found |= {"kept": 0 if kept is None else len(kept), "left_out": _left_out(route, made)}
+        say_json(found)
         return DONE
-    each = [
-        f"{len(some)} samples" + (f" of the {name}" if len(source.problem.names) > 1 else "")
-        for name, some in zip(source.problem.names, simulation.measured.sets, strict=True)
-    ]
-    where = _where(cell) if route is None else f"in the postures of {options.plan}"
-    say_paragraphs(f"Simulated, not measured: {', '.join(each)} {where}")
-    if left_out:
-        one = left_out == 1
-        say_paragraphs(
-            f"warning: {counted(left_out, 'touch')} of the plan {'is' if one else 'are'} left out, as the true arm "
-            f"cannot make {'it' if one else 'them'} within the range of readings and joints"
-        )
+    say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")
+    if route is not None and made is not None:
+        say_paragraphs(*_compared(route, made, source.problem.robot))
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
         "right"
     )
-    if columns := [name for effect in source.problem.effects for name in effect.further]:
-        say_paragraphs(
-            f"Not simulated: {listed(columns)}. To calibrate these samples, leave out the effects that need them"
-        )
-    if simulation.moves_beyond_geometry:
-        say_paragraphs(
-            "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
-            "error, is in Simulation.true_tips (Python)"
-        )
+    say_paragraphs(*_beside(simulation))
+    if kept is None and checks.is_file() and _is_simulated(checks):
+        say_paragraphs(f"warning: {checks.as_posix()} is there from before; it is not of this simulation")
     say_paragraphs(f"Written: {', '.join(written)}")
     return DONE
 
 
+def _counted(simulation: Simulation, kept: Samples | None) -> str:
+    """How many samples of each instrument."""
+    names, sets = simulation.problem.names, simulation.measured.sets
+    of = [f" of the {name}" if len(names) > 1 else "" for name in names]
+    said = ", ".join(f"{len(some)} samples{name}" for name, some in zip(of, sets, strict=True))
+    return said if kept is None else f"{said}, and {len(kept)} kept to verify,"
+
+
+def _left_out(route: Route, made: Samples) -> list[int]:
+    """Numbers of the touches of a plan that the true arm could not make."""
+    return sorted(set(range(1, len(route) + 1)) - set(made.lines))
+
+
+SEEN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
+MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
+
+
+def _compared(route: Route, made: Samples, robot: Robot) -> list[str]:
+    """Touches of a plan that were left out, and how far others were moved until they touched."""
+    import numpy as np
+
+    from casacal.wording import counted, shortened
+
+    said = []
+    if lost := _left_out(route, made):
+        numbers = shortened([str(number) for number in lost])
+        said.append(
+            f"warning: {counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
+            f"joints and readings: {numbers}. Left out"
+        )
+    apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
+    apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
+    if moved := int((apart > SEEN).sum()):
+        most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
+        text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched within the travel of the dial"
+        if not made.columns:
+            text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
+        far = f"warning: {text}. The plan looks as if made for another arm, tool or cell"
+        said.append(far if apart.max() > MOVED else text)
+    return said
+
+
+def _where(cell: Disturbances, plan: str | None) -> str:
+    """Where samples are taken, in words."""
+    from casacal.problem.cell import Cell
+
+    if plan is not None:
+        return f"in the postures of {plan}"
+    if not isinstance(cell, Cell):
+        return "in random postures"
+    return f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+
+
+def _beside(simulation: Simulation) -> list[str]:
+    """What is not simulated, and what the truth file does not hold."""
+    from casacal.wording import listed
+
+    said = []
+    if columns := [name for effect in simulation.problem.effects for name in effect.further]:
+        said.append(
+            f"Not simulated: {listed(columns)}. To calibrate these samples, leave out the effects that need them"
+        )
+    if simulation.moves_beyond_geometry:
+        said.append(
+            "The truth file holds the geometry alone. What else moves the tip, such as gravity sag and transmission "
+            "error, is in Simulation.true_tips (Python)"
+        )
+    return said
+
+
 def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
     """The plan in whose postures to measure, if any."""
-    from casacal.planning.route import read_route, refuse_plan_of_another
+    from casacal.planning.route import CHECK, read_route, refuse_plan_of_another
 
     if options.plan is None:
         return None
-    asked = [f"--{name}" for name in ("samples", "repeats") if getattr(options, name)]
+    asked = [f"--{name}" for name in ("samples", "repeats", "tilt") if getattr(options, name)]
     if asked:
         raise CasacalError(f"Got --plan and {asked[0]}", "Give one of them: a plan says what is touched")
-    problem = of_instrument(source, None).problem
-    found = read_route(options.plan, problem.layout())
+    if len(names := source.problem.names) > 1:
+        what = f"A plan is of one instrument, and the problem has {', '.join(names)}"
+        raise CasacalError(what, "Leave --plan out: simulate measures with all of them")
+    found = read_route(options.plan, source.problem.layout())
     refuse_plan_of_another(options.plan, source.name)
+    if set(found.purposes) == {CHECK}:
+        raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
     return found
 
 
@@ -153,28 +215,27 @@ def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Sa
     from casacal.planning.route import CHECK
     from casacal.samples.measurements import Measurements
 
-    if route is None or CHECK not in route.purposes:
+    if route is None:
         return simulation, None
     rows = simulation.samples
-    check = [k for k, line in enumerate(rows.lines) if route.purposes[line - 1] == CHECK]
-    fit = sorted(set(range(len(rows))) - set(check))
-    if not check or not fit:
-        return simulation, None
-    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check)
-
-
-def _where(cell: Disturbances) -> str:
-    from casacal.problem.cell import Cell
-
-    if not isinstance(cell, Cell):
-        return "in random postures"
-    return f"on {', '.join(face.label for face in cell.faces)} at tilts up to {math.degrees(cell.tilt):g} deg"
+    purposes = tuple(route.purposes[line - 1] for line in rows.lines)
+    rows = replace(rows, extra={"purpose": purposes})
+    check = [k for k, purpose in enumerate(purposes) if purpose == CHECK]
+    fit = [k for k, purpose in enumerate(purposes) if purpose != CHECK]
+    if not fit:
+        raise CasacalError(f"The true arm can make none of the touches to fit of {rows.file}", "Plan others")
+    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check) if check else None
 
 
 def _spare_measurements(out: Path) -> None:
     """Raise CasacalError where simulated samples would take the place of a file that is not simulated."""
-    if out.is_file() and not out.read_bytes()[:64].startswith(b"# simulated by casacal"):
+    if out.is_file() and not _is_simulated(out):
         raise CasacalError(f"'{out}' exists and was not simulated", "Name another file, or remove it first")
+
+
+def _is_simulated(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(64).startswith(b"# simulated by casacal")
 
 
 def _counts(source: ProblemFile, given: list[str]) -> dict[str, int]:

@@ -116,7 +116,7 @@ def plan(
     best, few = _enough_of_each(problem, reachable, choice, touches - checks - repeats, starts, rng, wanted)
     twice = best[np.linspace(0, len(best) - 1, repeats).astype(int)] if repeats else best[:0]
     left = np.setdiff1d(np.flatnonzero(~few) if after is None else np.arange(pool), best)
-    fresh = kept_to_verify(problem, reachable, left, checks, rng)
+    fresh = kept_to_verify(problem.without_effects, reachable, left, checks, rng)
     way = shortest_way(problem.robot, reachable.joints[np.concatenate([best, fresh])])
     order = np.concatenate([np.concatenate([best, fresh])[way], twice])
     purposes = [FIT] * len(best) + [CHECK] * len(fresh)

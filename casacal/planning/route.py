@@ -83,6 +83,8 @@ def read_route(path: str | Path, layout: Layout) -> Route:
         fix = "Give what casacal plan wrote; its readings are called expected_..."
         raise SamplesError(columns.file, f"'{measured[0]}' is a measurement, which a plan does not have", fix)
     read = Samples.from_columns(columns, expected)
+    if "purpose" in columns.header and "purpose" not in read.extra:  # of millions of rows only numbers are kept
+        raise SamplesError(read.file, f"{len(read):,} touches are too many for a plan", "Give fewer, in parts")
     purposes = tuple(str(cell).strip() or FIT for cell in read.extra.get("purpose", (FIT,) * len(read)))
     for purpose, line in zip(purposes, read.lines, strict=True):
         if purpose not in PURPOSES:

@@ -56,9 +56,13 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
 
 
 def copies_of(samples: Samples) -> Rows:
-    """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit."""
+    """Which rows (N,) hold the same joints, columns, labels and purpose as an earlier one, to the last digit."""
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
+    if "purpose" in samples.extra:  # a touch that a plan asks for once more is no copy of the first
+        codes.append(
+            np.unique(np.array(samples.extra["purpose"], dtype=str), return_inverse=True)[1].ravel().astype(np.int32)
+        )
     bits = [*(values.view(np.int64) for values in numbers), *(code.astype(np.int64) for code in codes)]
     _, first, groups = np.unique(_keys(len(samples), bits), return_index=True, return_inverse=True)
     earlier = first[groups.ravel()]
@@ -96,6 +100,9 @@ NEAR_JOINT: Mapping[Dimension, float] = {"angle": math.radians(0.02), "length": 
 """Joint values (rad, mm) nearer than this are those of one posture: decimals cut, another unit, a pendant read off."""
 
 LARGEST = 2.0**53  # steps beyond which numbers are no whole ones
+PASTED = 0.5
+"""Part of the rows in fitted postures that read the same, below which they were touched again, and agree by chance."""
+
 NEAR_READING = 2  # steps of the grid within which two readings are one: 0.002 mm, a fraction of any dial's noise
 
 
@@ -135,6 +142,8 @@ def fitted_among(samples: Samples, layout: Layout, listed: Mapping[str, Any]) ->
     if sorted(layout.columns) != sorted(listed["columns"]) or known.shape[1] != near.size:
         return nobody, 0.0
     same = _near_any(known, _on_grid(samples, layout), near)
+    if layout.columns and same.sum() < PASTED * in_fitted_postures(samples, layout, listed).sum():
+        return nobody, 0.0
     return same, float(same.mean()) * listed["rows"] / len(known)
 
 

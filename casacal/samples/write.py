@@ -23,9 +23,11 @@ JOINT_DECIMALS = 7
 def write_samples(path: str | Path, layout: Layout, samples: Samples, comments: Sequence[str]) -> None:
     """Write samples as a CSV file that `Problem.read` reads: angles in degrees, lengths in mm, numbers as they are.
 
-    layout: what a problem asks of its samples, as `Problem.layout` says. comments: lines above the header.
+    layout: what a problem asks of its samples, as `Problem.layout` says. comments: lines above the header. What touches
+    of a plan are for stands beside them.
     """
-    write_text(path, samples_text(layout, samples, comments))
+    after = {name: [str(cell) for cell in samples.extra[name]] for name in ("purpose",) if name in samples.extra}
+    write_text(path, samples_text(layout, samples, comments, after=after))
 
 
 def samples_text(

@@ -18,7 +18,7 @@ from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved, waved
 from casacal.simulation.touches import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, check_asked, own_noise, plane_coordinates, row_labels
+from casacal.simulation.true_arm import Draw, check_asked, label_names, own_noise, plane_coordinates, row_labels
 from casacal.tables.columns import Labels
 from casacal.unknowns import Frame, Unknown
 
@@ -103,7 +103,8 @@ def fitting_rows(
     for name, dimension in instrument.columns.items():
         shown = read[name] + noise_rng.normal(size=count) * instrument.column_stds.get(name, 0.0)
         columns[name] = rounded(shown, cell.resolution if dimension == "length" else 0.0)
-    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, draw.name, draw.name)
+    file = draw.name if given is None else given.file
+    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
 
 
@@ -126,7 +127,9 @@ def _bench(
     z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
     for key, unknown in model.unknowns.items():
         of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
-        seen = [None] if unknown.per is None else labels[unknown.per].names
+        seen: Sequence[str | None] = [None]
+        if unknown.per is not None:  # a label stands for the same thing in whatever order rows name them
+            seen = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
         named = {_named(instrument, key, label): label or key for label in seen}
         for k, (name, label) in enumerate(named.items()):
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))

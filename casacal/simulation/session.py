@@ -16,7 +16,7 @@ from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounded, unwaved, waved, ways, weighed
 from casacal.simulation.reach import Touch
-from casacal.simulation.touches import find_touches, form_seeds, levels
+from casacal.simulation.touches import EDGE, find_touches, form_seeds, levels
 from casacal.simulation.true_arm import Draw, true_unknowns
 from casacal.tables.columns import Labels
 
@@ -48,7 +48,8 @@ class Plan:
         names = [faces[0].label] * len(postures) if column is None else list(postures.labels[column])
         if lost := next((name for name in names if name not in known), None):
             raise SimulationError(
-                f"{postures.file} touches '{lost}', which is no face of the cell", f"Its faces are {', '.join(known)}"
+                f"{postures.file} touches '{lost}' (column '{column}'), which is no face of the cell",
+                f"Its faces are {', '.join(known)}",
             )
         rows, which = np.arange(len(names)), np.array([known[name] for name in names], dtype=np.intp)
         turn = np.array([(which[:k] == which[k]).sum() for k in rows])
@@ -88,8 +89,8 @@ class _Contact:
     def there(self, standing: Array, readings: Array) -> tuple[Array, Array, Rows]:
         """What is added to given joints until the tip touches (N, n), where the plunger stands (N,), and which touch.
 
-        standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be at an end of
-        its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
+        standing: joints (N, n) as they truly stand. readings: expected ones (N,); where the dial would be near an end
+        of its travel, the arm is moved until it reads about that, as operators do. Faces reach as far as anybody asks.
         """
         axes, centres, half = (
             np.array([getattr(face, name) for face in self.cell.faces])[self.plan.which]
@@ -100,9 +101,10 @@ class _Contact:
         normals, heights = axes[:, 0], levels(self.cell, self.plan.which, uv, self.forms, self.lift) / self.growth
         moved, ways_in = self._met(standing, readings, normals, heights)
         low, high = readings_within(self.probe.travel if self.cell.travel is None else self.cell.travel)
-        if (out := (ways_in < low) | (ways_in > high) | ~np.isfinite(ways_in)).any():
-            moved[out] = self.touch.land(standing[out], readings[out], normals[out], heights[out]) - standing[out]
-            ways_in[out] = readings[out]
+        low, high = low + EDGE * (high - low), high - EDGE * (high - low)
+        if self.probe.column is not None and (out := ~((ways_in >= low) & (ways_in <= high))).any():
+            ways_in[out] = np.clip(readings[out], low, high)
+            moved[out] = self.touch.land(standing[out], ways_in[out], normals[out], heights[out]) - standing[out]
         tips, _ = self.touch.place(self.touch.local, standing + moved, ways_in[:, None])
         met = np.abs((normals * tips).sum(axis=1) - heights) < 1e-6
         return moved, ways_in, met & self.touch.within_limits(standing + moved)[1]
@@ -182,7 +184,8 @@ def touched_rows(
         columns[probe.column] = rounded(shown, cell.resolution)
     labels = _labels(problem, probe, cell, plan) if given is None else dict(given.labels)
     recorded = rounded(said, cell.encoder_step)
-    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, draw.name, draw.name)
+    file = draw.name if given is None else given.file
+    rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), local, arm, dial
 
 

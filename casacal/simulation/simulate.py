@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
-from casacal.errors import SimulationError, came
+from casacal.errors import SamplesError, SimulationError, came
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
 from casacal.problem.cell import Cell, Disturbances
@@ -175,6 +176,7 @@ def _elsewhere(alone: Problem, cell: Disturbances | None) -> Disturbances | None
     return Disturbances(**{field.name: getattr(cell, field.name) for field in fields(Disturbances)})
 
 
+ROUNDED = 1e-5  # rad or mm by which postures of a file may be beyond a joint's limit
 MOST_SAMPLES = 1_000_000  # rows beyond which drawing postures takes hours
 
 
@@ -229,10 +231,26 @@ def simulate(
 
 
 def _postures(problem: Problem, samples: Samples) -> Samples:
-    """Postures of an only instrument; raises ProblemError of several, SamplesError without joints and labels for it."""
+    """Postures of an only instrument, inside the joint limits.
+
+    Raises ProblemError of several, SamplesError without the joints and labels that it takes.
+    """
     _ = problem.instrument
-    layout = problem.layout()
+    layout, robot = problem.layout(), problem.robot
     samples.check(Layout(layout.joints, {}, layout.labels))
+    _check_count(len(samples))
+    lower, upper = robot.limits
+    beyond = np.maximum(lower - samples.joints, samples.joints - upper) > ROUNDED
+    if beyond.any():
+        k, j = map(int, np.argwhere(beyond)[0])
+        factor, unit = (180 / math.pi, "degrees") if robot.revolute[j] else (1.0, "mm")
+        raise SamplesError(
+            samples.file,
+            f"joint {j + 1} stands at {factor * samples.joints[k, j]:.6g} {unit}, outside its limits "
+            f"{factor * lower[j]:g} to {factor * upper[j]:g}",
+            "Leave the posture out, or mend the limits of the robot",
+            line=int(samples.lines[k]),
+        )
     return samples
 
 
@@ -245,7 +263,15 @@ def _counts(problem: Problem, samples: int | Mapping[str, int]) -> dict[str, int
             raise SimulationError(f"How many samples of the {missing[0]} was not said", f"Say it: {missing[0]}=120")
     counts = {name: samples[name] if isinstance(samples, Mapping) else samples for name in problem.names}
     for count in counts.values():
-        if not isinstance(count, (int, np.integer)) or not 1 <= count <= MOST_SAMPLES:
-            fix = f"Ask for at least one, at most {MOST_SAMPLES:,}"
-            raise SimulationError(f"{count} samples were asked for", fix)
+        _check_count(count)
     return {name: int(count) for name, count in counts.items()}
+
+
+def _check_count(count: object) -> None:
+    """Raise SimulationError unless so many samples can be simulated."""
+    if not isinstance(count, (int, np.integer)):
+        fix = "Give a number, numbers by the name of the instrument, or the postures of a plan: plan.samples"
+        raise SimulationError(f"Got {came(count)} as the samples", fix)
+    if not 1 <= count <= MOST_SAMPLES:
+        fix = f"Ask for at least one, at most {MOST_SAMPLES:,}"
+        raise SimulationError(f"{count} samples were asked for", fix)

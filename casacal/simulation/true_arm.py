@@ -43,16 +43,22 @@ def check_asked(problem: Problem, cell: Disturbances) -> None:
 
 def row_labels(problem: Problem, cell: Disturbances, samples: int) -> dict[str, Labels]:
     """Labels of the rows, in turn: those that the instrument knows, the cell's faces, or 1, 2, 3."""
-    instrument, turn, found = problem.instrument, np.arange(samples), {}
+    turn, found = np.arange(samples), {}
     for column in problem.layout().labels:
-        known = instrument.known_columns.values() if instrument.known_by == column else ()
-        names = tuple(dict.fromkeys(label for values in known for label in values))
-        if isinstance(cell, Cell):
-            names = names or tuple(face.label for face in cell.faces)
-        names = names or LABELS
+        names = label_names(problem, cell, column)
         found[column] = Labels(names, turn % len(names))
         turn //= len(names)  # each label of one column meets each of the next
     return found
+
+
+def label_names(problem: Problem, cell: Disturbances, column: str) -> tuple[str, ...]:
+    """Labels that a column of simulated rows has; what bears the first of them stands in the first place, and so on."""
+    instrument = problem.instrument
+    known = instrument.known_columns.values() if instrument.known_by == column else ()
+    names = tuple(dict.fromkeys(label for values in known for label in values))
+    if isinstance(cell, Cell):
+        names = names or tuple(face.label for face in cell.faces)
+    return names or LABELS
 
 
 def true_unknowns(problem: Problem, probe: Probe, error_scale: float, rng: np.random.Generator) -> dict[str, Array]:
