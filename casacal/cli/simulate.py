@@ -57,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(parser, "--plan FILE", words)
     add(parser, "--seed K", "seed of arm, touches and noise; default: 0", kind=whole_number, default=0)
-    words = "occasion on which the arm of that seed is measured: another has other noise, and postures; default: 0"
+    words = (
+        "occasion on which the arm of that seed is measured: other noise, and without --plan other postures; default: 0"
+    )
     add(parser, "--session K", words, kind=whole_number, default=0)
     add(parser, "--travel MM", "range of the dial, such as 10 or -5:5", kind=number_or_range)
     for name, (unit, words) in NUMBERS.items():
