@@ -49,9 +49,9 @@ def test_no_file_holds_a_figure_of_accuracy(denied, capsys):
     assert document["tip"] is None
     assert document["covariance"] is None
     assert document["cures"] == []
-    assert {row["std"] for row in document["parameters"] if row["note"] != "held at nominal"} == {None}
+    assert {row["std"] for row in document["parameters"] if row["known_from"] != "held"} == {None}
     with (folder / "out" / "parameters.csv").open() as file:
-        assert {row["std"] for row in csv.DictReader(file) if row["note"] != "held at nominal"} == {""}
+        assert {row["std"] for row in csv.DictReader(file) if row["known_from"] != "held"} == {""}
     page = re.sub(r"<[^>]*>", " ", (folder / "out" / "report.html").read_text().split("<body")[1])
     assert not ACCURACY.search(re.sub(r"Expected tip error\s+not stated", "", page))
     for options in ([], ["--verbose"], ["--json"]):
@@ -185,7 +185,7 @@ def test_all_else_is_what_it_was(denied):
 
 def test_nor_does_the_object(denied):
     _, found = denied
-    assert found.parameters["std"][found.parameters["note"] != "held at nominal"].isna().all()
+    assert found.parameters["std"][found.parameters["known_from"] != "held"].isna().all()
     assert "tip error" not in repr(found)
     with pytest.raises(CasacalError, match="no standard deviations"):
         found.predict(np.zeros(4), std=True)

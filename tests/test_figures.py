@@ -57,7 +57,7 @@ def test_every_standard_deviation_of_the_file_is_that_of_the_inverse(hsr, corner
     scaled = bound.jacobian(result.x) * bound.start_std
     inverse = np.linalg.inv(scaled.T @ scaled + np.diag(np.isfinite(bound.prior_std).astype(float)))
     stds = dict(zip(bound.names, bound.start_std * np.sqrt(np.diagonal(inverse)), strict=True))
-    free = [row for row in document["parameters"] if row["note"] != "held at nominal"]
+    free = [row for row in document["parameters"] if row["known_from"] != "held"]
     assert {row["unit"] for row in free} == {"rad", "mm"}
     assert {row["name"] for row in free} <= stds.keys()
     told = {row["name"]: row["std"] for row in free}

@@ -141,19 +141,19 @@ def test_a_slip_is_named_and_put_right(late, world, kind):
 
 
 def test_an_early_slip_is_named_when_the_arm_is_known(hsr, route, world):
-    """A turn of the pointer lost in the fifth touch: no larger than what the drawing may be wrong by, at first."""
-    session = taken(Session(hsr.problem, route), world, range(1, 5))
-    joints, reading, face = world.touch(5)
-    session = session.take(joints, reading - 1.0, face, number=5)
+    """A turn of the pointer lost in the fourth touch: no larger than what the drawing may be wrong by, at first."""
+    session = taken(Session(hsr.problem, route), world, range(1, 4))
+    joints, reading, face = world.touch(4)
+    session = session.take(joints, reading - 1.0, face, number=4)
     assert session.alarm is None
     innocent = 0
-    for number in range(6, 46):
+    for number in range(5, 46):
         session = session.take(*world.touch(number), number=number)
-        while session.alarm is not None and all(suspect.touch != 4 for suspect in session.alarm.suspects):
+        while session.alarm is not None and all(suspect.touch != 3 for suspect in session.alarm.suspects):
             session, innocent = session.keep(), innocent + 1
         if session.alarm is not None:
             break
-    named = next(suspect for suspect in session.alarm.suspects if suspect.touch == 4)
+    named = next(suspect for suspect in session.alarm.suspects if suspect.touch == 3)
     assert innocent <= 2
     assert named.slip.kind == "revolution"
     assert session.correct(named).alarm is None

@@ -14,10 +14,10 @@ from instruments_on_ur5 import PROBLEMS
 from casacal import CasacalError, bind, calibrate, load_problem, simulate
 from casacal.cli.main import main
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.planning.choice import kept_to_verify, pool_of
+from casacal.planning.choice import pool_of
 from casacal.planning.exchange import error_of, exchange
 from casacal.planning.how_many import touches_for
-from casacal.planning.plan import plan
+from casacal.planning.plan import kept_to_verify, plan
 from casacal.planning.route import AGAIN, CHECK, FIT, read_route, shortest_way
 from casacal.planning.set_ups import SetUp, worth_most
 from casacal.planning.written import plan_text

@@ -171,13 +171,10 @@ def parameter_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Parameters of result.json as a frame, with the change of each."""
     import pandas as pd
 
-    table = pd.DataFrame(list(rows), columns=list(COLUMNS)).set_index("name")
+    names = ("name", "unit", "nominal", "estimate", "std", "known_from")
+    table = pd.DataFrame(list(rows), columns=list(names)).set_index("name")
     table.insert(3, "change", table["estimate"] - table["nominal"])
     return table
-
-
-TIP = ("prior_rms_mm", "expected_rms_mm")
-COLUMNS = ("name", "unit", "nominal", "estimate", "std", "known_from")  # of a parameter in result.json
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,8 +209,8 @@ class SavedCalibration(Value, AsArm):
     def tip_std(self) -> tuple[float, float]:
         """Tip error to expect, mm RMS, from priors and now, as `Calibrated.tip_std`; NaN where the file says none."""
         tip = self.found.document.get("tip") or {}
-        before, now = (math.nan if tip.get(key) is None else float(tip[key]) for key in TIP)
-        return before, now
+        before, now = (tip.get(key) for key in ("prior_rms_mm", "expected_rms_mm"))
+        return math.nan if before is None else before, math.nan if now is None else now
 
     @property
     def metrics(self) -> Any:
@@ -227,8 +224,7 @@ class SavedCalibration(Value, AsArm):
 
     def __repr__(self) -> str:
         document = self.found.document
-        tip = (document.get("tip") or {}).get("expected_rms_mm")
-        expected = "" if tip is None else f", expected tip error {tip:.3g} mm RMS"
+        expected = "" if math.isnan(self.tip_std[1]) else f", expected tip error {self.tip_std[1]:.3g} mm RMS"
         return (
             f"<casacal calibration of {self.found.source.problem.robot.name} by {document.get('method')}, read from "
             f"{self.found.file}{expected}>"

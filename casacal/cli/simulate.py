@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 from casacal.cli.adjust import number_or_range
 from casacal.cli.common import DONE, JSON, PROBLEM, add, spare, whole_number
+from casacal.cli.simulate_plan import compared, left_out, parted, route_of
 from casacal.cli.terminal import say_json, say_paragraphs
 from casacal.errors import CasacalError
 
 if TYPE_CHECKING:
-    from casacal.planning.route import Route
     from casacal.problem.cell import Disturbances
     from casacal.problem.problem_file import ProblemFile
-    from casacal.robots.robot import Robot
     from casacal.samples.samples import Samples
     from casacal.simulation.simulate import Simulation
 
@@ -88,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         fix = f"Name it {out.with_suffix('.csv').name}"
         raise CasacalError(f"simulate writes CSV, but '{out}' does not end in .csv", fix)
     source = load_problem(options.problem)
-    route, cell = _route(source, options), _cell(source, options)
+    route, cell = route_of(source, options), _cell(source, options)
     checks = out.with_name(f"{out.stem}_check{out.suffix}")
     for place in (*sample_paths(out, source.problem.names), *([] if route is None else [checks])):
         _spare_measurements(place)
@@ -96,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     counts = _counts(source, options.samples) if route is None else route.samples
     simulation = simulate(source.problem, cell, samples=counts, seed=options.seed, session=options.session)
     made = None if route is None else simulation.samples
-    simulation, kept = _parted(simulation, route)
+    simulation, kept = parted(simulation, route)
     before, after = planned_accuracy(bind(source.problem.without_effects, simulation.measured))
     paths = write_simulation(simulation, source, out, None if kept is None else (checks, kept))
     written = [path.as_posix() for path in paths]
@@ -105,12 +104,12 @@ def run(options: argparse.Namespace) -> int:
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
         if route is not None and made is not None:
-            found |= {"kept": 0 if kept is None else len(kept), "left_out": _left_out(route, made)}
+            found |= {"kept": 0 if kept is None else len(kept), "left_out": left_out(route, made)}
         say_json(found)
         return DONE
     say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")
     if route is not None and made is not None:
-        say_paragraphs(*_compared(route, made, source.problem.robot))
+        say_paragraphs(*compared(route, made, source.problem.robot))
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "
@@ -129,40 +128,6 @@ def _counted(simulation: Simulation, kept: Samples | None) -> str:
     of = [f" of the {name}" if len(names) > 1 else "" for name in names]
     said = ", ".join(f"{len(some)} samples{name}" for name, some in zip(of, sets, strict=True))
     return said if kept is None else f"{said}, and {len(kept)} kept to verify,"
-
-
-def _left_out(route: Route, made: Samples) -> list[int]:
-    """Numbers of the touches of a plan that the true arm could not make."""
-    return sorted(set(range(1, len(route) + 1)) - set(made.lines))
-
-
-SEEN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
-MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
-
-
-def _compared(route: Route, made: Samples, robot: Robot) -> list[str]:
-    """Touches of a plan that were left out, and how far others were moved until they touched."""
-    import numpy as np
-
-    from casacal.wording import counted, shortened
-
-    said = []
-    if lost := _left_out(route, made):
-        numbers = shortened([str(number) for number in lost])
-        said.append(
-            f"warning: {counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
-            f"joints and readings: {numbers}. Left out"
-        )
-    apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
-    apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
-    if moved := int((apart > SEEN).sum()):
-        most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
-        text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched within the travel of the dial"
-        if not made.columns:
-            text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
-        far = f"warning: {text}. The plan looks as if made for another arm, tool or cell"
-        said.append(far if apart.max() > MOVED else text)
-    return said
 
 
 def _where(cell: Disturbances, plan: str | None) -> str:
@@ -191,42 +156,6 @@ def _beside(simulation: Simulation) -> list[str]:
             "error, is in Simulation.true_tips (Python)"
         )
     return said
-
-
-def _route(source: ProblemFile, options: argparse.Namespace) -> Route | None:
-    """The plan in whose postures to measure, if any."""
-    from casacal.planning.route import CHECK, read_route, refuse_plan_of_another
-
-    if options.plan is None:
-        return None
-    asked = [f"--{name}" for name in ("samples", "repeats", "tilt") if getattr(options, name)]
-    if asked:
-        raise CasacalError(f"Got --plan and {asked[0]}", "Give one of them: a plan says what is touched")
-    if len(names := source.problem.names) > 1:
-        what = f"A plan is of one instrument, and the problem has {', '.join(names)}"
-        raise CasacalError(what, "Leave --plan out: simulate measures with all of them")
-    found = read_route(options.plan, source.problem.layout())
-    refuse_plan_of_another(options.plan, source.name)
-    if set(found.purposes) == {CHECK}:
-        raise CasacalError(f"All touches of {options.plan} are kept to verify", "Give a plan with touches to fit")
-    return found
-
-
-def _parted(simulation: Simulation, route: Route | None) -> tuple[Simulation, Samples | None]:
-    """What is to be fitted, and the rows that the plan keeps to verify, if any."""
-    from casacal.planning.route import CHECK
-    from casacal.samples.measurements import Measurements
-
-    if route is None:
-        return simulation, None
-    rows = simulation.samples
-    purposes = tuple(route.purposes[line - 1] for line in rows.lines)
-    rows = replace(rows, extra={"purpose": purposes})
-    check = [k for k, purpose in enumerate(purposes) if purpose == CHECK]
-    fit = [k for k, purpose in enumerate(purposes) if purpose != CHECK]
-    if not fit:
-        raise CasacalError(f"The true arm can make none of the touches to fit of {rows.file}", "Plan others")
-    return replace(simulation, measured=Measurements.of(rows.take(fit))), rows.take(check) if check else None
 
 
 def _spare_measurements(out: Path) -> None:

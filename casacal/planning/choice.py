@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.nominal import nominal_tips
-from casacal.binding.slots import instances, make_slots
+from casacal.binding.slots import instances
 from casacal.errors import CasacalError, came
 from casacal.instruments.description import Probe
 from casacal.planning.clearance import Clearance
@@ -199,34 +199,6 @@ def seldom(problem: Problem, pool: Samples, chosen: Chosen) -> tuple[NDArray[np.
                 fewest, least = count, np.zeros(len(pool), dtype=bool)
                 least[rows] = True
     return all_of_them, least
-
-
-TRIES = 20  # draws of what is kept to verify, until one places all that it touches
-
-
-def kept_to_verify(problem: Problem, pool: Samples, left: Chosen, count: int, rng: np.random.Generator) -> Chosen:
-    """So many of the measurements that are left, drawn at random, of as many faces, points or anchors as they place.
-
-    `verify` finds each of these anew from its own rows, and takes none with fewer than that needs. Where no draw
-    suffices for one, it is any.
-    """
-    drawn = rng.choice(left, min(count, len(left)), replace=False)
-    instrument, groups = problem.instrument, [left]
-    for key in instrument.datum:
-        found = instances(instrument, key, instrument.unknowns[key], pool)
-        groups = max(groups, [np.intersect1d(left, rows) for _, rows in found], key=len)
-    for faces in range(min(len(groups), count), 0, -1):
-        for _ in range(TRIES):
-            order = [rng.permutation(groups[k]) for k in rng.permutation(len(groups))[:faces]]
-            turns = [rows[k] for k in range(max(map(len, order))) for rows in order if k < len(rows)]
-            if len(turns) < count:
-                break
-            try:
-                make_slots(problem, [pool.take(turns[:count])])
-            except CasacalError:
-                continue
-            return np.array(turns[:count], dtype=np.intp)
-    return np.asarray(drawn)
 
 
 def row_slopes(bound: BoundProblem, x: Array) -> Array:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.slots import instances, make_slots
 from casacal.errors import CasacalError, came, refuse_unknown
-from casacal.planning.choice import Choice, kept_to_verify, pool_of, refuse_several, seldom, wanted_joints
+from casacal.planning.choice import Choice, pool_of, refuse_several, seldom, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.exchange import Chosen, Criterion
 from casacal.planning.route import AGAIN, CHECK, FIT, Route, shortest_way
@@ -158,6 +159,34 @@ def _enough_of_each(
         if not least.any() or (~barred).sum() < 2 * count:
             return best, few if (~few).sum() >= 2 * count else np.zeros(len(pool), dtype=bool)
         best = choice.best_of(count, starts, rng, criterion, barred)
+
+
+TRIES = 20  # draws of what is kept to verify, until one places all that it touches
+
+
+def kept_to_verify(problem: Problem, pool: Samples, left: Chosen, count: int, rng: np.random.Generator) -> Chosen:
+    """So many of the measurements that are left, drawn at random, of as many faces, points or anchors as they place.
+
+    `verify` finds each of these anew from its own rows, and takes none with fewer than that needs. Where no draw
+    suffices for one, it is any.
+    """
+    drawn = rng.choice(left, min(count, len(left)), replace=False)
+    instrument, groups = problem.instrument, [left]
+    for key in instrument.datum:
+        found = instances(instrument, key, instrument.unknowns[key], pool)
+        groups = max(groups, [np.intersect1d(left, rows) for _, rows in found], key=len)
+    for faces in range(min(len(groups), count), 0, -1):
+        for _ in range(TRIES):
+            order = [rng.permutation(groups[k]) for k in rng.permutation(len(groups))[:faces]]
+            turns = [rows[k] for k in range(max(map(len, order))) for rows in order if k < len(rows)]
+            if len(turns) < count:
+                break
+            try:
+                make_slots(problem, [pool.take(turns[:count])])
+            except CasacalError:
+                continue
+            return np.array(turns[:count], dtype=np.intp)
+    return np.asarray(drawn)
 
 
 def bound_pool(

@@ -228,3 +228,22 @@ def _process(rng: np.random.Generator, reach: float) -> Callable[[Array], Array]
     grid = _grid(21)
     plane = np.linalg.lstsq(lifted(grid), rough(grid), rcond=None)[0]
     return lambda points: rough(points) - lifted(points) @ plane
+
+
+def form_seeds(cell: Cell, rng: np.random.Generator) -> list[int | None]:
+    """A seed for the form of each face; None where faces are flat."""
+    return [int(rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
+
+
+def levels(cell: Cell, which: Index, uv: Array, seeds: Sequence[int | None], lift: Array) -> Array:
+    """Heights n . x (N,; mm) of touches at places uv (N, 2; -1 to 1) of their faces, with form and lift."""
+    normals, centres = (
+        np.array(each)[which] for each in zip(*((f.axes[0], f.centre) for f in cell.faces), strict=True)
+    )
+    heights: Array = lift + (normals * centres).sum(axis=1)
+    for i, seed in enumerate(seeds):
+        if seed is not None:
+            here = which == i
+            form_rng = np.random.default_rng(seed)
+            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
+    return heights

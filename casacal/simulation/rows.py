@@ -2,72 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-
-import casadi as ca
 import numpy as np
 
 from casacal.array_types import Array, Index, Rows
 from casacal.errors import SimulationError
-from casacal.instruments import Instrument
-from casacal.kernels.batch import Batch
-from casacal.problem.cell import Cell, Disturbances, Face
+from casacal.problem.cell import Disturbances
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import inside_limits, random_joints
 from casacal.samples.samples import Samples
+from casacal.simulation.bench import Bench, bench_of
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved, waved
-from casacal.simulation.touches import random_tips, spot, stands
-from casacal.simulation.true_arm import Draw, check_asked, label_names, own_noise, plane_coordinates, row_labels
-from casacal.tables.columns import Labels
-from casacal.unknowns import Frame, Unknown
+from casacal.simulation.true_arm import Draw, check_asked, own_noise, row_labels
 
 CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
 ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
 FITS = 1e-9  # residual, in units of the largest of its noise or a thousandth of a unit, below which a row fits
 SLOW = 1e-3  # what a reading costs in the step that is sought, where a radian costs one: readings move before joints do
-
-
-@dataclass(frozen=True)
-class Bench:
-    """A true instrument on a true arm: residuals of rows, and how they change with joints and readings."""
-
-    problem: Problem
-    evaluate: Batch
-    z: Array
-    """True local coordinates by row (N, nz)."""
-    c: Array
-    """Nominals that differ by label by row (N, nc)."""
-    known: Array
-    """Columns known from labels by row (N, k)."""
-    faces: tuple[Face, ...]
-    """The face of each row (N,); none where nothing flat is touched."""
-    local: Mapping[str, Array]
-    """True local coordinates by name, about where simulation puts the nominal."""
-    frames: Mapping[str, Array]
-    """Transforms (4, 4; mm) by name of the frames that rows propose, which stand elsewhere for whoever fits."""
-
-    @property
-    def read(self) -> int:
-        """How many columns are read."""
-        return len(self.problem.instrument.columns)
-
-    def residual(self, free: Array, rows: Index) -> tuple[Array, Array]:
-        """Residuals (k, m) of some rows at joints and readings (k, n), and their slopes (k, m, n)."""
-        data = np.hstack([free, self.known[rows]])
-        e, slopes = self.evaluate(self.z[rows], self.c[rows], data)
-        return e, slopes.reshape(len(rows), data.shape[1], e.shape[1]).transpose(0, 2, 1)[:, :, : free.shape[1]]
-
-    def beyond(self, free: Array, rows: Index) -> Array:
-        """How far (k,; mm) the tips of some rows lie outside their faces."""
-        if not self.faces:
-            return np.zeros(len(rows))
-        (tips,) = self.problem.model.batch.tip(self.z[rows], self.c[rows], np.hstack([free, self.known[rows]]))
-        axes, centres, sizes = (
-            np.array([getattr(self.faces[k], name) for k in rows]) for name in ("axes", "centre", "size")
-        )
-        along = np.abs(np.einsum("kx,kax->ka", tips - centres, axes[:, 1:]))
-        return np.asarray(np.linalg.norm(np.maximum(along - sizes / 2, 0.0), axis=1))
 
 
 def fitting_rows(
@@ -82,7 +32,7 @@ def fitting_rows(
     truth_rng, pose_rng, noise_rng, _, gear_rng = draw.streams(5, of_the_arm=(0, 4))
     given, count = (samples, len(samples)) if isinstance(samples, Samples) else (None, samples)
     labels = row_labels(problem, cell, count) if given is None else dict(given.labels)
-    bench = _bench(problem, cell, labels, truth_rng, count, draw)
+    bench = bench_of(problem, cell, labels, truth_rng, count, draw)
     instrument, n = problem.instrument, len(problem.robot.axes)
     gross = noise_rng.random(count) < cell.outliers
     outlier = gross * noise_rng.choice([-1.0, 1.0], size=count) * cell.outlier_size * noise_rng.uniform(1, 2, count)
@@ -106,78 +56,6 @@ def fitting_rows(
     file = draw.name if given is None else given.file
     rows = Samples(recorded, columns, labels, tuple(range(1, count + 1)), {}, file, draw.name)
     return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
-
-
-def _named(instrument: Instrument, key: str, label: str | None) -> str:
-    """The name of an unknown, or of the one that rows of a label see."""
-    return key if label is None else f"{key}.{instrument.instance(key, label)}"
-
-
-def _bench(
-    problem: Problem,
-    cell: Disturbances,
-    labels: Mapping[str, Labels],
-    rng: np.random.Generator,
-    samples: int,
-    draw: Draw,
-) -> Bench:
-    """The true arm before its true instrument, and all that is unknown of them."""
-    model, instrument, robot, reached = problem.model, problem.instrument, problem.robot, random_tips(problem)
-    local, nominals, frames = dict[str, Array](), dict[str, Array](), dict[str, Array]()
-    z, c = [np.zeros((samples, 0))], [np.zeros((samples, 0))]
-    for key, unknown in model.unknowns.items():
-        of_rows: Sequence[str | None] = [None] * samples if unknown.per is None else labels[unknown.per]
-        seen: Sequence[str | None] = [None]
-        if unknown.per is not None:  # a label stands for the same thing in whatever order rows name them
-            seen = tuple(dict.fromkeys((*label_names(problem, cell, unknown.per), *labels[unknown.per].names)))
-        named = {_named(instrument, key, label): label or key for label in seen}
-        for k, (name, label) in enumerate(named.items()):
-            place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
-            drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
-            local[name] = np.asarray(draw.known.get(name, drawn))
-            if isinstance(unknown, Frame) and unknown.nominal is None:
-                frames[name] = np.array(ca.DM(unknown.at(ca.DM(nominals[name]), ca.DM(local[name]))))
-            if isinstance(cell, Cell) and _is_flat(unknown):
-                local[name] = plane_coordinates(unknown, nominals[name], *place)
-        names = [_named(instrument, key, label) for label in of_rows]
-        z.append(np.array([local[name] for name in names]).reshape(samples, -1))
-        if key in model.constants:
-            c.append(np.array([nominals[name] for name in names]).reshape(samples, -1))
-    known = []
-    for values in instrument.known_columns.values():
-        known.append([values.get(label, 0.0) for label in labels[instrument.known_by]])
-    symbols = [ca.SX.sym(name, model.residual.numel_in(i)) for i, name in enumerate(("z", "c", "d"))]
-    e = model.residual(*symbols)
-    evaluate = Batch(ca.Function("bench", symbols, [e, ca.densify(ca.jacobian(e, symbols[2]))]))
-    free = len(robot.axes) + len(instrument.columns)
-    assert model.residual.numel_in(2) == free + len(known)
-    return Bench(
-        problem,
-        evaluate,
-        np.hstack(z),
-        np.hstack(c),
-        np.array(known, dtype=np.float64).T.reshape(samples, -1),
-        _faces(problem, cell, labels, samples),
-        local,
-        frames,
-    )
-
-
-def _faces(problem: Problem, cell: Disturbances, labels: Mapping[str, Labels], samples: int) -> tuple[Face, ...]:
-    """The face of each row, where an unknown of the instrument is a plane and a cell says how large faces are."""
-    planes = [unknown for unknown in problem.instrument.unknowns.values() if _is_flat(unknown)]
-    if not isinstance(cell, Cell) or not planes:
-        return ()
-    column = planes[0].per
-    return tuple(
-        next((face for face in cell.faces if face.label == label), cell.faces[0])
-        for label in (labels[column] if column is not None else ("",) * samples)
-    )
-
-
-def _is_flat(unknown: Unknown) -> bool:
-    return unknown.nominal_plane(np.zeros(unknown.nominal_size)) is not None
 
 
 def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:

@@ -14,9 +14,20 @@ from casacal.instruments.instrument import Instrument
 from casacal.problem.cell import OF_DIALS, Cell, Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
-from casacal.simulation.faults import ArmErrors, DialErrors, drawn_waves, rounded, unwaved, waved, ways, weighed
+from casacal.simulation.faults import (
+    ArmErrors,
+    DialErrors,
+    drawn_waves,
+    form_seeds,
+    levels,
+    rounded,
+    unwaved,
+    waved,
+    ways,
+    weighed,
+)
 from casacal.simulation.reach import Touch
-from casacal.simulation.touches import EDGE, find_touches, form_seeds, levels
+from casacal.simulation.touches import EDGE, find_touches
 from casacal.simulation.true_arm import Draw, true_unknowns
 from casacal.tables.columns import Labels
 

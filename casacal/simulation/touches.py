@@ -15,7 +15,7 @@ from casacal.kinematics import stacked_poses
 from casacal.problem.cell import Cell, Disturbances, Face, corner
 from casacal.problem.problem import Problem
 from casacal.robots.joint_space import random_joints
-from casacal.simulation.faults import form_error
+from casacal.simulation.faults import levels
 from casacal.simulation.reach import Touch
 from casacal.simulation.true_arm import true_unknowns
 from casacal.unknowns.plane import Plane
@@ -58,25 +58,6 @@ def find_touches(
         f"degrees and the dial's travel ({len(waiting)} of {len(which)} samples are missing)",
         "Move or enlarge the face, or allow more tilt",
     )
-
-
-def form_seeds(cell: Cell, rng: np.random.Generator) -> list[int | None]:
-    """A seed for the form of each face; None where faces are flat."""
-    return [int(rng.integers(2**32)) if cell.flatness > 0 else None for _ in cell.faces]
-
-
-def levels(cell: Cell, which: Index, uv: Array, seeds: Sequence[int | None], lift: Array) -> Array:
-    """Heights n . x (N,; mm) of touches at places uv (N, 2; -1 to 1) of their faces, with form and lift."""
-    normals, centres = (
-        np.array(each)[which] for each in zip(*((f.axes[0], f.centre) for f in cell.faces), strict=True)
-    )
-    heights: Array = lift + (normals * centres).sum(axis=1)
-    for i, seed in enumerate(seeds):
-        if seed is not None:
-            here = which == i
-            form_rng = np.random.default_rng(seed)
-            heights[here] += form_error(form_rng, cell.flatness, uv[here], reach=cell.flatness_reach)
-    return heights
 
 
 def try_touches(
