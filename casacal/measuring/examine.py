@@ -142,7 +142,7 @@ def _explained(
     scores: list[tuple[int, Slip | None, float]] = []
     for number, rest in told.items():
         scores.append((number, None, rest.evidence + STRAY_WEIGHT - stray))
-        others: Sequence[Slip] = slips(number)
+        others = [slip for slip in slips(number) if known.knows(slip.touch)]  # not a face that nobody has touched
         rows = LinearRows.of(known, [slip.touch for slip in others]) if others else None
         for k, slip in enumerate(others):
             assert rows is not None
