@@ -105,6 +105,8 @@ def heights_over_faces(simulation, tips):
 def test_in_given_postures_joints_stay_and_the_plunger_reads(hsr):
     still = exact(hsr.cell)
     wanted = simulate(hsr.problem, dataclasses.replace(still, error_scale=0.0), samples=60, seed=1).samples
+    wanted = wanted.take(np.random.default_rng(0).permutation(60))
+    wanted = dataclasses.replace(wanted, lines=tuple(range(1, 61)))
     simulation = simulate(hsr.problem, still, samples=wanted, seed=4)
     rows = simulation.samples
     tips, _ = true_tips(simulation, rows.joints, rows.columns["reading"])
@@ -128,6 +130,7 @@ def test_in_given_postures_joints_stay_and_the_plunger_reads(hsr):
         {"gear_waves": ((1, 2e-4),), "joint_std": 2e-5, "outliers": 0.1, "outlier_size": 0.5},
         {"thermal": 5e-5, "backlash": 1e-4, "hysteresis": 0.02, "approach": "alternating"},
         {"compliance": 0.05, "repeatability": 0.004},
+        {"backlash": 1e-3, "hysteresis": 0.02},
     ],
     ids=lambda changes: next(iter(changes)),
 )
@@ -141,6 +144,7 @@ def test_the_postures_of_a_simulation_give_its_readings_once_more(hsr, changes):
     np.testing.assert_allclose(again.columns["reading"], first.columns["reading"], rtol=0, atol=1e-4)
     repeated = simulate(hsr.problem, dataclasses.replace(cell, repeats=3), samples=first, seed=4).samples
     np.testing.assert_array_equal(repeated.joints, first.joints)
+    np.testing.assert_allclose(repeated.columns["reading"], first.columns["reading"], rtol=0, atol=1e-4)
     other = simulate(hsr.problem, cell, samples=first, seed=4, session=1).samples
     away = np.abs(other.columns["reading"] - first.columns["reading"])
     assert (away.max() > 1e-4) == bool({"joint_std", "repeatability"} & changes.keys()), "noise is new, faces are not"
@@ -201,6 +205,21 @@ def test_postures_that_fit_no_problem_are_refused(hsr):
     for given, words in ((floor.joints, "a ndarray"), ("plan.csv", "a str"), (None, "nothing")):
         with pytest.raises(SimulationError, match=f"Got {words} as the samples"):
             simulate(hsr.problem, hsr.cell, samples=given)
+
+
+def test_no_joint_is_moved_out_of_its_limits(hsr):
+    """A tool without a dial moves on until it touches; those at the ends of their joints cannot, half of the time."""
+    touching = Problem(hsr.problem.robot, DialOnPlane(noise_std=0.01, reading=False, plane=Plane(per="plane")))
+    wanted = simulate(touching, dataclasses.replace(exact(hsr.cell), error_scale=0.0), samples=60, seed=1).samples
+    ends = np.array([wanted.joints.min(axis=0), wanted.joints.max(axis=0)])
+    axes = [
+        dataclasses.replace(joint, lower=low, upper=high)
+        for joint, low, high in zip(hsr.problem.robot.axes, *ends.tolist(), strict=True)
+    ]
+    tight = Problem(dataclasses.replace(hsr.problem.robot, joints=tuple(axes)), touching.instrument)
+    found = simulate(tight, exact(hsr.cell), samples=wanted, seed=4).samples
+    assert 40 < len(found) < 60
+    assert ((found.joints >= ends[0] - 1e-9) & (found.joints <= ends[1] + 1e-9)).all()
 
 
 def test_no_reading_of_given_postures_is_outside_the_travel(hsr):
