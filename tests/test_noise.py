@@ -298,6 +298,8 @@ def test_copies_are_the_same_to_the_last_digit_and_on_the_same_face(corner_simul
     np.testing.assert_array_equal(copies_of(rows), [False, False, True, False, False, not collide, False])
     again = dataclasses.replace(rows, extra={"purpose": ("fit", "fit", "again", "fit", "fit", "fit", "fit")})
     assert not copies_of(again)[2], "a plan asked for it once more"
+    for own in (tuple("abcdefg"), np.arange(7.0)):  # somebody's own column of that name hides no copy
+        assert copies_of(dataclasses.replace(rows, extra={"purpose": own}))[2]
     joints, signed = np.zeros((2, 3)), -np.zeros((2, 3))
     np.testing.assert_array_equal(copies_of(Samples.of_joints(np.vstack([joints[:1], signed[:1]]))), [False, True])
 

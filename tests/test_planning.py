@@ -261,7 +261,7 @@ def test_the_command_line_plans(tmp_path, capsys):
 
 def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     """The touches to fit in one file, those to verify with in another, each face with as many as place it."""
-    files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other")}
+    files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other", "flipped")}
     assert main(["plan", str(HSR), "--out", files["plan"], "--touches", "50", "--pool", "200", "--check", "0.2"]) == 0
     assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["s"], "--json"]) == 0
     out = capsys.readouterr().out
@@ -279,6 +279,20 @@ def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
         assert np.abs(wanted.joints - rows.joints).max() < 0.03
         assert list(wanted.labels["plane"]) == list(rows.labels["plane"])
         assert set(rows.extra["purpose"]) <= set(purposes)
+
+    def flipped(line):
+        cells = line.split(",")
+        return ",".join([*cells[:3], str(-float(cells[3])), *cells[4:]]) if cells[0].isdecimal() else line
+
+    text = Path(files["plan"]).read_text()
+    Path(files["other"]).write_text("\n".join(map(flipped, text.splitlines())))
+    words = ["simulate", str(HSR), "--plan", files["other"], "--out", files["flipped"], "--json"]
+    assert main(words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["left_out"]
+    assert "cannot be made by the true arm" in said["warnings"][0]
+    assert "as if made for another arm, tool or cell" in said["warnings"][1]
+    Path(files["other"]).unlink()
     files["checks"] = str(tmp_path / "checks.csv")
     Path(files["checks"]).write_text(re.sub(",(fit|again),", ",check,", Path(files["plan"]).read_text()))
     for words, refused in (

@@ -104,7 +104,8 @@ def run(options: argparse.Namespace) -> int:
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
         if route is not None and made is not None:
-            found |= {"kept": 0 if kept is None else len(kept), "left_out": left_out(route, made)}
+            warned = compared(route, made, source.problem.robot)
+            found |= {"kept": 0 if kept is None else len(kept), "left_out": left_out(route, made), "warnings": warned}
         say_json(found)
         return DONE
     say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")

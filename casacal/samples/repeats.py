@@ -56,13 +56,14 @@ def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
 
 
 def copies_of(samples: Samples) -> Rows:
-    """Which rows (N,) hold the same joints, columns, labels and purpose as an earlier one, to the last digit."""
+    """Which rows (N,) hold the same joints, columns and labels as an earlier one, to the last digit.
+
+    A touch whose purpose is "again", which a plan asks for once more, is no copy of the first.
+    """
     numbers = [np.asarray(values) + 0.0 for values in (*samples.joints.T, *samples.columns.values())]  # no -0.0
     codes = [labels.codes for labels in samples.labels.values()]
-    if "purpose" in samples.extra:  # a touch that a plan asks for once more is no copy of the first
-        codes.append(
-            np.unique(np.array(samples.extra["purpose"], dtype=str), return_inverse=True)[1].ravel().astype(np.int32)
-        )
+    if "purpose" in samples.extra:
+        codes.append(np.array([cell == "again" for cell in samples.extra["purpose"]], dtype=np.intp))
     bits = [*(values.view(np.int64) for values in numbers), *(code.astype(np.int64) for code in codes)]
     _, first, groups = np.unique(_keys(len(samples), bits), return_index=True, return_inverse=True)
     earlier = first[groups.ravel()]
