@@ -104,13 +104,14 @@ def run(options: argparse.Namespace) -> int:
         tip = {"before_rms_mm": before, "after_rms_mm": after}
         found = {"samples": len(simulation.measured), "faces": faces, "tip": tip, "written": written}
         if route is not None and made is not None:
-            warned = compared(route, made, source.problem.robot)
+            warned, _ = compared(route, made, source.problem.robot)
             found |= {"kept": 0 if kept is None else len(kept), "left_out": left_out(route, made), "warnings": warned}
         say_json(found)
         return DONE
     say_paragraphs(f"Simulated, not measured: {_counted(simulation, kept)} {_where(cell, options.plan)}")
     if route is not None and made is not None:
-        say_paragraphs(*compared(route, made, source.problem.robot))
+        warned, remarks = compared(route, made, source.problem.robot)
+        say_paragraphs(*(f"warning: {each}" for each in warned), *remarks)
     say_paragraphs(
         "Samples like these should reduce the tip error over the workspace, apart from the position of the base, from "
         f"{f'{before:.2f}' if before < METRE else UNBOUNDED} to {after:.2f} mm RMS, if the stated noise and priors are "

@@ -61,26 +61,27 @@ SEEN = 1e-3  # degrees, or hundredths of a mm, that a controller shows
 MOVED = 10.0  # degrees, or tens of mm, beyond which a posture is another one than the plan's
 
 
-def compared(route: Route, made: Samples, robot: Robot) -> list[str]:
-    """Touches of a plan that were left out, and how far others were moved until they touched."""
+def compared(route: Route, made: Samples, robot: Robot) -> tuple[list[str], list[str]]:
+    """Touches of a plan that were left out, and how far others were moved until they touched: warnings and remarks."""
     import numpy as np
 
     from casacal.wording import counted, shortened
 
-    said = []
+    warned, remarks = list[str](), list[str]()
     if lost := left_out(route, made):
         numbers = shortened([str(number) for number in lost])
-        said.append(
-            f"warning: {counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
+        warned.append(
+            f"{counted(len(lost), 'touch')} of the plan cannot be made by the true arm within the range of "
             f"joints and readings: {numbers}. Left out"
         )
     apart = np.abs(made.joints - route.samples.joints[np.array(made.lines) - 1])
     apart = (np.where(robot.revolute, np.degrees(apart), apart / 10)).max(axis=1)
     if moved := int((apart > SEEN).sum()):
         most = f"{apart.max():.2g} degrees" + ("" if robot.revolute.all() else f", or {10 * apart.max():.2g} mm")
-        text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched within the travel of the dial"
-        if not made.columns:
-            text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
-        far = f"warning: {text}. The plan looks as if made for another arm, tool or cell"
-        said.append(far if apart.max() > MOVED else text)
-    return said
+        text = f"{counted(moved, 'posture')} moved by up to {most}, until the tip touched"
+        text += " within the travel of the dial" if made.columns else ""
+        if apart.max() > MOVED:
+            warned.append(f"{text}. The plan looks as if made for another arm, tool or cell")
+        else:
+            remarks.append(text)
+    return warned, remarks
