@@ -22,7 +22,6 @@ from casacal import (
     Parameter,
     Plane,
     Problem,
-    ProblemError,
     SimulationError,
     bind,
     calibrate,
@@ -190,20 +189,6 @@ def test_planes_may_be_held_where_they_are_proposed(hsr, capsys):
     assert free.cost < held.cost
     assert main(["calibrate", str(hsr.path), "--fix", "plane", "--method", "lm"]) in (0, 1)
     assert "Traceback" not in capsys.readouterr().err
-
-
-def test_what_an_instrument_cannot_say_is_asked_for(hsr):
-    from casacal import Problem
-
-    class Blind(Instrument):
-        residual_std = 0.1
-        unknowns = {"face": Plane()}  # noqa: RUF012
-
-        def residual(self, pose, p, row):
-            return p.face.distance(pose[:3, 3])
-
-    with pytest.raises(ProblemError, match="override `propose`"):
-        bind(Problem(hsr.problem.robot, Blind()), hsr.problem.read(hsr.samples))
 
 
 def test_samples_of_one_are_refused_for_two_instruments_in_a_sentence(hsr, corner_simulation):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 
 from casacal.array_types import Array, Index
 from casacal.binding.nominal import nominal_sight
+from casacal.binding.proposal import Place, sought
 from casacal.discrepancy.effect import Site
 from casacal.errors import ProblemError, came
 from casacal.instruments import Instrument
+from casacal.instruments.instrument import NoProposalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
@@ -28,6 +31,19 @@ def instances(instrument: Instrument, key: str, unknown: Unknown, samples: Sampl
     labels = samples.labels[unknown.per]
     have = Labels.coded((instrument.instance(key, label) for label in labels.names), labels.codes)
     return list(have.rows().items())
+
+
+def _check_asked(problem: object, samples: Sequence[object]) -> None:
+    """Raise ProblemError for what is no problem, no samples, or not a set for each instrument."""
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
+    for some in samples:
+        if not isinstance(some, Samples):
+            raise ProblemError(f"Got {came(some)} as samples", "Give Samples; problem.read(path) returns them")
+    if len(samples) != len(problem.instruments):
+        raise ProblemError(
+            f"Got {len(samples)} sets of samples for {len(problem.instruments)} instruments", "Give one set each"
+        )
 
 
 def _check_rows(
@@ -108,15 +124,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
 
     What is known, by name of its slot, has that nominal however few rows see it. Raises ProblemError as `bind` does.
     """
-    if not isinstance(problem, Problem):
-        raise ProblemError(f"Got {came(problem)} as the problem", "Give a Problem; load_problem(path).problem is one")
-    for some in samples:
-        if not isinstance(some, Samples):
-            raise ProblemError(f"Got {came(some)} as samples", "Give Samples; problem.read(path) returns them")
-    if len(samples) != len(problem.instruments):
-        raise ProblemError(
-            f"Got {len(samples)} sets of samples for {len(problem.instruments)} instruments", "Give one set each"
-        )
+    _check_asked(problem, samples)
     slots: list[Slot] = []
     taken: set[str] = set()
     fits_all, known = known is None, known or {}
@@ -131,19 +139,28 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
             raise ProblemError(f"Robot parameter '{key}' has no nominal value", "Declare one")
         add(key, unknown, None, unknown.nominal, False)
     for i, instrument in enumerate(problem.instruments):
+        places: list[Place] = []
         for key, unknown in sorted(instrument.unknowns.items(), key=lambda item: item[1].per is not None):
             for label, rows in instances(instrument, key, unknown, samples[i]):
                 full = problem.full_names[i][key]
                 name = full if label is None else f"{full}.{label}"
                 if name in taken:  # shared with an instrument before
+                    there = next(slot.nominal for slot in slots if slot.name == name)
+                    places.append(Place(name, key, unknown, rows, there))
                     continue
-                nominal = known.get(name, unknown.nominal)
+                nominal = known.get(name)
+                nominal = unknown.nominal if nominal is None else nominal
                 if name not in known and key in instrument.datum:
                     _check_rows(problem, i, unknown, label or key, len(rows), samples[i], fits_all=fits_all)
                 if nominal is None:
-                    few = rows[:: -(-len(rows) // ENOUGH) or 1]
-                    nominal = instrument.propose(key, nominal_sight(problem, i, samples[i].take(few)))
-                add(full, unknown, label, nominal, key in instrument.datum)
+                    few = samples[i].take(rows[:: -(-len(rows) // ENOUGH) or 1])
+                    with contextlib.suppress(NoProposalError):
+                        nominal = instrument.propose(key, nominal_sight(problem, i, few))
+                places.append(Place(name, key, unknown, rows, nominal))
+                add(full, unknown, label, np.zeros(0) if nominal is None else nominal, key in instrument.datum)
+        if any(place.nominal is None for place in places):
+            found = sought(problem, i, samples[i], places)
+            slots[:] = [replace(slot, nominal=read_only(found.get(slot.name, slot.nominal))) for slot in slots]
         for effect in problem.models[i].effects:
             for key, unknown in effect.unknowns(Site(problem.robot, instrument)).items():
                 for label, _ in instances(instrument, key, unknown, samples[i]):

@@ -18,6 +18,10 @@ from casacal.unknowns import Unknown
 from casacal.user_code import Portable
 
 
+class NoProposalError(ProblemError):
+    """An unknown without a nominal value for which an instrument has no formula."""
+
+
 class Instrument(Portable, ABC):
     """A way of measuring: the columns it reads, its own unknowns, and a signed smooth residual.
 
@@ -112,10 +116,10 @@ class Instrument(Portable, ABC):
     def propose(self, key: str, sight: Sight) -> Array:
         """Nominal of an unknown that was declared without one, from what the nominal robot says.
 
-        Raises ProblemError when this instrument cannot propose it.
+        Raises NoProposalError where the residual is to find it, ProblemError where the rows cannot tell.
         """
         del sight
-        raise ProblemError(
+        raise NoProposalError(
             f"Unknown '{key}' of {type(self).__name__} has no nominal value",
             "Give it one, or override `propose`, which finds it from the samples",
         )

@@ -88,6 +88,10 @@ class Direction(Whole):
         del near
         return self.encode(normal)
 
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """Numbers of the direction there."""
+        return self.encode(self.shown(nominal, local)[1])
+
     def raw_start(self, nominal: Array) -> Array:
         """Return the three components themselves."""
         return np.asarray(nominal)[:3] if self.free else np.zeros(0)

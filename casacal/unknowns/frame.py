@@ -107,6 +107,10 @@ class Frame(Whole):
         matrix[:3, 3] = 0.0 if self.turns_only else -np.asarray(near)  # from the base to what stands there
         return self.encode(matrix)
 
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """Numbers of the frame there."""
+        return self.encode(self.shown(nominal, local)[1])
+
     def raw_start(self, nominal: Array) -> Array:
         """Return the unit quaternion of no rotation, and no translation."""
         del nominal

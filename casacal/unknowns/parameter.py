@@ -142,6 +142,12 @@ class Parameter(Unknown):
         is_point = self.unit == "mm" and self._all.shape == (3,)
         return np.asarray(near, dtype=np.float64).copy() if is_point else np.zeros(self.nominal_size)
 
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """All components where the free ones have moved."""
+        found = np.array(nominal, dtype=np.float64)
+        found[self._free] += local
+        return found
+
     def raw_start(self, nominal: Array) -> Array:
         """Return the free components themselves."""
         return np.asarray(np.asarray(nominal)[self._free])

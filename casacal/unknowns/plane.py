@@ -131,6 +131,11 @@ class Plane(Whole):
         """The plane through the point with that normal."""
         return self.encode(normal, near)
 
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """Numbers of the plane there."""
+        there = self.shown(nominal, local)[1]
+        return self.encode(there["normal"], there["point_mm"])
+
     def raw_start(self, nominal: Array) -> Array:
         """Return the normal's three components, and offset 0."""
         return np.concatenate([np.asarray(nominal)[:3], [0.0]]) if self.free else np.zeros(0)

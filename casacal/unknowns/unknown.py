@@ -112,6 +112,11 @@ class Unknown(ABC):
         Near a point (3, mm); where it is flat, it looks along `normal` (3).
         """
 
+    def recentred(self, nominal: Array, local: Array) -> Array:
+        """Numbers of a nominal where local coordinates (size,) lead from one; as it was where a kind does not say."""
+        del local
+        return nominal
+
     @abstractmethod
     def raw_start(self, nominal: Array) -> Array:
         """Raw coordinates of the nominal."""
