@@ -13,6 +13,7 @@ from robots_of_others import UR5_CSV
 from casacal import (
     Cell,
     DialOnPlane,
+    Disturbances,
     Joint,
     Parameter,
     Plane,
@@ -41,13 +42,14 @@ from casacal.uncertainty.expectation import expected_accuracy, planned_accuracy
 
 FLAT = Cell(faces=plate((1350.0, 0.0, 500.0)), tilt=0.0)
 KINDS = {
-    "many": "60 planned touches",
+    "many": "60 planned",
     "same": "of the same kind",
     "noise": "half the noise",
     "tilt": "tilted by up to 30",
     "face": "another at right angles",
     "inclined": "inclined by 15",
     "step": "100 mm step",
+    "tool": "by other means",
 }
 
 
@@ -248,15 +250,47 @@ def test_planes_that_are_declared_or_face_away_change_nothing(hsr):
     assert not {"face", "inclined"} & by_kind(cures(bound, lm(bound).x)).keys()
 
 
-def test_a_tracker_has_more_of_the_same_and_less_noise():
-    tracked = load_problem(ROOT / "problems" / "adept_cobra600")
-    samples = tracked.problem.read(tracked.samples)
-    bound = bind(tracked.problem, samples)
+@pytest.mark.long_unless("instruments/spheres", "adept_cobra600")
+@pytest.mark.parametrize(
+    "name", ["adept_cobra600", *(f"instruments/{each}" for each in ("spheres", "ball_bar", "plate", "camera"))]
+)
+def test_samples_without_labelled_faces_are_planned(name):
+    """The arm can take them where things were found, and no random choice is as good; all rows bound together."""
+    found = load_problem(ROOT / "problems" / name)
+    still = {"error_scale": 0.0, "repeatability": 0.0, "resolution": 0.0}
+    cell = Disturbances(**still) if found.cell is None else dataclasses.replace(found.cell, **still)
+    samples = simulate(found.problem, cell, samples=48, seed=1).samples
+    bound = bind(found.problem, samples, backend="blocks")
     kinds = by_kind(cures(bound, bound.x0))
-    more = [bind(tracked.problem, joined(samples, samples.take(np.arange(24 * k) % len(samples)))) for k in (1, 4)]
-    assert kinds["same"] == pytest.approx(planned_accuracy(more[0])[1], rel=0.03)
-    assert kinds["noise"] == pytest.approx(planned_accuracy(more[1])[1], rel=0.03)
-    assert len(kinds) == 2
+    assert {"same", "many", "noise"} <= kinds.keys() <= {"same", "many", "noise", "tilt", "tool"}
+    lower, upper = found.problem.robot.limits
+    for outcome in outcomes(bound, bound.x0):
+        if outcome.kind not in ("same", "many"):
+            continue
+        rows = outcome.rows
+        assert len({tuple(row) for row in rows.joints}) == outcome.touches
+        assert ((rows.joints >= lower - 1e-9) & (rows.joints <= upper + 1e-9)).all()
+        assert np.abs(bound.on(rows).plain_residual(bound.x0)).max() < 1e-5
+        together = planned_accuracy(bind(found.problem, joined(samples, rows), backend="blocks"))[1]
+        assert kinds[outcome.kind] == pytest.approx(together, rel=0.01)
+    further = simulate(found.problem, cell, samples=24 * 6, seed=2).samples
+    at_random = (joined(samples, further.take(range(k, 24 * 6, 6))) for k in range(6))
+    assert kinds["same"] < 0.99 * min(
+        planned_accuracy(bind(found.problem, rows, backend="blocks"))[1] for rows in at_random
+    )
+
+
+def test_what_no_posture_reaches_has_more_of_the_same_as_it_is():
+    """A spike out of reach: nothing can be planned, and the samples that there are stand for more."""
+    found = load_problem(ROOT / "problems" / "instruments" / "spike")
+    samples = simulate(found.problem, samples=48, seed=1).samples
+    bound = bind(found.problem, samples)
+    away = bound.x0.copy()
+    for slot in bound.slots:
+        if slot.key == "point":
+            away[slot.columns] = 1e5
+    found = cures(bound, away)
+    assert any(cure.words == "24 more samples of the same kind" for cure in found)
 
 
 def test_directions_name_cures_of_the_list(one_face):

@@ -20,8 +20,9 @@ from casacal.errors import CasacalError
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.planning.choice import Choice
 from casacal.planning.estimate import Estimate
+from casacal.planning.extra_samples import extra_samples
 from casacal.planning.extra_touches import Touches
-from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, offers
+from casacal.planning.set_ups import EXTRA_TOUCHES, Offer, more_samples, offers
 from casacal.problem.cell import Cell
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
@@ -74,8 +75,8 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     """What to do next at x (n,), best first: 24 planned touches of each kind, and a tool that is measured.
 
     More of the same, 60 of them too; more tilt; another face at right angles; a plate that stands alone, inclined; a
-    known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has two:
-    as many more of the same as nobody planned, and half the noise. stays: squared tip error, mm^2, that stays.
+    known length; half the noise. What this arm cannot reach is left out. An instrument that touches no faces has more
+    of the same, and half the noise. stays: squared tip error, mm^2, that stays.
     """
     if not (x.size and np.isfinite(x).all()):
         return ()
@@ -142,16 +143,18 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
     if len(bound.samples) > 1:
         yield from _more_of_each(bound, x, told)
         return
-    if touches is None:
+    samples = extra_samples(bound, x) if touches is None else None
+    if touches is None and samples is None:
         ways = (("same", "more samples of the same kind", 1), ("noise", "samples at half the noise", 4))
         for kind, how, weight in ways:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    known, field = Estimate.of(bound, x, told, touches.labels), _field(arm, at)
-    pools: dict[Cell, Samples | None] = {}
-    for offer in offers(bound, touches):
-        if offer.cell not in pools:
+    every = [name for labels in bound.samples[0].labels.values() for name in labels.names]
+    known, field = Estimate.of(bound, x, told, every if touches is None else touches.labels), _field(arm, at)
+    pools: dict[Cell | None, Samples | None] = {None: samples}
+    for offer in more_samples(bound.problem) if touches is None else offers(bound, touches):
+        if offer.cell not in pools and touches is not None and offer.cell is not None:
             pools[offer.cell] = touches.on(offer.cell)
         pool = pools[offer.cell]
         if pool is None:
@@ -164,7 +167,8 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
 
 def _planned(known: Estimate, offer: Offer, pool: Samples, field: Array) -> Outcome:
     """What the touches of an offer leave that are best of a pool, for a tip that errs by `field` (3M, s)."""
-    extra, x, told = known.with_rows(offer.problem, offer.cell, pool, offer.noise)
+    faces = () if offer.cell is None else offer.cell.faces
+    extra, x, told = known.with_rows(offer.problem, faces, pool, offer.noise)
     choice = Choice.on_top(extra, x, told, field)
     best = choice.best_of(offer.touches, 1, np.random.default_rng(0))
     after = told + extra.take(best).information(x)

@@ -13,7 +13,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, by_face, times
 from casacal.binding.slots import Slot, make_slots
 from casacal.least_squares.linalg import posterior_covariance
-from casacal.problem.cell import Cell
+from casacal.problem.cell import Face
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 
@@ -50,7 +50,9 @@ class Estimate:
         information[:few, :few] = told + taken_out
         return Estimate(bound, slots, x, information)
 
-    def with_rows(self, problem: Problem, cell: Cell, rows: Samples, noise: float) -> tuple[BoundProblem, Array, Array]:
+    def with_rows(
+        self, problem: Problem, faces: Sequence[Face], rows: Samples, noise: float
+    ) -> tuple[BoundProblem, Array, Array]:
         """Extra rows (N), bound; where they stand, x (m,); information (m, m) that there is without them.
 
         Their noise is what was found, times a factor. What they alone see, such as a new face, comes last.
@@ -62,9 +64,9 @@ class Estimate:
                 slot = replace(slot, unknown=unknown, label="plane")
             old[slot.name] = slot
         known, new = {slot.label for slot in old.values()}, list[Slot]()
-        strange = {face.label: face for face in cell.faces if face.label not in known}
-        faces = rows.faces(instrument.groups)
-        there = np.flatnonzero(np.isin(faces.codes, [k for k, label in enumerate(faces.names) if label in strange]))
+        strange = {face.label: face for face in faces if face.label not in known}
+        own = rows.faces(instrument.groups)
+        there = np.flatnonzero(np.isin(own.codes, [k for k, label in enumerate(own.names) if label in strange]))
         for slot in make_slots(problem, [rows.take(there)]) if strange else ():
             if slot.label in strange and slot.unknown.nominal_plane(slot.nominal) is not None:
                 face = strange[slot.label]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casacal.array_types import Array
+from casacal.array_types import Array, Index
 from casacal.binding.bound_problem import BoundProblem
-from casacal.binding.slots import ENOUGH, Slot
+from casacal.binding.slots import ENOUGH
 from casacal.instruments.description import Probe
 from casacal.problem.cell import Cell, Face, triple
 from casacal.problem.problem import Problem
@@ -19,6 +18,7 @@ from casacal.samples.samples import Samples
 from casacal.simulation.reach import Touch
 from casacal.simulation.touches import ROUNDS, try_touches
 from casacal.tables.columns import Labels
+from casacal.unknowns.fits import fitted_plane
 
 POOL = 240  # touches that are drawn on the faces of a cell, to choose among
 ENOUGH_OF_THEM = 0.8  # part of these that has to be found, where it can be: the last ones are the hardest to reach
@@ -36,8 +36,8 @@ class Touches:
     problem: with a face for each label. faces: rectangles around what was touched, their normals towards the tool;
     those with most rows first. senses: whether each face's plane has that normal, or its opposite: +1, -1. tilt:
     largest angle (rad) between plunger and normal in the samples there are. other: a row as those that there are mostly
-    look: what is neither joints nor a reading nor a face stays like that. held: whether it is known where the faces
-    are, so that a new one makes no sense.
+    look: what is neither joints nor a reading nor a face stays like that. held: whether a new face makes no sense, as
+    it is known where faces are, or how they stand to each other.
     """
 
     problem: Problem
@@ -51,11 +51,12 @@ class Touches:
 
     @staticmethod
     def of(bound: BoundProblem, x: Array) -> Touches | None:
-        """At x (n,); None for instruments that know no faces by label, such as a tracker."""
+        """At x (n,); None for instruments that touch no faces, such as a tracker."""
         if len(bound.problem.instruments) != 1:
             return None
-        labelled = bound.problem.instrument.with_faces_by_label()
-        if labelled is None or labelled.probe is None:
+        more = bound.problem.instrument.with_faces_by_label()
+        labelled = bound.problem.instrument if more is None else more
+        if labelled.probe is None or labelled.probe.label is None:
             return None
         problem = bound.problem if labelled is bound.problem.instrument else Problem(bound.problem.robot, labelled)
         other = _usual(bound.samples[0])
@@ -69,7 +70,7 @@ class Touches:
         if not found:
             return None
         faces, senses, tilts = zip(*found, strict=True)
-        held = not any(slot.datum and slot.unknown.size for slot in bound.slots)
+        held = more is None or not any(slot.datum and slot.unknown.size for slot in bound.slots)
         return Touches(problem, labelled.probe, touch, faces, senses, max(tilts), other, held)
 
     @property
@@ -110,25 +111,29 @@ def _faces(bound: BoundProblem, x: Array, touch: Touch, probe: Probe) -> list[tu
     some = samples.take(np.arange(0, len(samples), -(-len(samples) // ENOUGH)))
     readings = np.zeros((len(some), 1)) if probe.column is None else some.columns[probe.column][:, None]
     tips, plungers = touch.place(touch.local, some.joints, readings)
-    labels, shared = some.faces(instrument.groups), {}
-    found: list[tuple[Slot, NDArray[np.intp]]] = []
+    labels, shared = some.faces(instrument.groups), dict[str, Mapping[str, Index]]()
+    found: list[tuple[str | None, Array, Array, Index]] = []
     for slot in bound.slots:
         if slot.unknown.nominal_plane(slot.nominal) is not None:
             if slot.key not in shared:
                 have = (instrument.instance(slot.key, name) for name in labels.names)
                 shared[slot.key] = Labels.coded(have, labels.codes).rows()
-            found.append((slot, np.arange(len(some)) if slot.label is None else shared[slot.key][slot.label]))
-    found.sort(key=lambda entry: -entry[1].size)
-    return [_face(slot, x, tips[own], plungers[own]) for slot, own in found[:MOST_FACES]]
+            own = np.arange(len(some)) if slot.label is None else shared[slot.key][slot.label]
+            _, plane = slot.unknown.shown(slot.nominal, x[slot.columns])
+            found.append((slot.label, plane["normal"], plane["point_mm"], own))
+    if not found:  # faces of a body: an unknown of theirs is no plane
+        planes = ((label, fitted_plane(tips[own]), own) for label, own in some.faces(probe.label).rows().items())
+        found = [(label, plane.normal, plane.centre, own) for label, plane, own in planes if plane.flat]
+    found.sort(key=lambda entry: -entry[3].size)
+    most = found[:MOST_FACES]
+    return [_face(label or "plane", normal, point, tips[own], plungers[own]) for label, normal, point, own in most]
 
 
-def _face(slot: Slot, x: Array, tips: Array, plungers: Array) -> tuple[Face, int, float]:
+def _face(label: str, normal: Array, point: Array, tips: Array, plungers: Array) -> tuple[Face, int, float]:
     """A rectangle around tips (N, 3), its plane's sense, and the largest tilt of plungers (N, 3) against it."""
-    _, plane = slot.unknown.shown(slot.nominal, x[slot.columns])
-    normal, point = plane["normal"], plane["point_mm"]
     against = -(plungers @ normal)
     sense = 1 if against.mean() > 0 else -1
-    face = Face(slot.label or "plane", triple(point), triple(sense * normal))
+    face = Face(label, triple(point), triple(sense * normal))
     along = (tips - point) @ face.axes[1:].T
     low, high = along.min(axis=0), along.max(axis=0)
     width, depth = (max(float(side), SMALLEST) for side in high - low)

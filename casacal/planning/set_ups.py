@@ -32,13 +32,14 @@ ALIKE = math.cos(math.radians(5.0))  # cosine between normals of faces that are 
 class Offer:
     """One way to go on; of several of the same kind, the best is meant.
 
-    noise: factor of the noise. touches: how many are chosen of those that can be made in the cell.
+    cell: where touches are made; None where no faces are touched. noise: factor of the noise. touches: how many are
+    chosen of those that can be made there.
     """
 
     kind: str
     words: str
     problem: Problem
-    cell: Cell
+    cell: Cell | None
     noise: float = 1.0
     touches: int = EXTRA_TOUCHES
 
@@ -60,6 +61,13 @@ def offers(bound: BoundProblem, touches: Touches) -> Iterator[Offer]:
     if not touches.held:
         yield from _other_faces(touches, now)
     yield from _step(touches, now)
+
+
+def more_samples(problem: Problem) -> Iterator[Offer]:
+    """Ways to go on with an instrument that touches no faces."""
+    for kind, count in (("same", EXTRA_TOUCHES), ("many", PLENTY)):
+        yield Offer(kind, f"{count} planned samples of the same kind", problem, None, touches=count)
+    yield Offer("noise", f"{EXTRA_TOUCHES} planned samples at half the noise", problem, None, 0.5)
 
 
 def _other_faces(touches: Touches, tilt: float) -> Iterator[Offer]:

@@ -86,7 +86,8 @@ def bench_of(
         named = {_named(instrument, key, label): label or key for label in seen}
         for k, (name, label) in enumerate(named.items()):
             place = stands(cell, label, spot(reached, None if _is_flat(unknown) else k))
-            nominals[name] = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            stands_at = instrument.stands(key, *place) if unknown.nominal is None else unknown.nominal
+            nominals[name] = draw.nominals.get(name, stands_at)
             drawn = cell.error_scale * unknown.start_stds * rng.normal(size=unknown.size)
             local[name] = np.asarray(draw.known.get(name, drawn))
             if isinstance(unknown, Frame) and unknown.nominal is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from casacal.array_types import Array, Index, Rows
@@ -13,6 +15,7 @@ from casacal.samples.samples import Samples
 from casacal.simulation.bench import Bench, bench_of
 from casacal.simulation.faults import ArmErrors, drawn_waves, last_moves, rounded, unwaved, waved
 from casacal.simulation.true_arm import Draw, check_asked, own_noise, row_labels
+from casacal.tables.columns import Labels
 
 CANDIDATES = 80  # random postures for each row; the one that fits best is where its search begins
 ROUNDS, STEPS = 30, 40  # times that rows are tried afresh, and Gauss-Newton steps of each
@@ -41,7 +44,13 @@ def fitting_rows(
     scatter = noise_rng.normal(size=(count, n)) * cell.joint_std
     arm = ArmErrors(drawn_waves(problem.robot, cell.waves, gear_rng))
     if given is None:
-        free, met = _found(bench, target, pose_rng), np.ones(count, dtype=bool)
+        free, met = _found(bench, target, pose_rng)
+        if not met.all():
+            raise SimulationError(
+                f"No posture inside the limits of '{problem.robot.name}' and its readings makes the residual of "
+                f"{type(instrument).__name__} vanish in {(~met).sum()} of {count} rows",
+                "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
+            )
         lag = last_moves(free[:, :n]) * cell.backlash / 2
         said = unwaved(arm.waves, free[:, :n] - scatter + lag)
     else:
@@ -58,25 +67,29 @@ def fitting_rows(
     return rows if met.all() else rows.take(np.flatnonzero(met)), bench, arm
 
 
-def _found(bench: Bench, target: Array, rng: np.random.Generator) -> Array:
-    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits."""
-    robot, count = bench.problem.robot, len(target)
-    n = len(robot.axes)
-    free = np.full((count, n + bench.read), np.nan)
-    waiting, instrument = np.arange(count), bench.problem.instrument
-    for _ in range(ROUNDS):
+def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Generator, *, rounds: int) -> Samples:
+    """Rows without any error in random postures: those of the labelled ones that a few rounds of tries find."""
+    count, model, instrument = len(bench.z), bench.problem.model, bench.problem.instrument
+    free, met = _found(bench, np.zeros((count, model.components)), rng, rounds)
+    joints, read = np.split(free, [len(bench.problem.robot.axes)], axis=1)
+    columns = dict(instrument.as_read(dict(zip(instrument.columns, read.T, strict=True))))
+    return Samples(joints, columns, labels, tuple(range(1, count + 1)), {}, "", "").take(np.flatnonzero(met))
+
+
+def _found(bench: Bench, target: Array, rng: np.random.Generator, rounds: int = ROUNDS) -> tuple[Array, Rows]:
+    """Joints and readings (N, n) at which the residuals (N, m) are met, joints inside their limits, and where."""
+    count = len(target)
+    free = np.full((count, len(bench.problem.robot.axes) + bench.read), np.nan)
+    waiting = np.arange(count)
+    for _ in range(rounds):
         start = _starts(bench, target, waiting, rng)
         found, met = _met(bench, start, target[waiting], waiting)
         met &= _inside(bench, found) & (bench.beyond(found, waiting) < 1e-6)
         free[waiting[met]] = found[met]
         waiting = waiting[~met]
         if not waiting.size:
-            return free
-    raise SimulationError(
-        f"No posture inside the limits of '{robot.name}' and its readings makes the residual of "
-        f"{type(instrument).__name__} vanish in {len(waiting)} of {count} rows",
-        "Give its unknowns nominal values within the arm's reach, or give the instrument a `probe`",
-    )
+            break
+    return free, ~np.isnan(free).any(axis=1)
 
 
 def _inside(bench: Bench, free: Array) -> Rows:

@@ -73,11 +73,13 @@ class Draw:
     """What is drawn at random: an arm by its seed, and one of several sessions in which it is measured.
 
     known: true local coordinates that stand already, by key, such as those of the same arm in another session.
+    nominals: the same of nominal values, where others than those of a simulation are meant.
     """
 
     seed: int
     session: int = 0
     known: Mapping[str, Array] = field(default_factory=dict)
+    nominals: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
