@@ -32,6 +32,7 @@ from casacal import (
 from casacal.errors import SimulationError
 from casacal.kinematics import rotate_z, translate_x
 from casacal.problem.cell import flatness_din_876
+from casacal.simulation.bench import Bench
 from casacal.simulation.faults import form_error
 from casacal.simulation.touches import default_cell
 
@@ -240,6 +241,22 @@ def test_a_label_stands_for_the_same_thing_in_whatever_order_rows_name_them():
     for rows, lines in ((ways[0], np.arange(30)), (ways[1], order)):
         planned = wanted.joints[lines[np.array(rows.lines) - 1]]
         assert np.abs(rows.joints - planned).max() < 0.3, "no place of another label is touched"
+
+
+@pytest.mark.parametrize("name", ["camera", "spheres", "two_arms"])
+def test_rounding_chooses_no_posture(name, monkeypatch):
+    """Residuals that differ by rounding, as another machine's do, lead to the same rows."""
+    source = load_problem(ROOT / "problems" / "instruments" / name)
+    plain = simulate(source.problem, source.cell, samples=60, seed=1).samples
+    exact, rng = Bench.residual, np.random.default_rng(0)
+
+    def rounded(bench, free, rows):
+        return tuple(each * (1 + 1e-15 * rng.normal(size=each.shape)) for each in exact(bench, free, rows))
+
+    monkeypatch.setattr(Bench, "residual", rounded)
+    other = simulate(source.problem, source.cell, samples=60, seed=1).samples
+    assert not np.array_equal(other.joints, plain.joints)
+    np.testing.assert_allclose(other.joints, plain.joints, atol=1e-7)
 
 
 def test_noise_resolution_and_outliers_are_as_asked(hsr):

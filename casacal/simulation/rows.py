@@ -139,6 +139,7 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool =
     ease = np.concatenate([unit * (not held), np.full(bench.read, 1.0 / SLOW)])
     size = max(float(np.abs(target).max(initial=0.0)), 1e-3)
     e, slopes = bench.residual(free, rows)
+    part = np.ones(len(free))  # of each row's step; a step that would lead away from the target is tried shorter
     for _ in range(STEPS):
         miss = e - target
         if (np.abs(miss) <= FITS * size).all():
@@ -149,6 +150,9 @@ def _met(bench: Bench, start: Array, target: Array, rows: Index, *, held: bool =
         gram += 1e-12 * np.einsum("kii->k", gram)[:, None, None] * eye + 1e-300 * eye
         step = -(eased.transpose(0, 2, 1) @ np.linalg.solve(gram, miss[..., None]))[..., 0] * ease
         largest = np.abs(step[:, :n] / unit).max(axis=1, initial=0.0)
-        free = free + step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300))[:, None]
-        e, slopes = bench.residual(free, rows)
+        there = free + step * (part * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-300)))[:, None]
+        e_there, slopes_there = bench.residual(there, rows)
+        nearer = ((e_there - target) ** 2).sum(axis=1) <= (miss**2).sum(axis=1)
+        free[nearer], e[nearer], slopes[nearer] = there[nearer], e_there[nearer], slopes_there[nearer]
+        part = np.where(nearer, np.minimum(2 * part, 1.0), part / 4)
     return free, np.asarray((np.abs(e - target) <= 1e3 * FITS * size).all(axis=1) & np.isfinite(free).all(axis=1))
