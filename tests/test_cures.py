@@ -34,6 +34,7 @@ from casacal.calibration.result_json import calibration_document
 from casacal.calibration.summary import summary
 from casacal.calibration.verdict import verdict_of
 from casacal.planning.cures import NO_CURE, cures, outcomes
+from casacal.planning.extra_samples import extra_samples
 from casacal.planning.extra_touches import Touches
 from casacal.planning.set_ups import offers
 from casacal.samples.samples import joined
@@ -273,11 +274,23 @@ def test_samples_without_labelled_faces_are_planned(name):
         assert np.abs(bound.on(rows).plain_residual(bound.x0)).max() < 1e-5
         together = planned_accuracy(bind(found.problem, joined(samples, rows), backend="blocks"))[1]
         assert kinds[outcome.kind] == pytest.approx(together, rel=0.01)
+        assert all(set(labels) == set(samples.labels[column]) for column, labels in rows.labels.items())
+    assert kinds["noise"] < 0.96 * kinds["same"]
     further = simulate(found.problem, cell, samples=24 * 6, seed=2).samples
     at_random = (joined(samples, further.take(range(k, 24 * 6, 6))) for k in range(6))
     assert kinds["same"] < 0.99 * min(
         planned_accuracy(bind(found.problem, rows, backend="blocks"))[1] for rows in at_random
     )
+
+
+def test_extra_samples_are_taken_where_things_were_found():
+    """Spheres stand where the calibrated arm says, not where the drawn one thought."""
+    found = load_problem(ROOT / "problems" / "instruments" / "spheres")
+    bound = bind(found.problem, simulate(found.problem, samples=60, seed=3).samples)
+    x = lm(bound).x
+    rows = extra_samples(bound, x)
+    assert np.abs(bound.on(rows).plain_residual(x)).max() < 1e-5
+    assert np.abs(bound.on(rows).plain_residual(bound.x0)).max() > 0.1
 
 
 def test_what_no_posture_reaches_has_more_of_the_same_as_it_is():

@@ -259,6 +259,13 @@ def test_rounding_chooses_no_posture(name, monkeypatch):
     np.testing.assert_allclose(other.joints, plain.joints, atol=1e-7)
 
 
+def test_a_camera_sees_every_posture_however_far_it_turns():
+    """Readings are found from no turn on, where the first step may lead away."""
+    camera = load_problem(ROOT / "problems" / "instruments" / "camera").problem
+    postures = simulate(camera, samples=120, seed=2).samples
+    assert len(simulate(camera, samples=postures, seed=2).samples) == 120
+
+
 def test_noise_resolution_and_outliers_are_as_asked(hsr):
     cell = dataclasses.replace(hsr.cell, repeatability=0.02, resolution=0.05)
     rows = simulate(hsr.problem, cell, samples=600, seed=8)

@@ -9,6 +9,7 @@ import pytest
 
 from casacal import (
     Direction,
+    Disturbances,
     Frame,
     Instrument,
     Parameter,
@@ -64,6 +65,16 @@ def test_posts_of_sessions_and_a_zero_are_found_together(hsr):
         there = np.array([1500.0, 0.0, 200.0]) + true.local[f"post.{label}"]
         of_post = said.loc[[f"post.{label}{axis}" for axis in POINT]]
         assert (np.abs(of_post.estimate - there) < 4 * of_post["std"]).all(), label
+
+
+def test_what_stands_already_stays_where_it_is_while_others_are_sought(hsr):
+    class KnownPosts(Wire):
+        unknowns = {"post": Wire.unknowns["post"].with_prior([1e-6] * 3), "zero": Parameter(None, start_std=10.0)}  # noqa: RUF012
+
+    known = Problem(hsr.problem.robot, Wire()).with_prior({"post": 1e-6, "zero": 1e-6})
+    rows = simulate(known, Disturbances(error_scale=0.0), samples=60, seed=9).samples
+    zero = next(slot for slot in bind(Problem(hsr.problem.robot, KnownPosts()), rows).slots if slot.name == "zero")
+    assert zero.nominal[0] == pytest.approx(30.0, abs=0.05)
 
 
 def test_a_direction_is_found_whichever_way_it_looks(hsr):

@@ -150,8 +150,7 @@ def outcomes(bound: BoundProblem, x: Array) -> Iterator[Outcome]:
             more = weight * EXTRA_TOUCHES / len(bound.samples[0])
             yield Outcome(kind, f"{EXTRA_TOUCHES} {how}", EXTRA_TOUCHES, (1 + more) * told, arm.prior_std)
         return
-    every = [name for labels in bound.samples[0].labels.values() for name in labels.names]
-    known, field = Estimate.of(bound, x, told, every if touches is None else touches.labels), _field(arm, at)
+    known, field = Estimate.of(bound, x, told, () if touches is None else touches.labels), _field(arm, at)
     pools: dict[Cell | None, Samples | None] = {None: samples}
     for offer in more_samples(bound.problem) if touches is None else offers(bound, touches):
         if offer.cell not in pools and touches is not None and offer.cell is not None:
