@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from casacal import BoundProblem, ProblemFile, Simulation, bind, load_problem, simulate
+from casacal import BoundProblem, Calibration, ProblemFile, Simulation, bind, calibrate, load_problem, simulate
 from casacal.threads import one_thread_each
 
 ROOT = Path(__file__).parent.parent
@@ -30,7 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Of a test marked `long_unless(case)`, only that case is quick."""
+    """Of a test marked `long_unless(case, ...)`, only those cases are quick."""
     unless = item.get_closest_marker("long_unless")
     if unless is not None and item.callspec.id not in unless.args:  # type: ignore[attr-defined]
         item.add_marker(pytest.mark.long)
@@ -49,6 +49,11 @@ def corner_simulation(hsr: ProblemFile) -> Simulation:
 @pytest.fixture(scope="session")
 def corner_bound(hsr: ProblemFile, corner_simulation: Simulation) -> BoundProblem:
     return bind(hsr.problem, corner_simulation.samples)
+
+
+@pytest.fixture(scope="session")
+def corner_calibration(hsr: ProblemFile, corner_simulation: Simulation) -> Calibration:
+    return calibrate(hsr, corner_simulation.samples)
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 
 import pytest
 from conftest import ROOT
@@ -72,6 +73,7 @@ def _is_module(dotted):
     return dotted.startswith("casacal.") and (place.with_suffix(".py").is_file() or (place / "__init__.py").is_file())
 
 
+@cache
 def imports(path):
     """Modules of casacal (dotted, without the prefix) and foreign packages that a file imports at any depth."""
     own, foreign = set(), set()

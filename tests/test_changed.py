@@ -41,17 +41,29 @@ STOOD = {"adept_cobra600": ("offset",)}
 
 
 @cache
+def cell_of(name):
+    """A problem and its cell."""
+    source = load_problem(ROOT / "problems" / name)
+    return source, source.cell or default_cell(source.problem)
+
+
+@cache
+def calibration(name, seed=3):
+    """Of one true arm of a problem, in the cell of that."""
+    source, cell = cell_of(name)
+    rows = simulate(source.problem, cell, samples=120, seed=seed).samples
+    return source, cell, calibrate(source.problem, rows, reference=False)
+
+
 def robot(name, seed=3):
     """A problem, its cell, and one true arm of it that was calibrated."""
-    source = load_problem(ROOT / "problems" / name)
-    cell = source.cell or default_cell(source.problem)
-    rows = simulate(source.problem, cell, samples=120, seed=seed).samples
-    return source, cell, calibrate(source.problem, rows, reference=False).arm
+    source, cell, found = calibration(name, seed)
+    return source, cell, found.arm
 
 
 def touched(name, count, *, session=1, joint=None, shift=0.0, seed=3):
     """Fresh touches of the same true arm; a joint whose zero has shifted stands elsewhere than the controller says."""
-    source, cell, _ = robot(name, seed)
+    source, cell = cell_of(name)
     rows = simulate_one(source.problem, cell, count, Draw(seed, session=session)).samples
     joints = rows.joints.copy()
     if joint is not None:
@@ -119,6 +131,7 @@ def test_noise_that_was_found_gives_f_and_t():
     assert occam(columns, np.array([2.0, 3.0])) == pytest.approx(np.linalg.slogdet(inside)[1] / 2)
 
 
+@pytest.mark.long_unless("0.05-25.0")
 @pytest.mark.parametrize(("alarm", "noise"), [(0.01, np.inf), (0.1, np.inf), (0.05, 25.0)])
 def test_false_alarms_come_at_the_rate_that_was_asked_for(alarm, noise):
     """Fresh sets as they are promised, drawn in the rows themselves; the noise off by what nobody knows of it."""
@@ -240,8 +253,7 @@ def test_drift_adds_its_variance():
 @pytest.mark.long
 def test_effects_that_go_with_the_arm_are_as_the_fit_left_them():
     """Gears and give with their covariance with the geometry; warmth begins anew."""
-    source, cell, _ = robot("hsr_jr680")
-    fit = calibrate(source.problem, simulate(source.problem, cell, samples=120, seed=3).samples, reference=False)
+    source, _, fit = calibration("hsr_jr680")
     given = opened(fit.arm, touched("hsr_jr680", 20), problem=None, instrument=None, standing=STANDING)
     fresh = given.fresh(STANDING)
     found = with_memory(fresh, given.arm)
@@ -273,6 +285,7 @@ def test_what_cannot_show_is_said():
     assert found.to_dict()["joints"][0]["shift"] is None
 
 
+@pytest.mark.long_unless("4")
 @pytest.mark.parametrize("k", [4, 11])
 def test_a_row_that_is_off_is_named_in_place_of_the_arm(k):
     rows = off(touched("hsr_jr680", 24), k, 1.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from scipy.optimize import least_squares
-from test_changed import off, robot, touched
+from test_changed import calibration, cell_of, off, robot, touched
 
 from casacal import (
     CasacalError,
@@ -29,6 +29,7 @@ from casacal import (
 )
 from casacal.changes.causes import JOINTS, joint_direction, shift_columns, with_shifts
 from casacal.cli.main import main
+from casacal.files import write_json
 from casacal.samples.write import write_samples
 from casacal.simulation.simulate import simulate_one
 from casacal.simulation.true_arm import Draw
@@ -114,7 +115,7 @@ def test_an_update_is_the_minimum_that_a_dense_solve_finds(joint, shift, hidden)
 
 def true_error(name, arm, joint, shift):
     """Of the tip over the workspace, mm RMS apart from the base: the true arm, whose joint stands elsewhere."""
-    source, cell, _ = robot(name)
+    source, cell = cell_of(name)
     sim = simulate(source.problem, cell, samples=120, seed=3)
     joints = workspace_joints(source.problem.robot)
     moved = joints.copy()
@@ -123,7 +124,7 @@ def true_error(name, arm, joint, shift):
     return tip_rms(without_rigid((arm.predict(joints, frame="tip").positions - tips).ravel(), tips))
 
 
-@pytest.mark.long_unless("ur5-1-0.008")
+@pytest.mark.long_unless("hsr_jr680-2-0.008")
 @pytest.mark.parametrize(("name", "joint", "shift"), [("hsr_jr680", 2, 8e-3), ("ur5", 1, 8e-3)])
 def test_an_update_brings_the_true_tip_back(name, joint, shift, tmp_path):
     rows = touched(name, 40, session=3, joint=joint, shift=shift)
@@ -171,15 +172,16 @@ def test_where_nothing_changed_it_is_known_better(tmp_path):
     assert wide["tip"]["expected_rms_mm"] > new["tip"]["expected_rms_mm"]
 
 
-def test_the_expected_error_is_worked_out_as_a_calibration_does():
+@pytest.mark.long_unless("hsr_jr680")
+@pytest.mark.parametrize("name", ["hsr_jr680", "ur5"])
+def test_the_expected_error_is_worked_out_as_a_calibration_does(name):
     """Of the old result, by the way an update takes: the same figure."""
     from casacal.changes.document import _tip
 
-    for name in ("hsr_jr680", "ur5"):
-        document = robot(name)[2].document
-        assert _tip(robot(name)[2], document)["expected_rms_mm"] == pytest.approx(
-            document["tip"]["expected_rms_mm"], rel=0.05
-        )
+    document = robot(name)[2].document
+    assert _tip(robot(name)[2], document)["expected_rms_mm"] == pytest.approx(
+        document["tip"]["expected_rms_mm"], rel=0.05
+    )
 
 
 @pytest.mark.long
@@ -251,7 +253,7 @@ def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5", "adept_cobra600"])
 def test_a_joint_shifts_along_its_own_offset(name):
     """In a DH table: theta of a joint that turns, d of one that slides, by the joint's sign."""
-    source, cell, _ = robot(name)
+    source, cell = cell_of(name)
     rows = simulate(source.problem, cell, samples=40, seed=1).samples
     bound = with_shifts(bind(source.problem, rows))
     keys = source.problem.robot.parameters
@@ -294,13 +296,12 @@ def test_a_joint_that_counts_backwards_or_moves_another_shifts_them():
 def place(tmp_path_factory):
     """A folder with a result, fresh rows of the same arm, and of one whose joint has shifted."""
     folder = tmp_path_factory.mktemp("changed")
-    source, cell, arm = robot("hsr_jr680")
-    rows = simulate(source.problem, cell, samples=120, seed=3).samples
-    calibrate(source.problem, rows, reference=False).save(folder / "first")
+    source, _, found = calibration("hsr_jr680")
+    (folder / "first").mkdir()
+    write_json(folder / "first" / "result.json", found.to_dict())
     write_samples(folder / "same.csv", source.problem.layout(), touched("hsr_jr680", 24, session=11), [])
     other = touched("hsr_jr680", 40, session=12, joint=3, shift=2e-3)
     write_samples(folder / "other.csv", source.problem.layout(), other, [])
-    del arm
     return folder
 
 

@@ -5,6 +5,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -65,20 +66,23 @@ def up_to_base(reached, meant):
 
 
 @pytest.fixture(scope="module")
-def cells(hsr, tmp_path_factory):
-    """Simulated, calibrated: path of the result and of the truth for each seed."""
-    folder, found = tmp_path_factory.mktemp("cells"), []
-    for seed in SEEDS:
+def cell(hsr, tmp_path_factory):
+    """Simulated, calibrated where first asked for: path of the result and of the truth by seed."""
+    folder = tmp_path_factory.mktemp("cells")
+
+    @cache
+    def made(seed):
         samples, truth = write_simulation(simulate(hsr.problem, hsr.cell, seed=seed), hsr, folder / f"{seed}.csv")
         fitted = calibrate(hsr.problem, hsr.problem.read(samples), method="lm", reference=False)
         write_json(folder / f"{seed}.json", calibration_document(fitted, hsr))
-        found.append((folder / f"{seed}.json", truth))
-    return found
+        return folder / f"{seed}.json", truth
+
+    return made
 
 
 @pytest.fixture(scope="module")
-def result(cells):
-    return read_result(cells[0][0])
+def result(cell):
+    return read_result(cell(0)[0])
 
 
 def arm_result(robot, changes):
@@ -101,9 +105,10 @@ def arm_result(robot, changes):
 
 
 @pytest.mark.long
-def test_the_true_arm_misses_by_what_the_bound_predicts(cells, hsr):
+def test_the_true_arm_misses_by_what_the_bound_predicts(cell, hsr):
     ratios = []
-    for seed, (file, truth_file) in enumerate(cells):
+    for seed in SEEDS:
+        file, truth_file = cell(seed)
         joints = random_targets(hsr.problem.robot, 200, seed)
         found = compensate(read_result(file), targets_of(joints))
         truth = json.loads(truth_file.read_text())
@@ -123,18 +128,18 @@ def test_the_true_arm_misses_by_what_the_bound_predicts(cells, hsr):
     assert 0.5 < np.mean(ratios) < 1.7
 
 
-def test_round_trip_by_hand(cells, hsr, tmp_path):
+def test_round_trip_by_hand(cell, hsr, tmp_path):
     joints = random_targets(hsr.problem.robot, 100, 7)
     lines = [
         "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg",
         *(",".join(map(repr, row)) for row in np.degrees(joints).tolist()),
     ]
     (tmp_path / "t.csv").write_text("\n".join(lines))
-    main(["compensate", str(cells[0][0]), str(tmp_path / "t.csv"), "--out", str(tmp_path / "c.csv")])
+    main(["compensate", str(cell(0)[0]), str(tmp_path / "t.csv"), "--out", str(tmp_path / "c.csv")])
     with (tmp_path / "c.csv").open() as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
     assert len(rows) == 100
-    document = json.loads(cells[0][0].read_text())
+    document = json.loads(cell(0)[0].read_text())
     written = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
     reached = poses_by_hand(table_of(document, "estimate"), written)
     meant = poses_by_hand(table_of(document, "nominal"), joints)
@@ -344,7 +349,7 @@ def test_unseen_directions_stay_at_nominal(hsr, corner_bound):
 
 
 @pytest.mark.long
-def test_results_that_nothing_holds_are_refused(hsr, tmp_path, cells):
+def test_results_that_nothing_holds_are_refused(hsr, tmp_path, cell):
     flat = hsr.problem.with_prior({"d1": math.inf, "theta1": math.inf})
     samples = simulate(hsr.problem, hsr.cell, seed=1).samples
     fitted = calibrate(flat, samples, method="lm", reference=False)
@@ -352,7 +357,7 @@ def test_results_that_nothing_holds_are_refused(hsr, tmp_path, cells):
     write_json(tmp_path / "flat.json", document)
     with pytest.raises(CasacalError, match=r"neither samples nor prior hold d1, theta1.*--prior d1=0.7"):
         compensate(read_result(tmp_path / "flat.json"), targets_of([deg(1, 2, 3, 4, 5, 6)]))
-    write_json(tmp_path / "stuck.json", resealed({**json.loads(cells[0][0].read_text()), "converged": False}))
+    write_json(tmp_path / "stuck.json", resealed({**json.loads(cell(0)[0].read_text()), "converged": False}))
     with pytest.raises(CasacalError, match="did not converge"):
         compensate(read_result(tmp_path / "stuck.json"), targets_of([deg(1, 2, 3, 4, 5, 6)]))
 
@@ -404,19 +409,19 @@ def test_languages_refuse_what_they_cannot_hold(form, tmp_path, capsys):
     assert not (tmp_path / "o").exists()
 
 
-def test_the_command_says_what_it_did(cells, tmp_path, capsys):
+def test_the_command_says_what_it_did(cell, tmp_path, capsys):
     (tmp_path / "t.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n0,0,0,0,-90,0\n")
     out = tmp_path / "c.csv"
-    assert main(["compensate", str(cells[0][0]), str(tmp_path / "t.csv"), "--out", str(out)]) == 1
+    assert main(["compensate", str(cell(0)[0]), str(tmp_path / "t.csv"), "--out", str(out)]) == 1
     said = capsys.readouterr().out
     assert "2 targets: 1 reached, 1 singular" in said
     assert "Not reached: line 3, singular" in said
     comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
     assert any("round trip: at these joint values the calibrated flange misses" in line for line in comments)
     assert any("known from the prior alone" in line and "d1" in line for line in comments)
-    assert main(["predict", str(cells[0][0]), str(out), "--out", str(tmp_path / "p.csv")]) == 0
+    assert main(["predict", str(cell(0)[0]), str(out), "--out", str(tmp_path / "p.csv")]) == 0
     (tmp_path / "t.csv").write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n10,20,30,40,50,60\n")
-    assert main(["compensate", str(cells[0][0]), str(tmp_path / "t.csv"), "--out", str(out)]) == 0
+    assert main(["compensate", str(cell(0)[0]), str(tmp_path / "t.csv"), "--out", str(out)]) == 0
 
 
 @pytest.mark.parametrize(
@@ -429,9 +434,9 @@ def test_the_command_says_what_it_did(cells, tmp_path, capsys):
         ("q1_deg,q2_deg,q3_deg\n1,2,3\n", "there is no column for q4"),
     ],
 )
-def test_bad_targets_are_refused_in_one_line(cells, tmp_path, capsys, text, says):
+def test_bad_targets_are_refused_in_one_line(cell, tmp_path, capsys, text, says):
     (tmp_path / "t.csv").write_text(text)
-    code = main(["compensate", str(cells[0][0]), str(tmp_path / "t.csv"), "--out", str(tmp_path / "c.csv")])
+    code = main(["compensate", str(cell(0)[0]), str(tmp_path / "t.csv"), "--out", str(tmp_path / "c.csv")])
     captured = capsys.readouterr()
     assert code == 2
     assert says in captured.err

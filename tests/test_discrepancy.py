@@ -26,18 +26,21 @@ UR5 = ROOT / "problems" / "ur5"
 
 
 @pytest.fixture(scope="module")
-def hsr():
-    return load_problem(ROOT / "problems" / "hsr_jr680")
+def clean(corner_simulation):
+    return corner_simulation.samples
 
 
 @pytest.fixture(scope="module")
-def clean(hsr):
-    return simulate(hsr.problem, hsr.cell, samples=120, seed=3).samples
+def calibrated(corner_calibration):
+    return corner_calibration
 
 
 @pytest.fixture(scope="module")
-def calibrated(hsr, clean):
-    return calibrate(hsr, clean)
+def saved(calibrated, tmp_path_factory):
+    """The folder of its files."""
+    folder = tmp_path_factory.mktemp("saved")
+    calibrated.save(folder)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -298,9 +301,8 @@ def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calib
     assert toward[sizes > 0.1 * sizes.max()].max() < 0.02
 
 
-def test_the_file_says_what_memory_says(calibrated, tmp_path):
-    calibrated.save(tmp_path)
-    document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+def test_the_file_says_what_memory_says(calibrated, saved):
+    document = json.loads((saved / "result.json").read_text(encoding="utf-8"))
     part = document["discrepancy"]
     expected = {effect.key for effect in kit()} - {"ripple"}  # nobody said what ratios the gears have
     assert {effect["key"] for effect in part["effects"]} == expected
@@ -311,7 +313,7 @@ def test_the_file_says_what_memory_says(calibrated, tmp_path):
     tips = motion.arm.tips(motion.x, joints)
     field = without_rigid(motion.arm.tip_jacobian(motion.x, joints), tips)
     stds = np.linalg.norm(tip_stds(motion.covariance, field, motion.off), axis=1)
-    told = load(tmp_path).predict(joints, frame="tip", std=True)
+    told = load(saved).predict(joints, frame="tip", std=True)
     np.testing.assert_allclose(told.std, stds, rtol=1e-6)
     np.testing.assert_allclose(told.positions, tips, atol=1e-6)
 
@@ -326,9 +328,8 @@ def test_the_file_says_what_memory_says(calibrated, tmp_path):
         lambda part: part["unknowns"][0].pop("value"),
     ],
 )
-def test_a_damaged_part_is_refused_in_a_sentence(calibrated, tmp_path, spoil):
-    calibrated.save(tmp_path)
-    document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+def test_a_damaged_part_is_refused_in_a_sentence(saved, tmp_path, spoil):
+    document = json.loads((saved / "result.json").read_text(encoding="utf-8"))
     spoil(document["discrepancy"])
     document.pop("seal")
     (tmp_path / "result.json").write_text(json.dumps(sealed(document)), encoding="utf-8")
@@ -361,18 +362,23 @@ def test_what_errs_beside_the_geometry_is_expected_of_fresh_rows(hsr, calibrated
 
 
 def test_geometry_alone_is_to_be_had(hsr, clean, tmp_path, capsys):
-    alone = calibrate(hsr, clean, discrepancy="none")
+    alone = calibrate(hsr, clean, discrepancy="none", reference=False)
     assert alone.fit.unknowns == bind(hsr.problem, clean).unknowns
     assert json.loads(json.dumps(alone.to_dict()))["discrepancy"] is None
     assert alone.x is alone.result.x
-    assert not any(calibrate(hsr, clean, loss=huber(), reference=False).fit.beside)
-    for method in ("plane-only", "swarm"):
-        assert not any(calibrate(hsr, clean, method=method, reference=False).fit.beside)
     with pytest.raises(CasacalError, match="Give 'kit' or 'none'"):
         calibrate(hsr, clean, discrepancy="some")
     assert main(["calibrate", str(hsr.path), "--discrepancy", "none", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["discrepancy"] is None
     capsys.readouterr()
+
+
+@pytest.mark.long_unless("plane-only")
+@pytest.mark.parametrize(
+    "way", [{"loss": huber()}, {"method": "plane-only"}, {"method": "swarm"}], ids=["huber", "plane-only", "swarm"]
+)
+def test_who_cannot_take_effects_has_geometry_alone(hsr, clean, way):
+    assert not any(calibrate(hsr, clean, reference=False, **way).fit.beside)
 
 
 def test_other_priors_share_the_kit(hsr):
@@ -390,6 +396,7 @@ def test_a_calibration_with_effects_travels(calibrated):
     assert again.tip_std == calibrated.tip_std
 
 
+@pytest.mark.long
 def test_the_price_where_nothing_errs_is_small(hsr):
     """Over ten arms the tip with the kit is no worse than ten per cent beyond that of geometry alone."""
     joints = workspace_joints(hsr.problem.robot)
@@ -404,6 +411,7 @@ def test_the_price_where_nothing_errs_is_small(hsr):
     assert kit_rms < 1.1 * alone
 
 
+@pytest.mark.long
 def test_backlash_costs_less_with_the_kit(hsr):
     joints, cell = workspace_joints(hsr.problem.robot), dataclasses.replace(hsr.cell, backlash=60e-6)
     errors = {"kit": [], "none": []}

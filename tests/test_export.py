@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 from test_arms import ODD_JOINTS, UR5_JOINTS, rot_y, xml_chain
 
 import casacal
-from casacal import export, load_problem
+from casacal import export, load_problem, simulate
 from casacal.cli.main import main
 from casacal.compensation.arm import CalibratedArm, arm_values
 from casacal.compensation.result_file import read_result
+from casacal.files import write_json
 from casacal.problem.new import new_from_dh, new_from_urdf
 from casacal.robots.files.urdf_reader import read_urdf
 
@@ -559,11 +560,11 @@ def calibrated(place, tmp_path_factory):
 
     def calibrate(name):
         if name not in found:
-            samples, out = folder / f"{name}.csv", folder / name
-            assert main(["simulate", str(place / name), "--out", str(samples), "--seed", "3"]) == 0
-            options = ["--method", "lm", "--no-reference", "--out", str(out)]
-            assert main(["calibrate", str(place / name), str(samples), *options]) == 0
-            found[name] = out / "result.json"
+            source = load_problem(place / name)
+            samples = simulate(source.problem, source.cell, seed=3).samples
+            document = casacal.calibrate(source, samples, method="lm", reference=False).to_dict()
+            found[name] = folder / f"{name}.json"
+            write_json(found[name], document)
         return found[name]
 
     return calibrate

@@ -16,7 +16,7 @@ HSR = str(ROOT / "problems" / "hsr_jr680")
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibrated")
-    assert main(["calibrate", HSR, "--out", str(folder / "out")]) == 0
+    assert main(["calibrate", HSR, "--method", "lm", "--no-reference", "--out", str(folder / "out")]) == 0
     assert main(["simulate", HSR, "--out", str(folder / "fresh.csv"), "--samples", "60", "--tilt", "20"]) == 0
     return folder
 
@@ -53,6 +53,7 @@ def test_a_section_follows_the_verdict_and_the_next_one_replaces_it(calibrated, 
     assert twice[:start] + twice[end:] == before, "nothing else is touched"
 
 
+@pytest.mark.long
 def test_reports_of_others_are_left_alone(calibrated, tmp_path, capsys):
     other = tmp_path / "out"
     other.mkdir()

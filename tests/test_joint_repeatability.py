@@ -25,11 +25,6 @@ ROOT = Path(__file__).parent.parent
 TRUE = 20e-6
 
 
-@pytest.fixture(scope="module")
-def hsr():
-    return load_problem(ROOT / "problems" / "hsr_jr680")
-
-
 def loose(source, seed, **changes):
     """Samples of an arm whose joints do not repeat."""
     cell = dataclasses.replace(source.cell, **{"joint_std": TRUE, **changes})
@@ -123,6 +118,7 @@ def test_a_rough_face_is_not_blamed_on_joints(hsr):
     assert scale["floor"] > 3 > max(scale["wall"], scale["side"])
 
 
+@pytest.mark.long
 def test_joints_are_blamed_on_evidence_alone(hsr, monkeypatch):
     """Where every arm is looked at, those with a bad dial do not blame their joints either."""
     monkeypatch.setattr(discrepancy, "joints_err", lambda *given: True)
