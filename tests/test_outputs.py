@@ -214,6 +214,7 @@ def made(tmp_path_factory):
     shutil.copytree(HSR, place / "p")
     assert main(["calibrate", str(place / "p"), "--method", "lm", "--no-reference", "--out", str(place / "o")]) == 0
     (place / "q.csv").write_text((HSR / "samples.csv").read_text())
+    (place / "mine.csv").write_text((HSR / "samples.csv").read_text().partition("\n")[2])  # as if measured
     return place
 
 
@@ -232,6 +233,7 @@ def result(made, tmp_path):
         ["export", "o/result.json", "--to", "dh", "--out", "o/result.json"],
         ["export", "o/result.json", "--to", "dh", "--source", "q.csv", "--out", "q.csv"],
         ["calibrate", "p", "o/parameters.csv", "--out", "o"],
+        ["simulate", "p", "--out", "mine.csv"],
         ["simulate", "p", "--out", "p/problem.py"],
         ["simulate", "p", "--out", "link.csv"],
     ],
