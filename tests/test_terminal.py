@@ -13,6 +13,7 @@ from conftest import ROOT
 import casacal
 from casacal.cli.main import COMMANDS, build_parser, main
 from casacal.cli.terminal import width
+from casacal.files import jsonable
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 SAMPLES = f"{HSR}/samples.csv"
@@ -23,15 +24,21 @@ UNIX = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX shell")
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with a calibrated arm, joint targets, a pendant's rows, and labels with letters that few codes have."""
+    """A folder with a calibrated arm, joint targets and a pendant's rows."""
     folder = tmp_path_factory.mktemp("terminal")
     assert main(["calibrate", HSR, "--out", str(folder / "fit")]) == 0
     joints = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n"
     (folder / "q.csv").write_text(joints + "10,20,30,-40,50,60\n5,10,40,-90,-60,-90\n")
     (folder / "pendant.csv").write_text("q1,q2,q3,q4,q5,q6,x,y,z,a,b,c\n1,2,3,4,5,6,1,2,3,4,5,6\n")
-    text = Path(SAMPLES).read_text(encoding="utf-8")
-    (folder / "letters.csv").write_text(text.replace(",wall\n", ",Wänd 壁\n", 1).replace("floor", "Böden"), "utf-8")
     return folder
+
+
+@pytest.fixture
+def letters(tmp_path):
+    """Samples whose labels have letters that few codes have."""
+    text = Path(SAMPLES).read_text(encoding="utf-8")
+    (tmp_path / "letters.csv").write_text(text.replace(",wall\n", ",Wänd 壁\n", 1).replace("floor", "Böden"), "utf-8")
+    return tmp_path / "letters.csv"
 
 
 def run(*arguments, cwd=None, **environment):
@@ -102,7 +109,7 @@ def test_json_tells_of_what_went_wrong_by_the_same_codes(capsys, place, tmp_path
 
 
 def test_json_of_a_box(capsys):
-    code, out, _ = call(capsys, "calibrate", HSR, "--json", "--box", "1000:1700,-400:400,400:1000")
+    code, out, _ = call(capsys, "calibrate", HSR, "--no-reference", "--json", "--box", "1000:1700,-400:400,400:1000")
     box = json.loads(out)["box"]
     assert (code, box["range_mm"][2]) == (0, [400, 1000])
     assert 0 < box["expected_rms_mm"] <= box["worst_mm"]
@@ -130,17 +137,25 @@ def test_version_and_no_command(capsys):
     assert all(name in out for name in COMMANDS)
 
 
+ENCODINGS = ("cp932", "ascii", "latin-1", "utf-8", "cp1252:strict", "ascii:surrogateescape")
+
+
 @pytest.mark.long_unless("ascii:surrogateescape")
-@pytest.mark.parametrize("encoding", ["cp932", "ascii", "latin-1", "utf-8", "cp1252:strict", "ascii:surrogateescape"])
-def test_letters_that_an_encoding_lacks_are_replaced(encoding, place):
-    done = run("check", HSR, place / "letters.csv", PYTHONIOENCODING=encoding)
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_letters_that_an_encoding_lacks_are_replaced(encoding, letters):
+    done = run("check", HSR, letters, PYTHONIOENCODING=encoding)
     assert done.returncode == 1
     assert b"Traceback" not in done.stderr
     assert b"cannot be bound" in done.stdout
     shown = done.stdout.decode(encoding.partition(":")[0])
     assert ("Wänd" if encoding in ("latin-1", "utf-8", "cp1252:strict") else "W?nd") in shown
     assert ("壁" in shown) == (encoding in ("utf-8", "cp932"))
-    done = run("calibrate", HSR, place / "letters.csv", PYTHONIOENCODING=encoding)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_refusal_is_one_line_in_any_encoding(encoding, letters):
+    done = run("calibrate", HSR, letters, PYTHONIOENCODING=encoding)
     assert done.returncode == 2
     assert done.stderr.count(b"\n") == 1
     assert b"Traceback" not in done.stderr
@@ -259,18 +274,24 @@ def test_one_file_for_two_instruments_is_refused_in_a_sentence(command, tmp_path
     assert err.count("\n") == 1
 
 
+@pytest.fixture(scope="module")
+def older(hsr):
+    """A result as those were that held no arm of their own, and no seal."""
+    document = jsonable(casacal.calibrate(hsr, method="lm", reference=False).to_dict())
+    return {key: item for key, item in document.items() if key not in ("schema", "arm", "seal")}
+
+
 @pytest.mark.parametrize("command", ["predict", "compensate", "export"])
-def test_a_result_of_two_instruments_is_refused_or_served(command, tmp_path, place, capsys):
+def test_a_result_of_two_instruments_is_refused_or_served(command, tmp_path, older, capsys):
     """Nothing writes such a result; one whose problem was changed so is refused in a sentence."""
     (tmp_path / "problem.py").write_text(TWO)
-    document = json.loads((place / "fit" / "result.json").read_text())
-    document["problem"]["path"] = str(tmp_path / "problem.py")
-    document["arm"] = None  # as results were that held no arm of their own
+    document = {**older, "problem": {**older["problem"], "path": str(tmp_path / "problem.py")}}
     (tmp_path / "result.json").write_text(json.dumps(document))
-    arguments = ["--to", "zeros"] if command == "export" else [place / "q.csv"]
+    arguments = ["--to", "zeros"] if command == "export" else [SAMPLES]
     code, out, err = call(capsys, command, tmp_path / "result.json", *arguments, "--out", tmp_path / "x.csv")
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
+    assert "has changed since the calibration" in err
 
 
 def test_no_help_speaks_in_riddles():
