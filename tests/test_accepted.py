@@ -74,7 +74,7 @@ def estimate(arm):
     return {row["name"]: row["estimate"] - row["nominal"] for row in rows}
 
 
-@pytest.mark.long_unless("hsr_jr680-length")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5"])
 def test_what_other_instruments_see_of_the_arm(name, kind):
@@ -122,6 +122,7 @@ def good(hsr):
     return fitted(hsr, some), fresh, x
 
 
+@pytest.mark.long_unless("hsr_jr680")
 @pytest.mark.parametrize("name", ["hsr_jr680", "ur5"])
 def test_touches_see_what_the_arm_errs_by(name):
     """Against the true error of the same arms on all 150 postures, by the slopes of the distances alone."""

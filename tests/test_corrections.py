@@ -253,6 +253,7 @@ def test_nothing_is_corrected_where_nothing_errs():
     assert "without_corrections" not in document
 
 
+@pytest.mark.long
 def test_a_wave_that_transfers_is_corrected_and_one_that_is_nowhere_is_not():
     source = load_problem(UR5)
     made = simulate(source.problem, dataclasses.replace(source.cell, gear_waves=((2, 1e-4),)), samples=120, seed=3)
@@ -454,6 +455,7 @@ def test_the_flange_does_not_depend_on_a_reading(sagging):
     np.testing.assert_allclose(found.predict(shown).positions, found.predict(joints).positions, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_first_row_is_not_blamed_for_backlash():
     source = load_problem(ROOT / "problems" / "hsr_jr680")
     cell = dataclasses.replace(source.cell, backlash=200e-6)
@@ -514,6 +516,7 @@ def test_geometry_does_not_stretch_the_last_link_for_a_micrometre_at_the_tip(sag
     assert np.abs(((used - found.result.x) / fit.prior_std)[known]).max() < 1
 
 
+@pytest.mark.long
 def test_geometry_stands_for_the_mean_of_both_ways_of_a_joint_with_play():
     source = load_problem(UR5)
     made = simulate(source.problem, dataclasses.replace(source.cell, backlash=1.5e-4), samples=120, seed=0)

@@ -147,6 +147,7 @@ def test_a_level_plate_under_a_scara_is_inclined_and_what_it_cannot_reach_is_lef
     assert kinds["step"] > 0.9 * now
 
 
+@pytest.mark.long_unless("by label")
 @pytest.mark.parametrize("labels", [True, False], ids=["by label", "one plane"])
 def test_figures_are_those_of_all_rows_bound_together(hsr, labels):
     """The touches appended to the samples and the whole bound anew: on the drawn arm both must say the same."""
@@ -219,6 +220,7 @@ def test_the_noise_in_use_counts(hsr, corner_simulation):
         assert "indicator" not in next(cure.words for cure in found if "half the noise" in cure.words)
 
 
+@pytest.mark.long
 def test_many_faces_give_the_same_figures(hsr, monkeypatch):
     """Unknowns of single faces are taken out of the sum where faces are many; these then come back with their rows."""
     cell = Cell(faces=tuple(dataclasses.replace(f, label=f"{f.label}{k}") for k in range(4) for f in hsr.cell.faces))

@@ -237,6 +237,7 @@ def test_targets_of_a_session_are_refused_and_rows_without_one_share_a_zero(midd
         found.compensate(tmp_path / "targets.csv", frame="tip")
 
 
+@pytest.mark.long_unless("62-0.4")
 @pytest.mark.parametrize(("after", "by"), [(62, 0.4), (30, -0.1)])
 def test_a_zero_that_moved_is_named_with_its_place_and_size(middle, after, by):
     problem, samples = middle

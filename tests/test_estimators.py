@@ -135,6 +135,7 @@ def test_a_step_in_the_null_space_moves_the_tip_and_no_plane(hsr):
 POPULATION = {"annealing": annealing, "swarm": swarm, "evolution": evolution}
 
 
+@pytest.mark.long_unless("swarm", "evolution")
 @pytest.mark.parametrize("method", POPULATION.values(), ids=POPULATION)
 def test_population_methods_come_within_a_gap_inside_their_budget(method):
     a, y, nominal, prior, noise = random_linear(12)
@@ -514,6 +515,7 @@ def test_the_papers_method_is_no_less_robust_than_lm_alone(name, scale, seed):
     assert both.cost <= alone.cost * (1 + 1e-6)
 
 
+@pytest.mark.long_unless("sckf")
 @pytest.mark.parametrize("method", ["sckf", "ekf"])
 def test_a_filter_that_ends_far_from_the_minimum_has_failed(hsr, method):
     """Dial readings in micrometres that were declared as millimetres: linearised, each row throws the belief about."""

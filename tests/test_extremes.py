@@ -69,6 +69,7 @@ def test_names_that_cannot_stand_on_a_line_are_refused(name):
         Robot.from_dh(name, alpha=[0.0, 1.0], a=[1.0, 1.0], d=[0.0, 0.0], theta=[0.0, 0.0])
 
 
+@pytest.mark.long
 def test_a_folder_of_any_name_gives_exports_that_compile(tmp_path):
     place = tmp_path / "my\n*/ #error arm"
     shutil.copytree(HSR, place)

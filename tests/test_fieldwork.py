@@ -165,6 +165,7 @@ def test_touches_that_were_made_count(hsr):
         plan(hsr.problem, hsr.cell, touches=10, pool=300, after="samples.csv")
 
 
+@pytest.mark.long
 def test_a_new_motor_takes_few_touches(hsr):
     """The zero of joint 4 may be off by half a degree: what that costs, and the fewest touches that restore it."""
     made = simulate(hsr.problem, hsr.cell, samples=120, seed=3).samples

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from conftest import ROOT
 
 from casacal import Simulated, lm, swarm
@@ -89,6 +90,7 @@ def test_a_users_instrument_tells_by_its_methods(hsr):
     assert fingerprint(Other(**fields)) != first
 
 
+@pytest.mark.long
 def test_another_process_finds_the_same():
     program = (
         "from casacal import load_problem, Simulated, lm\nfrom casacal.study.fingerprint import *\n"

@@ -175,7 +175,7 @@ def test_estimates_reach_their_bound_and_know_it(name):
     assert low < total < high
 
 
-@pytest.mark.long_unless("TrackedPoint")
+@pytest.mark.long
 @every
 def test_the_whole_way_of_a_user(name, tmp_path, capsys):
     """Simulate, check, calibrate, verify with rows that the fit has not seen, report: all by the command line."""
@@ -295,6 +295,7 @@ def test_an_anchor_of_too_few_lengths_is_refused():
         bind(PROBLEMS["Distance"], samples.take(np.setdiff1d(np.arange(len(samples)), few)))
 
 
+@pytest.mark.long
 def test_a_wire_that_counts_down_is_named():
     samples = seen_by("Distance")
     down = replace(samples, columns={"length": 1500.0 - samples.columns["length"]})

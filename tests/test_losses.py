@@ -124,7 +124,7 @@ def test_searches_lower_the_stated_cost(name, loss):
     assert plain.cost == pytest.approx(bound.cost(plain.x), rel=1e-12)
 
 
-@pytest.mark.long_unless("huber")
+@pytest.mark.long
 @pytest.mark.parametrize("loss", [huber(), tukey()], ids=["huber", "tukey"])
 def test_gross_rows_leave_the_arm_where_it_is_and_cost_what_they_cost(loss):
     """From the drawing, where no row of a redescending loss has any pull left."""
@@ -159,6 +159,7 @@ def tip_from(found, joints):
     return np.sqrt(np.einsum("ij,jk,ik->", field, found.motion.covariance, field) / len(tips))
 
 
+@pytest.mark.long_unless("1.345")
 @pytest.mark.parametrize("threshold", [0.1, 1.345, 8.0])
 def test_what_a_loss_leaves_of_the_rows_is_its_variance(threshold):
     """Many places of 400 normal samples each, found by that loss."""

@@ -103,6 +103,7 @@ def slipped(kind, joints, reading, face):
     return other, reading, face
 
 
+@pytest.mark.long_unless("label", "joints swapped")
 @pytest.mark.parametrize("kind", ["sign", "revolution", "label", "digit", "unit", "joints swapped", "joint"])
 def test_a_slip_is_named_and_put_right(late, world, kind):
     told, first = [], []
@@ -346,6 +347,7 @@ def test_touches_on_a_line_wait(hsr, route, world):
     assert session.tip_error is None
 
 
+@pytest.mark.long
 def test_a_plan_gives_every_face_enough(hsr):
     ur5 = load_problem(UR5)
     for source, touches, starts in ((hsr, 20, 1), (hsr, 34, 1), (hsr, 20, 2), (ur5, 12, 2), (ur5, 24, 1)):
@@ -359,6 +361,7 @@ def test_a_plan_gives_every_face_enough(hsr):
         assert not session.waiting
 
 
+@pytest.mark.long_unless("adept_cobra600")
 @pytest.mark.parametrize("folder", [UR5, SCARA], ids=lambda folder: folder.name)
 def test_other_arms(folder):
     source = load_problem(folder)

@@ -49,7 +49,7 @@ def read(samples, change):
     return REPLACE(samples, columns={"reading": change(samples.columns["reading"])})
 
 
-@pytest.mark.long_unless("pair0-80")
+@pytest.mark.long
 @pytest.mark.parametrize(("pair", "rows"), [(("floor", "wall"), 80), (("block", "floor"), 120)])
 def test_labels_of_two_faces_that_are_exchanged_throughout(pair, rows):
     """A step in another's place does not fit; one in the place of its own floor may, with the normal turned round."""
@@ -105,7 +105,7 @@ def test_the_other_convention_of_a_table(ur5):
     assert found.about == "DH convention"
 
 
-@pytest.mark.long_unless("flipped1-misfit-Try the dial's sign first (--set sign=-1)")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("flipped", "about", "says"),
     [
@@ -129,6 +129,12 @@ def test_a_column_of_labels_that_is_missing(scara):
     wrong = labelled(samples, ["plane"] * len(samples))
     (found,) = errors(problem, wrong)
     assert "there is no column 'plane'" in found.cause
+
+
+@pytest.mark.long
+def test_a_column_of_labels_that_is_missing_comes_first_in_the_verdict(scara):
+    problem, samples = scara
+    wrong = labelled(samples, ["plane"] * len(samples))
     said = verdict_of(calibrate(problem, wrong, reference=False))
     assert said.reasons[0].startswith("Labels absent")
 

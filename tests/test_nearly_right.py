@@ -43,6 +43,7 @@ def test_an_empty_name_of_samples_is_refused(capsys):
     assert "SAMPLES is empty" in capsys.readouterr().err
 
 
+@pytest.mark.long_unless("calibrate --no-reference --method=lm PROBLEM SAMPLES", "check PROBLEM --id pose SAMPLES")
 @pytest.mark.parametrize(
     "typed",
     [

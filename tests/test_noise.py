@@ -68,6 +68,7 @@ def drawn(rng, *, dull=0):
     return Rows(matrix, matrix @ truth + rng.normal(size=40), prior_std)
 
 
+@pytest.mark.long_unless("0")
 @pytest.mark.parametrize("dull", [0, 2])
 def test_the_interval_covers_one_in_95_of_100_under_any_mix_of_priors(dull):
     """1,000 draws: 95 % +- 2; beyond 1.4 % a nominal 95 % misses with a chance of 5 %."""
@@ -92,6 +93,7 @@ def test_effective_unknowns_are_the_trace_of_the_hat_matrix(seed):
     assert determined(information, problem.prior_std) == pytest.approx(np.trace(hat), abs=1e-6)
 
 
+@pytest.mark.long_unless("names0", "names1", "names2")
 @pytest.mark.parametrize("names", [(), ("d",), ("a", "d"), ("alpha", "a", "d", "theta")])
 def test_leverages_sum_to_the_effective_unknowns_under_flat_priors(hsr, corner_simulation, names):
     """The clean samples; with all lengths flat, variances of 1e12 mm^2 stand in the covariance."""
@@ -105,6 +107,7 @@ def test_leverages_sum_to_the_effective_unknowns_under_flat_priors(hsr, corner_s
         assert noise_interval(result)[0] == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long_unless("0.002")
 @pytest.mark.parametrize("stated", [0.002, 0.01, 0.03])
 def test_what_is_used_does_not_depend_on_what_was_stated_if_that_was_too_little(hsr, stated):
     samples = touched(hsr, 4, repeatability=0.05)
@@ -249,6 +252,7 @@ def test_repeats_of_an_arm_that_is_as_modelled_count_in_full(hsr):
     assert np.abs(ranks).max() < 1.63 / math.sqrt(12)  # Kolmogorov and Smirnov, 1 %
 
 
+@pytest.mark.long_unless("rows1")
 @pytest.mark.parametrize("rows", [np.repeat(np.arange(120), 3), np.append(np.arange(120), [5, 17, 17, 90])])
 def test_copied_rows_count_once(hsr, corner_simulation, rows):
     """Nothing depends on how often rows were pasted, and they are no pure error: no F, and no cause of one."""

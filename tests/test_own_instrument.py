@@ -345,6 +345,7 @@ class CrossTable(Instrument):
         return ca.vertcat(at[0] - row.x, at[1] - row.y, 1000 * (turn - row.turn))
 
 
+@pytest.mark.long_unless("<lambda>-sign of 'turn'", "<lambda>-'x' and 'y' swapped")
 @pytest.mark.parametrize(
     ("wrong", "about"),
     [
@@ -374,6 +375,7 @@ def test_check_claims_no_mistake_that_it_did_not_try_and_names_readings_out_of_l
     assert "Reverse the sign of column 'turn'" in limits.fix
 
 
+@pytest.mark.long_unless("-1.0-sign of the lengths-Reverse the sign")
 @pytest.mark.parametrize(
     ("factor", "about", "says"),
     [(-1.0, "sign of the lengths", "Reverse the sign"), (1.01, "scale of the readings", "by +1.0")],

@@ -75,7 +75,7 @@ def test_slips_are_what_a_hand_does():
     assert [slip("-0.0310") for slip in SLIPS] == ["-0.0710", "0.0310", "-0.3100", "-0.3010", "-0.0005"]
 
 
-@pytest.mark.long_unless("moved_point")
+@pytest.mark.long
 @pytest.mark.parametrize("slip", SLIPS)
 def test_every_slip_is_found_in_its_row_and_cell(slip, monkeypatch):
     # how near the nearest comes takes long, and is not asked for here
@@ -141,6 +141,7 @@ def test_where_two_numbers_would_do_both_are_named():
     assert re.search(r"either \w+ in line 4 \(.* or \w+ in line 4 \(.*Compare them with the pendant", text)
 
 
+@pytest.mark.long_unless("ZYX", "vector")
 @pytest.mark.parametrize("kind", ["quaternion", "xyz", "ZYX", "ZYZ", "XYZ", "vector"])
 def test_slips_in_orientations_of_every_convention_are_found(kind):
     table, truth, _, rng = true_case(1)

@@ -84,6 +84,7 @@ def test_forty_planned_touches_do_what_a_hundred_and_twenty_random_ones_do(hsr, 
     assert all(one > two for (_, one), (_, two) in itertools.pairwise(curve))
 
 
+@pytest.mark.long
 def test_true_arms_follow_the_promise(hsr, forty):
     """Twelve arms drawn from the prior read what they read at the planned postures; tips of fresh ones, by hand."""
     nominal = bind(hsr.problem, forty.samples)
@@ -109,6 +110,7 @@ def with_readings(samples, readings):
     return dataclasses.replace(samples, columns={**samples.columns, "reading": readings})
 
 
+@pytest.mark.long_unless("adept_cobra600")
 @pytest.mark.parametrize("name", ["ur5", "kuka_iiwa14", "adept_cobra600"])
 def test_any_arm_is_planned_for(name):
     source = load_problem(ROOT / "problems" / name)
@@ -237,7 +239,7 @@ def test_several_instruments_are_planned_one_by_one():
 
 def test_the_command_line_plans(tmp_path, capsys):
     out = tmp_path / "plan.csv"
-    small = ["--pool", "200", "--touches", "20"]
+    small = ["--pool", "80", "--touches", "20"]
     assert main(["plan", str(HSR), "--out", str(out), *small]) == 0
     told = capsys.readouterr().out
     assert "20 touches: 16 to fit, 1 of them once more, 3 kept to verify" in told
@@ -247,10 +249,18 @@ def test_the_command_line_plans(tmp_path, capsys):
     assert len(lines) == 25
     source = load_problem(HSR)
     assert out.read_text() == plan_text(
-        plan(source.problem, source.cell, touches=20, pool=200), source.problem, source.name
+        plan(source.problem, source.cell, touches=20, pool=80), source.problem, source.name
     )
     assert main(["calibrate", str(HSR), str(out)]) == 2
     assert "reading" in capsys.readouterr().err, "a plan is no measurement"
+
+
+@pytest.mark.long
+def test_a_plan_for_targets_is_told_as_json(tmp_path, capsys):
+    out = tmp_path / "plan.csv"
+    small = ["--pool", "80", "--touches", "20"]
+    assert main(["plan", str(HSR), "--out", str(out), *small]) == 0
+    capsys.readouterr()
     assert main(["plan", str(HSR), "--out", str(tmp_path / "b.csv"), "--json", *small, "--targets", str(out)]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["touches"] == {"fit": 16, "check": 3, "again": 1}
@@ -262,7 +272,7 @@ def test_the_command_line_plans(tmp_path, capsys):
 def test_a_plan_is_simulated_as_it_would_be_measured(tmp_path, capsys):
     """The touches to fit in one file, those to verify with in another, each face with as many as place it."""
     files = {name: str(tmp_path / f"{name}.csv") for name in ("plan", "s", "s_check", "other", "flipped")}
-    assert main(["plan", str(HSR), "--out", files["plan"], "--touches", "50", "--pool", "200", "--check", "0.2"]) == 0
+    assert main(["plan", str(HSR), "--out", files["plan"], "--touches", "50", "--pool", "120", "--check", "0.2"]) == 0
     assert main(["simulate", str(HSR), "--plan", files["plan"], "--out", files["s"], "--json"]) == 0
     out = capsys.readouterr().out
     said, problem = json.loads(out[out.index("{") :]), load_problem(HSR).problem

@@ -256,6 +256,7 @@ def test_the_summary_speaks_of_each_instrument(found):
     assert found.plot_residuals() is not None
 
 
+@pytest.mark.long
 def test_an_instrument_left_out_is_predicted_by_the_others(found):
     """The tracker's rows, judged by an arm that dial and spike alone give: fitted here without it from the start."""
     left = {each.face: each for each in found.left_out}["tracker"]
@@ -406,6 +407,7 @@ def test_verify_asks_whose_rows_it_cannot_tell(found, simulated):
         verify(result, rows, instrument="middle")
 
 
+@pytest.mark.long_unless("order1")
 @pytest.mark.parametrize("order", [("dial", "tracker", "spike"), ("tracker", "spike", "dial")])
 def test_each_instrument_has_its_own_tip_in_whatever_order(order, simulated):
     """Tracker and dial both have a "tool", and only the dial's is shared: none is taken for another."""

@@ -265,6 +265,7 @@ def test_a_tracker_sees_the_true_tip(hsr):
         simulation.true_tips(np.zeros((20, 5)))
 
 
+@pytest.mark.long
 def test_heights_of_a_face_are_alike_over_the_reach_that_is_asked_for():
     """Their correlation over a distance r is exp(-r^2 / (2 reach^2)), and no plane is left in them."""
     rng = np.random.default_rng(5)

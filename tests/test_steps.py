@@ -38,7 +38,12 @@ class Bending(Weighing):
         return sum(t + ca.sin(t) / 4 for t in terms) + p.b[0] * p.b[self.b.size - 1] / 20 - row.y
 
 
-@pytest.fixture(scope="module", params=[*SMALL, *ROBOTS])
+LONG = ("curved, 5 unknowns, 9000 rows", "many rows")  # long passes go in parts: of such, the linear ones are quick
+
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in (*SMALL, *ROBOTS)]
+)
 def case(request):
     """What binds a problem on a back end, and how equal steps must be: one piece and several, one pattern and several,
     one residual per row and three."""

@@ -344,6 +344,7 @@ SAGS = {
 }
 
 
+@pytest.mark.long_unless("gravity")
 @pytest.mark.parametrize("kind", ["gravity", "masses", pytest.param("links", marks=pytest.mark.long)])
 def test_one_calibration_mixes_payloads_and_tells_them_apart(kind):
     effect, hangs = SAGS[kind]
@@ -370,6 +371,7 @@ def test_one_calibration_mixes_payloads_and_tells_them_apart(kind):
         found.predict(table(joints, payload_kg=np.full(30, -1.0)))
 
 
+@pytest.mark.long
 def test_an_arm_as_drawn_that_sags_may_be_used_where_the_payload_is_known_and_not_elsewhere(tmp_path, capsys):
     """Its priors are too loose for who knows no payload; who knows it is nearer than they could make it worse."""
     kilograms = np.where(np.arange(90) % 2, 4.0, 0.0)
@@ -440,6 +442,7 @@ def test_fresh_rows_with_torques_verify_the_corrected_arm(loaded):
         verify(loaded, dataclasses.replace(fresh, extra={}))
 
 
+@pytest.mark.long_unless("0.002")
 @pytest.mark.parametrize("shift", [0.0, 2e-3])
 def test_an_update_still_corrects_torques_and_what_changed(loaded, asked, tmp_path, shift):
     joints, torques, rows, _ = asked

@@ -37,10 +37,11 @@ def in_cell(hsr, seed=1, **changes):
 
 
 @pytest.fixture(scope="module")
-def clean(hsr, corner_simulation):
-    return calibrate(hsr.problem, corner_simulation.samples)
+def clean(corner_calibration):
+    return corner_calibration
 
 
+@pytest.mark.long_unless("1", "6")
 @pytest.mark.parametrize("seed", range(12))
 def test_clean_well_specified_samples_are_calibrated(hsr, seed):
     samples = in_cell(hsr, seed)
@@ -66,6 +67,7 @@ def test_what_check_calls_an_error_must_not_be_used(hsr, corner_simulation, name
     assert next_step(calibration, verdict).endswith("then run casacal check PROBLEM SAMPLES.")
 
 
+@pytest.mark.long_unless("labels exchanged")
 @pytest.mark.parametrize("name", sorted(ASIDE))
 def test_few_rows_that_are_wrong_are_set_aside_and_named(hsr, corner_simulation, name):
     """What is left is as good as if they had never been measured; with them, the arm is wrong by more than that."""
@@ -123,6 +125,11 @@ def test_a_minimum_that_nobody_checked_is_said_to_be_so(hsr, clean, corner_simul
     assert alone.words.endswith("No second solver checked that this is the minimum.")
 
 
+@pytest.mark.long_unless(
+    "changes0-the residuals exceed the stated noise",
+    "changes1-the stated noise is too large",
+    "changes2-parameters moved far beyond their priors",
+)
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -244,6 +251,7 @@ def test_a_set_up_that_leaves_places_unknown_is_used_with_care(hsr):
     assert any("plate inclined by 15 degrees" in cure.words for cure in calibration.cures if cure.recommended)
 
 
+@pytest.mark.long
 def test_loose_priors_matter_only_where_the_samples_do_not_decide(hsr):
     loose = hsr.problem.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})
     corner = calibrate(loose, in_cell(hsr), reference=False)
@@ -258,6 +266,7 @@ def test_loose_priors_matter_only_where_the_samples_do_not_decide(hsr):
     assert "the priors look too loose" in " ".join((doubted.words, *doubted.reasons))
 
 
+@pytest.mark.long_unless("0")
 @pytest.mark.parametrize("seed", range(3))
 def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
     """Ten times better: whatever the samples add, the drawing is nearer to the truth than an estimate can promise."""
@@ -295,7 +304,8 @@ def test_the_prior_scatter_is_that_of_drawn_arms(hsr):
     assert np.abs(ranks).max() < 1.63 / math.sqrt(60)  # Kolmogorov and Smirnov, 1 %
 
 
-def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
+@pytest.mark.long
+def test_an_estimate_far_above_the_minimum_must_not_be_used(hsr, clean):
     samples = clean.samples
     control = verdict_of(calibrate(hsr.problem, samples, method="plane-only"))
     assert control.level == "do not use"
@@ -303,10 +313,13 @@ def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
     bare = verdict_of(calibrate(hsr.problem, samples, method="sckf", reference=False))
     assert bare.level == "use with care"
     assert "no second solver" in bare.words
+
+
+def test_what_ended_badly_must_not_be_used(hsr, clean, monkeypatch):
     import casacal.calibration.given as module
 
     monkeypatch.setitem(module.METHODS, "lm", lambda fit, progress=None: casacal.lm(fit, max_steps=1))
-    stopped = calibrate(hsr.problem, samples, method="lm")
+    stopped = calibrate(hsr.problem, clean.samples, method="lm")
     said = verdict_of(stopped)
     assert said.words == "Do not use this result: the method did not finish."
     assert stopped.result.message in said.reasons
@@ -347,6 +360,7 @@ def test_a_million_to_one_gap_of_nothing_is_agreement(clean):
     assert isinstance(exact, Reference)
 
 
+@pytest.mark.long
 def test_data_that_fit_exactly_are_no_disagreement(hsr, tmp_path, capsys):
     write_samples(tmp_path / "exact.csv", hsr.problem.layout(), in_cell(hsr, repeatability=0.0, resolution=0.0), [])
     assert main(["calibrate", str(hsr.path), str(tmp_path / "exact.csv")]) == 0
@@ -413,7 +427,7 @@ MANY = {
 }
 
 
-@pytest.mark.long_unless("labels exchanged")
+@pytest.mark.long
 @pytest.mark.parametrize("name", MANY)
 def test_the_answer_stands_on_one_screen(hsr, corner_simulation, name, tmp_path, capsys, monkeypatch):
     file = tmp_path / "s.csv"
@@ -463,6 +477,7 @@ def test_a_screen_too_small_for_a_count_still_holds(clean):
         assert len(brief(clean, verdict, width=80, room=room).splitlines()) <= max(room, whole - 5)
 
 
+@pytest.mark.long
 def test_warnings_are_sentences(hsr):
     for seed, changes in enumerate(({"repeatability": 0.015}, {"error_scale": 3.0}, {"faces": hsr.cell.faces[:1]})):
         said = warnings(
@@ -499,7 +514,7 @@ def test_a_filter_within_its_own_spread_is_not_said_to_differ(clean, hsr, corner
     assert brief(clean, verdict_of(clean)).splitlines()[0].endswith("ipopt agrees")
 
 
-@pytest.mark.long_unless("plane-only")
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["plane-only", "swarm", "ekf"])
 def test_what_is_expected_of_an_estimate_counts_its_way_to_the_minimum(hsr, method):
     """The posterior says 0.55 mm at any estimate; the true error of these is one to several millimetres."""

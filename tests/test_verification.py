@@ -585,6 +585,11 @@ def test_fresh_rows_of_the_seed_of_the_calibration_are_fresh(hsr):
     assert same.rows == 60
     with pytest.raises(SamplesError, match="verifies nothing"):
         verify(found, some)
+
+
+@pytest.mark.long
+def test_rows_that_were_held_out_are_fresh(hsr):
+    some = simulate(hsr.problem, hsr.cell, samples=90, seed=5).samples
     held = calibrate(hsr, some, method="lm", reference=False, holdout=0.3, discrepancy="none")
     assert verify(held, held.heldout.block.samples).rows == len(held.heldout.block.samples)
 
@@ -649,6 +654,7 @@ def test_a_list_of_rows_that_is_none_is_refused(damage):
     assert not is_listing(good | damage)
 
 
+@pytest.mark.long_unless("2")
 @pytest.mark.parametrize("times", [2, 5])
 def test_rows_that_were_pasted_count_once(spent, times):
     arm, _, _, x = spent
@@ -748,14 +754,18 @@ def by_command(tmp_path_factory):
     return folder
 
 
-def test_the_command_says_kept_or_not_and_exits_so(by_command, capsys):
-    result, fresh = str(by_command), str(by_command / "fresh.csv")
-
-    def run(*arguments):
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
         code = main(["verify", *arguments])
         captured = capsys.readouterr()
         return code, captured.out, captured.err
 
+    return call
+
+
+def test_the_command_says_kept_or_not_and_exits_so(by_command, run):
+    result, fresh = str(by_command), str(by_command / "fresh.csv")
     code, out, _ = run(result, fresh)
     assert code == 0
     assert out.startswith("Promise kept: 60 fresh rows of")
@@ -771,6 +781,11 @@ def test_the_command_says_kept_or_not_and_exits_so(by_command, capsys):
     assert code == 1
     assert out.startswith("Promise not kept: the residuals of 60 fresh rows")
     assert "could hide" not in out
+
+
+@pytest.mark.long
+def test_the_command_refuses_in_one_line(by_command, run):
+    result, fresh = str(by_command), str(by_command / "fresh.csv")
     for arguments, says in (
         ((result, str(by_command / "fit.csv")), "verifies nothing"),
         ((result, "none.csv"), "no such file"),

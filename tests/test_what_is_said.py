@@ -57,7 +57,7 @@ def test_what_cannot_be_corrected_names_no_function(hsr, small):
     assert "()" not in str(refused.value)
 
 
-@pytest.mark.long_unless("option")
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["asked", "option"])
 def test_the_session_is_asked_for_where_the_problem_tells_sessions_apart(tmp_path, monkeypatch, capsys, way):
     (tmp_path / "mine").mkdir()

@@ -55,6 +55,7 @@ def test_a_misprinted_length_is_named(hsr):
     assert [each.about for each in found] == ["a3 elsewhere"]
 
 
+@pytest.mark.long_unless("clean", "backlash")
 @pytest.mark.parametrize(
     "changes",
     [{}, {"repeatability": 0.1}, {"joint_std": 1e-4}, {"backlash": 1e-4}, {"compliance": 0.5}],
@@ -87,9 +88,10 @@ def test_noise_that_was_already_found_hides_no_number(hsr):
     assert [found.about for found in wrong_number(bound.with_noise({"": 8.0}))] == ["theta3 elsewhere"]
 
 
-def test_an_error_of_manufacture_is_no_wrong_number(hsr):
+@pytest.mark.long_unless("0")
+@pytest.mark.parametrize("seed", range(3))
+def test_an_error_of_manufacture_is_no_wrong_number(hsr, seed):
     """Four standard deviations of one zero happen, and the samples see them; that is what calibration is for."""
-    for seed in range(3):
-        samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
-        assert wrong_number(bind(hsr.problem, samples)) == []
-        assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
+    samples = with_lost_zero(hsr, 3, math.degrees(4e-3), seed, error_scale=0.2)
+    assert wrong_number(bind(hsr.problem, samples)) == []
+    assert wrong_number(bind(hsr.problem, with_lost_zero(hsr, 3, math.degrees(9e-3), seed, error_scale=0.2)))
