@@ -244,9 +244,9 @@ def test_a_joint_without_an_unknown_of_its_own_is_said(tmp_path):
     held = calibrate(source.problem.fix("theta3", "d1"), rows, reference=False, discrepancy="none").arm
     shifted = touched("hsr_jr680", 60, session=3, joint=2, shift=60e-3)
     found = changed(held, shifted, standing=["plane"])
-    if found.ended == "changed":
-        with pytest.raises(CasacalError, match="no free unknown"):
-            updated(held, shifted, standing=["plane"], folder=tmp_path / "d")
+    assert found.ended == "changed"
+    with pytest.raises(CasacalError, match="no free unknown"):
+        updated(held, shifted, standing=["plane"], folder=tmp_path / "d")
     assert not list(tmp_path.iterdir())
 
 

@@ -282,8 +282,7 @@ def older(hsr):
 
 
 @pytest.mark.parametrize("command", ["predict", "compensate", "export"])
-def test_a_result_of_two_instruments_is_refused_or_served(command, tmp_path, older, capsys):
-    """Nothing writes such a result; one whose problem was changed so is refused in a sentence."""
+def test_a_result_whose_problem_has_two_instruments_by_now_is_refused(command, tmp_path, older, capsys):
     (tmp_path / "problem.py").write_text(TWO)
     document = {**older, "problem": {**older["problem"], "path": str(tmp_path / "problem.py")}}
     (tmp_path / "result.json").write_text(json.dumps(document))
