@@ -145,39 +145,36 @@ def _by_casadi(op: int) -> Callable[..., Any]:
     return evaluated
 
 
-NUMPY: dict[int, Callable[..., Any]] = {
-    ca.OP_ASSIGN: lambda a: a, ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide, ca.OP_NEG: np.negative, ca.OP_EXP: np.exp, ca.OP_LOG: np.log, ca.OP_POW: np.power,
-    ca.OP_CONSTPOW: np.power, ca.OP_SQRT: np.sqrt, ca.OP_SQ: np.square, ca.OP_TWICE: lambda a: 2 * a,
-    ca.OP_SIN: np.sin, ca.OP_COS: np.cos, ca.OP_TAN: np.tan, ca.OP_ASIN: np.arcsin, ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan, ca.OP_ATAN2: np.arctan2, ca.OP_LT: np.less, ca.OP_LE: np.less_equal, ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal, ca.OP_NOT: np.logical_not, ca.OP_AND: np.logical_and, ca.OP_OR: np.logical_or,
-    ca.OP_FLOOR: np.floor, ca.OP_CEIL: np.ceil, ca.OP_FMOD: np.fmod, ca.OP_FABS: np.abs, ca.OP_SIGN: np.sign,
-    ca.OP_COPYSIGN: np.copysign, ca.OP_IF_ELSE_ZERO: lambda a, b: np.where(a, b, 0.0), ca.OP_ERF: _erf,
-    ca.OP_FMIN: np.fmin, ca.OP_FMAX: np.fmax, ca.OP_INV: np.reciprocal, ca.OP_SINH: np.sinh, ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh, ca.OP_ASINH: np.arcsinh, ca.OP_ACOSH: np.arccosh, ca.OP_ATANH: np.arctanh,
-    ca.OP_HYPOT: np.hypot, ca.OP_EXPM1: np.expm1, ca.OP_LOG1P: np.log1p, ca.OP_LIFT: lambda a, _: a,
-    ca.OP_ERFINV: _by_casadi(ca.OP_ERFINV), ca.OP_REMAINDER: _by_casadi(ca.OP_REMAINDER),
-    ca.OP_PRINTME: _by_casadi(ca.OP_PRINTME),
+FORMS: dict[int, tuple[Callable[..., Any], str]] = {
+    ca.OP_ASSIGN: (lambda a: a, "{0}"), ca.OP_ADD: (np.add, "{0} + {1}"), ca.OP_SUB: (np.subtract, "{0} - {1}"),
+    ca.OP_MUL: (np.multiply, "{0} * {1}"), ca.OP_DIV: (np.divide, "{0} / {1}"), ca.OP_NEG: (np.negative, "-{0}"),
+    ca.OP_EXP: (np.exp, "exp({0})"), ca.OP_LOG: (np.log, "log({0})"), ca.OP_POW: (np.power, "pow({0}, {1})"),
+    ca.OP_CONSTPOW: (np.power, "pow({0}, {1})"), ca.OP_SQRT: (np.sqrt, "sqrt({0})"), ca.OP_SQ: (np.square, "{0} * {0}"),
+    ca.OP_TWICE: (lambda a: 2 * a, "2.0 * {0}"), ca.OP_SIN: (np.sin, "sin({0})"), ca.OP_COS: (np.cos, "cos({0})"),
+    ca.OP_TAN: (np.tan, "tan({0})"), ca.OP_ASIN: (np.arcsin, "asin({0})"), ca.OP_ACOS: (np.arccos, "acos({0})"),
+    ca.OP_ATAN: (np.arctan, "atan({0})"), ca.OP_ATAN2: (np.arctan2, "atan2({0}, {1})"),
+    ca.OP_LT: (np.less, "(double)({0} < {1})"), ca.OP_LE: (np.less_equal, "(double)({0} <= {1})"),
+    ca.OP_EQ: (np.equal, "(double)({0} == {1})"), ca.OP_NE: (np.not_equal, "(double)({0} != {1})"),
+    ca.OP_NOT: (np.logical_not, "(double)({0} == 0.0)"),
+    ca.OP_AND: (np.logical_and, "(double)({0} != 0.0 && {1} != 0.0)"),
+    ca.OP_OR: (np.logical_or, "(double)({0} != 0.0 || {1} != 0.0)"), ca.OP_FLOOR: (np.floor, "floor({0})"),
+    ca.OP_CEIL: (np.ceil, "ceil({0})"), ca.OP_FMOD: (np.fmod, "fmod({0}, {1})"), ca.OP_FABS: (np.abs, "fabs({0})"),
+    ca.OP_SIGN: (np.sign, "({0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0})"),
+    ca.OP_COPYSIGN: (np.copysign, "copysign({0}, {1})"),
+    ca.OP_IF_ELSE_ZERO: (lambda a, b: np.where(a, b, 0.0), "({0} != 0.0 ? {1} : 0.0)"), ca.OP_ERF: (_erf, "erf({0})"),
+    ca.OP_FMIN: (np.fmin, "fmin({0}, {1})"), ca.OP_FMAX: (np.fmax, "fmax({0}, {1})"),
+    ca.OP_INV: (np.reciprocal, "1.0 / {0}"), ca.OP_SINH: (np.sinh, "sinh({0})"), ca.OP_COSH: (np.cosh, "cosh({0})"),
+    ca.OP_TANH: (np.tanh, "tanh({0})"), ca.OP_ASINH: (np.arcsinh, "asinh({0})"),
+    ca.OP_ACOSH: (np.arccosh, "acosh({0})"), ca.OP_ATANH: (np.arctanh, "atanh({0})"),
+    ca.OP_HYPOT: (np.hypot, "hypot({0}, {1})"), ca.OP_EXPM1: (np.expm1, "expm1({0})"),
+    ca.OP_LOG1P: (np.log1p, "log1p({0})"), ca.OP_LIFT: (lambda a, _: a, "{0}"),
+    ca.OP_ERFINV: (_by_casadi(ca.OP_ERFINV), ""), ca.OP_REMAINDER: (_by_casadi(ca.OP_REMAINDER), "remainder({0}, {1})"),
+    ca.OP_PRINTME: (_by_casadi(ca.OP_PRINTME), ""),
 }  # fmt: skip
+"""What each operation is in NumPy and in C; no text where it has no form there."""
 
-C: dict[int, str] = {
-    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_EXP: "exp({0})", ca.OP_LOG: "log({0})",
-    ca.OP_POW: "pow({0}, {1})", ca.OP_CONSTPOW: "pow({0}, {1})", ca.OP_SQRT: "sqrt({0})", ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2.0 * {0}", ca.OP_SIN: "sin({0})", ca.OP_COS: "cos({0})", ca.OP_TAN: "tan({0})",
-    ca.OP_ASIN: "asin({0})", ca.OP_ACOS: "acos({0})", ca.OP_ATAN: "atan({0})", ca.OP_ATAN2: "atan2({0}, {1})",
-    ca.OP_LT: "(double)({0} < {1})", ca.OP_LE: "(double)({0} <= {1})", ca.OP_EQ: "(double)({0} == {1})",
-    ca.OP_NE: "(double)({0} != {1})", ca.OP_NOT: "(double)({0} == 0.0)",
-    ca.OP_AND: "(double)({0} != 0.0 && {1} != 0.0)", ca.OP_OR: "(double)({0} != 0.0 || {1} != 0.0)",
-    ca.OP_FLOOR: "floor({0})", ca.OP_CEIL: "ceil({0})", ca.OP_FMOD: "fmod({0}, {1})", ca.OP_FABS: "fabs({0})",
-    ca.OP_SIGN: "({0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0})", ca.OP_COPYSIGN: "copysign({0}, {1})",
-    ca.OP_IF_ELSE_ZERO: "({0} != 0.0 ? {1} : 0.0)", ca.OP_ERF: "erf({0})", ca.OP_FMIN: "fmin({0}, {1})",
-    ca.OP_FMAX: "fmax({0}, {1})", ca.OP_INV: "1.0 / {0}", ca.OP_SINH: "sinh({0})", ca.OP_COSH: "cosh({0})",
-    ca.OP_TANH: "tanh({0})", ca.OP_ASINH: "asinh({0})", ca.OP_ACOSH: "acosh({0})", ca.OP_ATANH: "atanh({0})",
-    ca.OP_HYPOT: "hypot({0}, {1})", ca.OP_EXPM1: "expm1({0})", ca.OP_LOG1P: "log1p({0})",
-    ca.OP_REMAINDER: "remainder({0}, {1})", ca.OP_LIFT: "{0}",
-}  # fmt: skip
+NUMPY = {op: numpy for op, (numpy, _) in FORMS.items()}
+C = {op: text for op, (_, text) in FORMS.items() if text}
 
 
 def name_of(op: int) -> str:
