@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import binomtest, wilcoxon
 
 from casacal.array_types import Array
+from casacal.uncertainty import quadratic_forms
 
 RESAMPLES, AT_ONCE = 4000, 500
 NO_DIFFERENCE = 1e-6
@@ -71,11 +72,7 @@ def paired(one: Array, other: Array) -> Paired:
 
 def holm(p_values: Mapping[str, float]) -> dict[str, float]:
     """p values adjusted for their number: S. Holm, A simple sequentially rejective multiple test procedure, 1979."""
-    adjusted, largest = {}, 0.0
-    for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):
-        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[name]))
-        adjusted[name] = largest
-    return {name: adjusted[name] for name in p_values}
+    return dict(zip(p_values, quadratic_forms.holm([*p_values.values()]), strict=True))
 
 
 def success_rate(successes: int, trials: int) -> Interval:
