@@ -96,7 +96,7 @@ def in_processes(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], w
     Raises StudyError when a process dies.
     """
     one_thread_each()
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin_worker)
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), begin_worker)
     try:
         for future in as_completed([pool.submit(function, task) for task in tasks]):
             yield future.result()
@@ -110,14 +110,18 @@ def in_processes(function: Callable[[Asked], Outcome], tasks: Sequence[Asked], w
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _begin_worker() -> None:
-    """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed."""
+def begin_worker(*, shared: bool = True) -> None:
+    """Leave interruptions from the keyboard to the process that asks, and end with it, also when it is killed.
+
+    shared: whether others run beside it, so that one thread must do.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault(THREADS, "1")  # the processors are shared out already
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if shared:
+        os.environ.setdefault(THREADS, "1")
 
 
-def end_with_parent() -> None:
+def _end_with_parent() -> None:
     """Wait for the process that started this one to be gone, and follow it."""
     parent = multiprocessing.parent_process()
     if parent is not None:

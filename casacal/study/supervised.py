@@ -15,10 +15,9 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
 from casacal.errors import CasacalError, StudyError
-from casacal.study.executors import Errand, end_with_parent
+from casacal.study.executors import Errand, begin_worker
 from casacal.study.records import LIMIT, Record, key_of
 from casacal.study.trial import failed, heads, trial_records
-from casacal.threads import VARIABLE as THREADS
 from casacal.threads import one_thread_each
 
 BEGIN_SECONDS = 300.0  # how long a process may take to import what it needs and to read the study
@@ -136,16 +135,10 @@ def _end(process: BaseProcess) -> None:
 
 
 def _serve(send: Connection, errand: Errand, seconds: float, shared: bool) -> None:
-    """Make the records of a task in this process, and say so step by step.
-
-    shared: whether other trials run beside it, so that one thread must do.
-    """
+    """Make the records of a task in this process, and say so step by step; shared as for `begin_worker`."""
     if hasattr(os, "setsid"):
         os.setsid()  # a group of its own: what a method starts ends with it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    if shared:
-        os.environ.setdefault(THREADS, "1")
+    begin_worker(shared=shared)
     _at_most(BEGIN_SECONDS)
     try:
         study = errand.study()
