@@ -21,6 +21,7 @@ from casacal.compensation.targets import Compensation, Outcome, Rounding
 from casacal.compensation.told import told_despite, told_notes
 from casacal.errors import CasacalError, UnknownNameError
 from casacal.robots.robot import Robot
+from casacal.uncertainty.figures import rms
 from casacal.values import FrozenMapping
 
 LONGEST = 300  # letters in a comment
@@ -170,7 +171,7 @@ def notes(compensation: Compensation, result: CalibratedArm) -> list[str]:
 
 
 def _figures(values: Array, unit: str) -> str:
-    return f"{math.sqrt(float((values**2).mean())):.2g} {unit} RMS ({float(values.max()):.2g} {unit} at worst)"
+    return f"{rms(values):.2g} {unit} RMS ({float(values.max()):.2g} {unit} at worst)"
 
 
 def _table(compensation: Compensation, result: CalibratedArm) -> Iterator[str]:

@@ -74,6 +74,11 @@ def _by_group(bound: BoundProblem, result: Result) -> Array:
 HALF_WEIGHT = 0.5  # weight under a robust loss below which a row counts as ignored
 
 
+def rms(values: Array) -> float:
+    """Root mean square of numbers."""
+    return math.sqrt(float((values**2).mean()))
+
+
 def residual_figures(residuals: Array) -> dict[str, float]:
     """RMSE, MAE, STD (about the mean) and MAX of residuals (N,) in mm.
 
@@ -81,7 +86,7 @@ def residual_figures(residuals: Array) -> dict[str, float]:
     """
     size = np.abs(residuals)
     return {
-        "rmse_mm": math.sqrt(float((residuals**2).mean())),
+        "rmse_mm": rms(residuals),
         "mae_mm": float(size.mean()),
         "std_mm": float(residuals.std()),
         "max_mm": float(size.max()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ from casacal.least_squares.result import Result
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.uncertainty.effect_sizes import Told, evidence, told
-from casacal.uncertainty.figures import HALF_WEIGHT
+from casacal.uncertainty.figures import HALF_WEIGHT, rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, covariance_root
 
 MOST_FACES = 12  # faces beyond which as many fits take long, and one face more or less says little
@@ -76,13 +75,9 @@ def _left_out(others: BoundProblem, bound: BoundProblem, rows: Index, result: Re
     if judged.freedom < 1:
         return None
     of_unit = bound.leading[index]
-    actual, predicted = (_rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
+    actual, predicted = (rms((sizes * bound.noise[index])[of_unit]) for sizes in (judged.left, judged.std))
     p = chance(judged.chi_square, judged.freedom)
     return LeftOut(face, len(rows), actual, predicted, judged.chi_square, judged.freedom, p)
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float((values**2).mean()))
 
 
 FACES, REGIONS, INSTRUMENTS = "faces", "regions", "instruments"

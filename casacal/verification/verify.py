@@ -19,6 +19,7 @@ from casacal.errors import CasacalError, SamplesError
 from casacal.problem.problem import Problem
 from casacal.problem.problem_file import ProblemFile
 from casacal.samples.samples import Samples
+from casacal.uncertainty.figures import rms
 from casacal.uncertainty.fresh_rows import FreshRows, chance, learnt
 from casacal.uncertainty.identifiability import prior_scale
 from casacal.uncertainty.workspace import tip_rms, tip_stds, without_rigid, workspace_joints
@@ -140,9 +141,9 @@ def _judged(given: Opened, standing: tuple[str, ...], tolerance: float | None, r
     promised, hidden = _tips(fresh)
     return Verification(
         **given.about(fresh, standing),
-        before_mm=_rms(sizes[0]),
-        after_mm=_rms(sizes[1]),
-        predicted_mm=_rms(sizes[2]),
+        before_mm=rms(sizes[0]),
+        after_mm=rms(sizes[1]),
+        predicted_mm=rms(sizes[2]),
         chi_square=rows.chi_square,
         freedom=rows.freedom,
         p=p,
@@ -194,17 +195,13 @@ def _lengths(values: Array, per_row: int) -> Array:
     return np.asarray(np.linalg.norm(values.reshape(-1, per_row), axis=1))
 
 
-def _rms(values: Array) -> float:
-    return math.sqrt(float((values**2).mean()))
-
-
 def _faces(fresh: Fresh, sizes: list[Array], noise: float) -> tuple[FaceVerification, ...]:
     """Each face by itself, in the order of the rows; none where there is only one."""
     bound, found = fresh.bound, []
     labels = bound.block.samples.faces(bound.problem.instrument.groups)
     for label, rows in labels.rows().items() if len(labels.names) > 1 else ():
         one = fresh.some(bound.residuals_of(rows))
-        drawn, here, promised = (_rms(each[rows]) for each in sizes)
+        drawn, here, promised = (rms(each[rows]) for each in sizes)
         p = chance(one.chi_square, one.freedom, noise)
         found.append(FaceVerification(label, len(rows), drawn, here, promised, one.chi_square, one.freedom, p))
     return tuple(found)
