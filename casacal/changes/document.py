@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casacal.calibration.result_parts import geometry, parameter_rows, seen_from
+from casacal.calibration.verdict import GAIN
 from casacal.changes.change import CHANGED, Change
 from casacal.changes.posterior import State
 from casacal.compensation.arm import CalibratedArm, corrected_values, found_values
@@ -24,8 +25,6 @@ from casacal.verification.opened import Opened
 from casacal.wording import counted, sentence
 
 KEPT = ("schema", "problem", "arm", "seed", "backend", "noise", "versions")  # what an update leaves as it was
-GAIN = 0.9
-"""As in the verdict of a calibration: expected tip error over the one of the priors, above which little was gained."""
 
 
 def updated_document(given: Opened, fresh: Fresh, state: State, found: Change, folder: Path | None) -> dict[str, Any]:
