@@ -131,7 +131,8 @@ def effects(calibration: Calibration, *, denied: bool) -> Table:
     for test in calibration.score_tests:
         size, at_tip = size_words(calibration.unjudged, test)
         tip = "–" if denied or at_tip == "-" else at_tip
-        rows.append([capital(test.words), test.shown, f"{test.p_holm:.2g}", size, test.shown_expected, tip])
+        usual = sized(test.expected_size, test.unit) if math.isfinite(test.expected_size) else "-"
+        rows.append([capital(test.words), test.shown, f"{test.p_holm:.2g}", size, usual, tip])
     titles = ("Effect", "Shown by the samples", "#p", "#Most likely size", "#Usual size", "#At the tip, RMS")
     return Table(titles, rows)
 

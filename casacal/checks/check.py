@@ -13,8 +13,8 @@ from casacal.binding.bound_problem import BoundProblem, bind
 from casacal.checks.beside_geometry import beside_geometry
 from casacal.checks.causes import ALIKE, EXPLAINED, SUSPICIOUS, Cause, explained
 from casacal.checks.faults import flips
-from casacal.checks.finding import Finding, misfit
-from casacal.checks.fitted_faults import tool_keys, tool_moved
+from casacal.checks.finding import Finding, misfit, quick_fit
+from casacal.checks.fitted_faults import tool_elsewhere_at, tool_keys
 from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_labels
 from casacal.checks.numbers import wrong_number
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
@@ -82,7 +82,10 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     findings += stray if base <= EXPLAINED else []  # else the other rows miss as well, and these are not the cause
     if base > SUSPICIOUS:
         return _in_order([_unexplained(problem, samples, base, findings), *findings])
-    findings += [*tool_moved(problem, few), *_untold(problem, few, base), *_rows(bind(problem, good))]
+    quick = quick_fit(problem, few)
+    if quick is not None and quick[0].groups is None:
+        findings += tool_elsewhere_at(quick[0], quick[1].x, quick[1].spread[0])
+    findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
     return _in_order(findings)

@@ -213,17 +213,11 @@ FAR = 2.0
 """Prior standard deviations that a component must move: where the model is wrong, small moves look improbable, too."""
 
 
-def tool_moved(problem: Problem, samples: Samples) -> list[Finding]:
-    """A warning where the tool moved far beyond its prior in a quick fit."""
-    fitted = quick_fit(problem, samples)
-    if fitted is None or fitted[0].groups is not None:
-        return []
-    bound, result = fitted
-    return tool_elsewhere_at(bound, result.x, result.spread[0])
-
-
 def tool_elsewhere_at(bound: BoundProblem, x: Array, covariance: Array) -> list[Finding]:
-    """The same at an estimate (n,) with its covariance (n, n); nothing for a held tool, or for one without a prior."""
+    """A warning where the tool moved far beyond its prior in a fit, at its estimate (n,) with the covariance (n, n).
+
+    Nothing for a held tool, or for one without a prior.
+    """
     moves = {
         full[key]
         for instrument, full in zip(bound.problem.instruments, bound.problem.full_names, strict=True)

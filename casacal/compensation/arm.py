@@ -213,9 +213,3 @@ def corrected_values(result: CalibratedArm) -> Mapping[str, float]:
     """Unknowns of the effects that are corrected, by name, as they were found."""
     rows = result.discrepancy.get("unknowns", ())
     return {row["name"]: float(row["value"]) for row in rows if row["effect"] in result.corrected}
-
-
-def sizes_of(result: CalibratedArm) -> Mapping[str, float] | None:
-    """Times by which effects were found larger than expected, by key; None where geometry was all there is."""
-    said = result.discrepancy
-    return {each["key"]: float(each["times"]) for each in said["effects"]} if said else None

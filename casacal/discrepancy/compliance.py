@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -175,7 +175,7 @@ class LinkSag(Loaded):
         for what, given in (("masses", self.masses), ("centres of mass", self.centres)):
             if given and len(given) != count:
                 raise ProblemError(f"Got {len(given)} {what} for {count} joints", "Give one for what each one carries")
-        return links.with_places(np.array(self.centres)) if self.centres else links
+        return replace(links, places=np.array(self.centres)) if self.centres else links
 
     def _moments(self, site: Site, q: Expression, load: Expression) -> Expression:
         """Of what each joint (rows) carries: link by link (n, n) in metres, or of all links (n, 1) in kg m.
@@ -191,8 +191,8 @@ class LinkSag(Loaded):
 
     def _at_flange(self, site: Site) -> ca.Function:
         """Levers of weights that all hang at the flange."""
-        links, count = self._links(site), len(site.robot.axes)
-        return links.with_places(np.tile(Links.of(site.robot).places[-1], (count, 1))).levers(np.array(self.down))
+        places = np.tile(Links.of(site.robot).places[-1], (len(site.robot.axes), 1))
+        return replace(self._links(site), places=places).levers(np.array(self.down))
 
     def _pull(self, site: Site) -> tuple[Rows, float]:
         """Which moments (n, links) there are, and the sag of the flange (mm RMS) where joints give 1 rad to each."""

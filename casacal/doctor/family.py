@@ -124,11 +124,6 @@ def joined(left: Family, right: Family) -> Family:
     return Family(np.concatenate([left.options, right.options], axis=1), left.distant | right.distant)
 
 
-def compatible(left: Family, right: Family) -> NDArray[np.bool_]:
-    """Pairs (H,) within the family: a coupling of joints that are not neighbours stands alone."""
-    return np.asarray(~(left.distant & right.coupled) & ~(right.distant & left.coupled))
-
-
 def one_change_away(reading: Integers, turns: Sequence[bool]) -> Family:
     """All readings of the whole arm that differ from one (n, 4) in one joint."""
     rows = []

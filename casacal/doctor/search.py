@@ -14,7 +14,7 @@ import numpy as np
 
 from casacal.array_types import Array
 from casacal.doctor.axes import Axes, about
-from casacal.doctor.family import Family, Index, Products, compatible, joined, motions, readings
+from casacal.doctor.family import Family, Index, Products, joined, motions, readings
 
 MATCHED_ROWS = 3  # rows, the most different ones, that are compared in the tree; the others are checked afterwards
 MOST, MOST_LEFT = 20_000, 4_000
@@ -101,7 +101,8 @@ class Halves:
     def _checked(self, pairs: Index, q: Array, positions: Array, tolerance: float) -> Family:
         """Those pairs that belong to the family and fit every row."""
         left, right = self.left.take(pairs[:, 0]), self.right.take(pairs[:, 1])
-        allowed = np.flatnonzero(compatible(left, right))
+        # a coupling of joints that are not neighbours stands alone
+        allowed = np.flatnonzero(~(left.distant & right.coupled) & ~(right.distant & left.coupled))
         whole = joined(left.take(allowed), right.take(allowed))
         _, places = poses_of(self.axes, whole, q)
         worst = np.linalg.norm(places - positions, axis=2).max(axis=1, initial=0.0)

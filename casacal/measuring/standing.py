@@ -12,7 +12,7 @@ from casacal.estimators.sckf import Belief
 from casacal.measuring.examine import Alarm, Setting, State
 from casacal.measuring.known import Known, counts, known_before, places_of, telling
 from casacal.measuring.linear import POOL, Pool, error_below, expected_error, innovations_at, spectrum
-from casacal.measuring.touch import Slip, Touch, planned_touches, rows_of, slips_of
+from casacal.measuring.touch import Slip, Touch, rows_of, slips_of
 from casacal.planning.choice import pool_of, refuse_several, wanted_field, wanted_joints
 from casacal.planning.clearance import Clearance
 from casacal.planning.route import CHECK, FIT, Route
@@ -202,4 +202,7 @@ class Standing(Value):
 
     @cached_property
     def _all_planned(self) -> tuple[Touch, ...]:
-        return () if self.plan is None else planned_touches(self.plan)
+        if self.plan is None:
+            return ()
+        samples = self.plan.samples
+        return tuple(Touch.of(samples, k, k + 1, purpose) for k, purpose in enumerate(self.plan.purposes))

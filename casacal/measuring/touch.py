@@ -12,7 +12,7 @@ import numpy as np
 from casacal.array_types import Array
 from casacal.errors import CasacalError, came, refuse_unknown
 from casacal.instruments.description import OVERTRAVEL, readings_within
-from casacal.planning.route import FIT, Route
+from casacal.planning.route import FIT
 from casacal.problem.problem import Problem
 from casacal.samples.layout import LARGEST, Layout
 from casacal.samples.samples import Samples
@@ -60,11 +60,6 @@ def rows_of(touches: Sequence[Touch]) -> Samples:
         "the session",
         "",
     )
-
-
-def planned_touches(plan: Route) -> tuple[Touch, ...]:
-    """The touches of a plan, numbered from 1, with the readings to expect."""
-    return tuple(Touch.of(plan.samples, k, k + 1, purpose) for k, purpose in enumerate(plan.purposes))
 
 
 def joints_of(q: Sequence[float] | Array, layout: Layout) -> Array:

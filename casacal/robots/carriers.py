@@ -185,10 +185,5 @@ class Facing:
         """The first arm's flange (4x4, mm) as the other's flange sees it."""
         theirs = SimpleNamespace(**{key: getattr(p, OTHER + key) for key in self.keys})
         there = self.other(theirs, ca.vertcat(q[: self.shared], q[self.count :]))
-        return chain(_inverse(there), self.one(p, q[: self.count]))
-
-
-def _inverse(pose: Expression) -> Expression:
-    """The transform back."""
-    turn = rotation(pose).T
-    return rigid(turn, -ca.mtimes(turn, position(pose)))
+        turn = rotation(there).T
+        return chain(rigid(turn, -ca.mtimes(turn, position(there))), self.one(p, q[: self.count]))

@@ -56,10 +56,6 @@ class Links:
         found._prove(robot, pose, home)
         return found
 
-    def with_places(self, places: Array) -> Links:
-        """The same arm with other places (n, 3; mm) on its links, such as their centres of mass."""
-        return replace(self, places=places)
-
     def carried(self, q: Expression) -> list[Expression]:
         """The place of each link (3, mm) in the base frame, at joint values q of the model (n; rad, mm)."""
         return [
@@ -92,7 +88,7 @@ class Links:
     def _prove(self, robot: Robot, pose: ca.Function, home: Array) -> None:
         """Raise ProblemError unless the screws give the arm's pose wherever it stands."""
         q = ca.SX.sym("q", len(self.turns))
-        last = self.with_places(np.tile(home[:3, 3], (len(self.turns), 1)))
+        last = replace(self, places=np.tile(home[:3, 3], (len(self.turns), 1)))
         flange = ca.Function("flange", [q], [ca.vertcat(*last.carried(q)[-1:])])
         for joints in random_joints(robot, PROOFS, np.random.default_rng(0)):
             there = joints if self.conventions is None else self.conventions.to_model(joints)

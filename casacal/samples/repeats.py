@@ -38,10 +38,6 @@ class Repeats:
         """Sums (G,) of values (N,) over each group."""
         return np.bincount(self.codes, values, len(self.sizes)).astype(np.float64)
 
-    def condensed(self, values: Array) -> Array:
-        """Group sums over the root of the group's size (G,): what a group of equal weights tells, of the same scale."""
-        return np.asarray(self.summed(values) / np.sqrt(self.sizes))
-
 
 def repeats_in(measured: Measurements, groups: Sequence[str | None]) -> Repeats:
     """Rows of the same joint values, to 1e-4 rad or mm, on the same face of the same instrument."""

@@ -115,7 +115,8 @@ def _interval(result: Result, again: Repeats | None) -> tuple[float, float, floa
     if again is None or not bound.scale.get(SHARED, 0.0):
         return noise_interval(result)
     free = max(len(again.sizes) - effective_unknowns(bound, result.x), 1.0)
-    return ratio_interval(float((again.condensed(bound.residual(result.x)) ** 2).sum()), free)
+    alike = again.summed(bound.residual(result.x)) / np.sqrt(again.sizes)  # of the same scale as a single row
+    return ratio_interval(float((alike**2).sum()), free)
 
 
 def _by_face(result: Result, common: float, scale: Mapping[str, float] | None = None) -> dict[str, float] | None:

@@ -50,11 +50,6 @@ class ScoreTest:
         """The size as people read it."""
         return sized(self.size, self.unit)
 
-    @property
-    def shown_expected(self) -> str:
-        """The expected size as people read it; a dash where nothing is expected."""
-        return sized(self.expected_size, self.unit) if math.isfinite(self.expected_size) else "-"
-
 
 TINY = 1e-300
 

@@ -14,7 +14,7 @@ from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.noise_scale import OTHERS, REPEATABILITY
 from casacal.binding.slots import make_slots
-from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance, sizes_of
+from casacal.compensation.arm import CalibratedArm, all_motion, corrected_values, named_covariance
 from casacal.errors import CasacalError, ProblemError, SamplesError, UnknownNameError
 from casacal.estimators import lm
 from casacal.least_squares.restricted import Restricted
@@ -158,7 +158,8 @@ def _bound(
             fix = "Calibrate without --fix, or name it with --standing if it has not moved"
             raise CasacalError(f"'{slot.name}' was held in the calibration, and its position now is not known", fix)
     bound = BoundProblem(problem, slots, (samples,))
-    if (times := sizes_of(result)) is not None:  # what errs beside the geometry errs here, too, and anew
+    if said := result.discrepancy:  # what errs beside the geometry errs here, too, and anew
+        times = {each["key"]: float(each["times"]) for each in said["effects"]}
         bound = bound.under(result.with_its_kit(problem)).with_sizes(times)
     factors = _noise_used(result, bound, other=other)
     bound = bound.with_noise(factors) if factors else bound
