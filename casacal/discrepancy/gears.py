@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -25,8 +26,30 @@ def per_radian(robot: Robot) -> list[float]:
     return [1.0 if turns else PER_RAD for turns in robot.revolute]
 
 
+class Waves(Effect, ABC):
+    """An effect of waves, each a cosine and a sine of a turning joint's value."""
+
+    moves = True
+
+    @abstractmethod
+    def waves(self, robot: Robot) -> list[tuple[int, float]]:
+        """A joint, and how many waves there are in a turn of it, for each."""
+
+    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
+        """Cosine and sine of each wave, rad."""
+        count = 2 * len(self.waves(site.robot))
+        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
+
+    def joints(self, here: Here) -> Expression:
+        """The sum of u_c cos(k q) + u_s sin(k q) over the waves."""
+        u, off = getattr(here.p, self.key), [ca.SX(0)] * len(here.robot.axes)
+        for k, (j, order) in enumerate(self.waves(here.robot)):
+            off[j] += u[2 * k] * ca.cos(order * here.q[j]) + u[2 * k + 1] * ca.sin(order * here.q[j])
+        return ca.vertcat(*off)
+
+
 @dataclass(frozen=True, kw_only=True)
-class TransmissionError(Effect):
+class TransmissionError(Waves):
     """A wave of each turning joint, once or more often per turn: eccentric encoders, run-out of wheels.
 
     Args:
@@ -39,8 +62,6 @@ class TransmissionError(Effect):
     size: float = 40e-6
     doubt: float = 2.5
 
-    moves = True
-
     @property
     def key(self) -> str:
         """One for each order."""
@@ -52,27 +73,13 @@ class TransmissionError(Effect):
         named = {1: "first", 2: "second", 3: "third"}.get(self.order, f"{self.order}th")
         return f"{named}-harmonic transmission error"
 
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Cosine and sine of each turning joint, rad."""
-        count = 2 * int(site.robot.revolute.sum())
-        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
-
-    def joints(self, here: Here) -> Expression:
-        """u_c cos(k q) + u_s sin(k q)."""
-        turning = np.flatnonzero(here.robot.revolute).tolist()
-        return _waves(here, getattr(here.p, self.key), [(j, self.order) for j in turning])
-
-
-def _waves(here: Here, u: Expression, waves: Sequence[tuple[int, float]]) -> Expression:
-    """Cosine and sine of so many waves per turn of some joints, all joints (n,)."""
-    off = [ca.SX(0)] * len(here.robot.axes)
-    for k, (j, order) in enumerate(waves):
-        off[j] += u[2 * k] * ca.cos(order * here.q[j]) + u[2 * k + 1] * ca.sin(order * here.q[j])
-    return ca.vertcat(*off)
+    def waves(self, robot: Robot) -> list[tuple[int, float]]:
+        """One of each turning joint."""
+        return [(j, self.order) for j in np.flatnonzero(robot.revolute).tolist()]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearRipple(Effect):
+class GearRipple(Waves):
     """What comes back with every turn of a motor, and twice in it: wave generators, pinions and motor encoders.
 
     Of turning joints whose gear ratio is known, `Joint(..., gear_ratio=...)`.
@@ -85,24 +92,13 @@ class GearRipple(Effect):
     size: float = 40e-6
     doubt: float = 2.5
 
-    moves = True
     key = "ripple"
     words = "gear ripple"
 
-    def unknowns(self, site: Site) -> Mapping[str, Parameter]:
-        """Cosine and sine of one and of two waves per turn of each motor, rad."""
-        count = 4 * len(_geared(site.robot))
-        return {self.key: weighted(np.ones(count), self.size, "rad")} if count else {}
-
-    def joints(self, here: Here) -> Expression:
-        """u_c cos(k r q) + u_s sin(k r q), r the ratio, k one and two."""
-        waves = [(j, order * here.robot.axes[j].gear_ratio) for j in _geared(here.robot) for order in (1, 2)]
-        return _waves(here, getattr(here.p, self.key), waves)
-
-
-def _geared(robot: Robot) -> list[int]:
-    """Turning joints whose gear ratio is known."""
-    return [j for j, joint in enumerate(robot.axes) if joint.turns and joint.gear_ratio > 0]
+    def waves(self, robot: Robot) -> list[tuple[int, float]]:
+        """One and two in a turn of each motor."""
+        geared = [j for j, joint in enumerate(robot.axes) if joint.turns and joint.gear_ratio > 0]
+        return [(j, order * robot.axes[j].gear_ratio) for j in geared for order in (1, 2)]
 
 
 @dataclass(frozen=True, kw_only=True)
