@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casacal.array_types import Array
-from casacal.least_squares.linalg import posterior_covariance
+from casacal.least_squares.linalg import information_of, posterior_covariance
 from casacal.uncertainty.quadratic_forms import chance_beyond, together
 from casacal.wording import sized
 
@@ -76,7 +76,7 @@ class Ground:
         covariance = posterior_covariance(information, prior_std)
         known = np.isfinite(np.diagonal(covariance))
         covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-        prior = np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
+        prior = information_of(prior_std)
         slope = gradient + prior * away
         step = -covariance @ slope
         left = square + float(prior @ away**2) + float(slope @ step)

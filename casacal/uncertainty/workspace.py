@@ -139,8 +139,7 @@ def bayesian_bound(
 
 def spread_rms(covariance: Array, tip_jacobian: Array, tips: Array, off: Array | None = None) -> float:
     """RMS tip error (mm) of an estimate with a covariance (n, n), apart from rigid motion; `off` as for `tip_stds`."""
-    stds = tip_stds(covariance, without_rigid(tip_jacobian, tips), off)
-    return math.sqrt(float((stds**2).sum(axis=1).mean()))
+    return tip_rms(tip_stds(covariance, without_rigid(tip_jacobian, tips), off))
 
 
 def classical_bound(jacobian: Array, scale: Array, tip_jacobian: Array, tips: Array) -> tuple[float, int]:
