@@ -90,14 +90,10 @@ def _without(bound: BoundProblem, bad: NDArray[np.bool_]) -> BoundProblem | None
 def _outliers(bound: BoundProblem) -> NDArray[np.bool_]:
     """Rows (N,) that a robust fit of them all cannot explain."""
     found = np.zeros(len(bound.measured), dtype=bool)
-    if bound.rows > _geometry(bound) and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
+    # what the rows must hold is the geometry: unknowns of effects stand at zero unless rows say more
+    if bound.rows > bound.beside.count("") and (fitted := robust_fit(bound)) is not None and fitted[1].converged:
         found[list(studentised_outliers(*fitted).rows)] = True
     return found
-
-
-def _geometry(bound: BoundProblem) -> int:
-    """How many unknowns the rows must hold: those of effects stand at zero unless rows say more."""
-    return bound.beside.count("")
 
 
 def _taken_back(bound: BoundProblem, bad: NDArray[np.bool_], stray: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -123,7 +119,7 @@ def _sizes(judged: BoundProblem, result: Result) -> Array:
 
 def _most(judged: BoundProblem) -> float:
     """How far chance may put the farthest of them."""
-    return most_by_chance(judged.rows, judged.rows - _geometry(judged))
+    return most_by_chance(judged.rows, judged.rows - judged.beside.count(""))
 
 
 def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Result]:

@@ -202,8 +202,7 @@ class CurvatureKernel:
         z, count = self.unknowns, self._rows.size
         p = ca.MX.sym("p", z + self._constants)
         d, w = ca.MX.sym("d", width, len(self._program.lanes)), ca.MX.sym("w", width, self.components)
-        values = [value for output in self._program.outputs for value in output]
-        columns = ca.horzcat(*replayed(self._program, values, p, d))
+        columns = ca.horzcat(*replayed(self._program, self._program.results, p, d))
         e, j, bent = ca.horzsplit(columns, [0, self.components, self.components * (z + 1), columns.shape[1]])
         weighted, bend = [], ca.MX.zeros(count, 1)
         for m in range(self.components):

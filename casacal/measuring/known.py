@@ -60,9 +60,8 @@ class Known(Value):
 
 
 def places_of(problem: Problem, samples: Samples) -> dict[str, Array]:
-    """Where faces and the like stand by planned rows; nothing of those that are planned too seldom to say."""
-    told = telling(problem, samples, {})
-    return _proposed(bind(problem.without_effects, samples.take(told)).slots) if told else {}
+    """Where faces and the like stand by planned rows, which all tell something."""
+    return _proposed(bind(problem.without_effects, samples).slots)
 
 
 def _proposed(slots: Sequence[Slot]) -> dict[str, Array]:

@@ -195,10 +195,11 @@ class Standing(Value):
     def _setting(self) -> Setting:
         if self.plan is None:
             return Setting(self.problem, None, {})
-        samples = self.plan.samples
-        told = telling(self.problem, samples, {})
-        placed = samples.take(told) if told else None  # faces that are planned too seldom have no place
-        return Setting(self.problem, placed, places_of(self.problem, samples))
+        told = telling(self.problem, self.plan.samples, {})
+        if not told:  # faces that are planned too seldom have no place
+            return Setting(self.problem, None, {})
+        placed = self.plan.samples.take(told)
+        return Setting(self.problem, placed, places_of(self.problem, placed))
 
     @cached_property
     def _all_planned(self) -> tuple[Touch, ...]:
