@@ -122,6 +122,8 @@ def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
 
 def _scatter(powers: Array, noise: Array) -> PriorScatter:
     """From the mean square residual as a quadratic form of independent prior errors, and the noise of each row."""
+    if not np.isfinite(powers).all():  # a residual that is none at the drawn arm: nothing is known of it
+        return PriorScatter(np.array([math.nan]), np.ones(1))
     own = np.clip(np.linalg.eigvalsh(powers), 0.0, None)
     mean, spread = float((noise**2).mean()), float((noise**4).mean())
     freedom = len(noise) * mean**2 / spread  # two moments of what the noise of all rows adds are matched
