@@ -295,6 +295,14 @@ def test_extra_samples_are_taken_where_things_were_found():
     assert np.abs(bound.on(rows).plain_residual(bound.x0)).max() > 0.1
 
 
+def test_a_camera_of_few_rows_has_cures():
+    """Some postures are not found then, and have no orientation to be told."""
+    camera = load_problem(ROOT / "problems" / "instruments" / "camera").problem
+    for seed in (3, 4):
+        bound = bind(camera, simulate(camera, samples=12, seed=seed).samples)
+        assert cures(bound, lm(bound).x)
+
+
 def test_what_no_posture_reaches_has_more_of_the_same_as_it_is():
     """A spike out of reach: nothing can be planned, and the samples that there are stand for more."""
     found = load_problem(ROOT / "problems" / "instruments" / "spike")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from casacal import (
     Direction,
@@ -20,6 +21,7 @@ from casacal import (
     bind,
     calibrate,
     load,
+    load_problem,
     simulate,
     verify,
 )
@@ -219,3 +221,39 @@ def test_what_no_place_makes_finite_is_asked_for(hsr):
     rows = simulate(Problem(hsr.problem.robot, Wire()), samples=30, seed=8).samples
     with pytest.raises(ProblemError, match=r"no nominal value, and residuals are not finite .*override `propose`"):
         bind(Problem(hsr.problem.robot, Nowhere()), rows)
+
+
+def test_an_unknown_that_no_row_depends_on_is_refused(hsr):
+    class Ghost(BlindWire):
+        unknowns = {**BlindWire.unknowns, "ghost": Parameter(None, labels=POINT)}  # noqa: RUF012
+
+    rows = simulate(Problem(hsr.problem.robot, Wire()), samples=30, seed=8).samples
+    with pytest.raises(ProblemError, match="No row depends on 'ghost' of Ghost, which has no nominal value"):
+        bind(Problem(hsr.problem.robot, Ghost()), rows)
+
+
+def test_what_rows_do_not_see_stays_within_the_workspace():
+    """The arm is a SCARA: post and eye of a wire move along z together, and no row tells."""
+
+    class Eyed(Wire):
+        unknowns = {"post": Parameter((700.0, 300.0, 200.0)), "eye": Parameter((0.0, 0.0, 50.0), labels=POINT)}  # noqa: RUF012
+
+        def residual(self, pose, p, row):
+            return ca.norm_2(transform_point(pose, p.eye) - p.post) - row.wire
+
+    class Blind(Eyed):
+        unknowns = {"post": Parameter(None, labels=POINT), "eye": Parameter(None, labels=POINT)}  # noqa: RUF012
+
+    robot = load_problem(ROOT / "problems" / "adept_cobra600").problem.robot
+    for seed in range(3):
+        rows = simulate(Problem(robot, Eyed()), samples=50, seed=seed).samples
+        post, eye = (slot.nominal for slot in bind(Problem(robot, Blind()), rows).slots[-2:])
+        assert np.abs([post, eye]).max() < 1e4
+        assert post[2] + eye[2] == pytest.approx(250.0, abs=30.0)  # all that rows see of heights: the flange looks down
+
+
+def test_rows_of_one_posture_end_in_a_verdict(hsr):
+    rows = simulate(Problem(hsr.problem.robot, Wire()), samples=3, seed=8).samples.take(np.zeros(40, dtype=int))
+    read = rows.columns["wire"] + np.random.default_rng(0).normal(size=40) * 0.05
+    rows = replace(rows, columns={"wire": read})
+    assert not calibrate(Problem(hsr.problem.robot, BlindWire()), rows, reference=False).passed

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,8 +23,12 @@ from casacal.samples.samples import Samples
 from casacal.unknowns import Unknown
 
 STARTS = 30  # places and directions from which they are sought
+ALIKE, ENOUGH = 1e-3, 6  # part of the least cost within which fits end alike, and how many of these are enough
 ROWS = 200  # rows of each that suffice for a beginning
-STEPS = 100  # of each fit
+STEPS = 40  # of each fit
+SMALLEST = 100.0  # extent of the tips, mm, below which it says nothing of how far away things stand
+FAR = 10.0  # extents of the workspace, or rad, to which what rows hardly see is held
+UNSEEN = 1e-9  # the same of what they do not see at all, in units of the residual
 
 
 @dataclass(frozen=True)
@@ -46,17 +51,24 @@ class _Rows:
     parts: Mapping[str, tuple[Index, Index, Index]]
     """Of each that is sought its rows (k, 1), and its positions in z and u."""
 
-    def residual(self, u: Array, c: Array) -> Array:
-        """Residuals of all rows (N m,)."""
-        return np.asarray(self.model.batch.residual(self._z(u), c, self.data)[0].ravel())
+    def fitted(self, begin: Array, c: Array, pull: Array) -> Any:
+        """Least squares from `begin` (u,), with a pull towards zero; None where something is not finite on the way."""
+        try:
+            return least_squares(
+                self._residual, begin, self._slopes, x_scale="jac", max_nfev=STEPS, args=(c, np.diag(pull))
+            )
+        except (ValueError, np.linalg.LinAlgError):
+            return None
 
-    def slopes(self, u: Array, c: Array) -> Array:
-        """Their derivative (N m, u)."""
+    def _residual(self, u: Array, c: Array, pull: Array) -> Array:
+        return np.append(self.model.batch.residual(self._z(u), c, self.data)[0].ravel(), pull @ u)
+
+    def _slopes(self, u: Array, c: Array, pull: Array) -> Array:
         e, by_z = self.model.batch.jacobian(self._z(u), c, self.data)
         by_z, found = by_z.reshape(*e.shape, -1), np.zeros((*e.shape, u.size))
         for rows, z_at, u_at in self.parts.values():
             found[rows, :, u_at] = by_z[rows, :, z_at]
-        return found.reshape(-1, u.size)
+        return np.vstack([found.reshape(-1, u.size), pull])
 
     def _z(self, u: Array) -> Array:
         z = np.zeros((len(self.data), self.model.residual.numel_in(0)))
@@ -68,7 +80,7 @@ class _Rows:
 def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) -> dict[str, Array]:
     """Nominals, by name, of what has none among all unknowns of instrument `i`.
 
-    Raises ProblemError where residuals are not finite wherever these stand.
+    Raises ProblemError where no row depends on one, and where residuals are not finite wherever these stand.
     """
     wanted = [place for place in places if place.nominal is None]
     taken = np.unique(np.concatenate([place.rows[:: -(-len(place.rows) // ROWS) or 1] for place in wanted]))
@@ -84,27 +96,56 @@ def sought(problem: Problem, i: int, samples: Samples, places: Sequence[Place]) 
         if place.nominal is not None and place.key in c_at:
             c[seen[place.name], c_at[place.key]] = place.nominal
     rows = _Rows(model, data, {each.name: (seen[each.name], z_at[each.key], u_at[each.name]) for each in wanted})
-    rng, extent = np.random.default_rng(0), float(np.ptp(sight.tips, axis=0).max())
-    best, least = dict[str, Array](), np.inf
-    for _ in range(STARTS):
-        begin, nominals = [np.zeros(0)], {}
-        for place in wanted:
-            towards = rng.normal(size=3)
-            near = sight.tips[rng.integers(len(taken))] + extent * rng.normal(size=3)
-            nominals[place.name] = place.unknown.placed(near, towards / np.linalg.norm(towards))
-            c[seen[place.name], c_at[place.key]] = nominals[place.name]
-            begin.append(rng.normal(size=place.unknown.size) * (np.array(place.unknown.units) == "rad"))
-        if not np.isfinite(rows.residual(np.concatenate(begin), c)).all():
-            continue
-        fit = least_squares(rows.residual, np.concatenate(begin), rows.slopes, x_scale="jac", max_nfev=STEPS, args=(c,))
-        if fit.cost < least:
-            least = float(fit.cost)
-            best = {p.name: p.unknown.recentred(nominals[p.name], fit.x[u_at[p.name]]) for p in wanted}
-    if not best:
+    starts = {place.name: (seen[place.name], c_at[place.key]) for place in wanted}
+    found, nominals, c = _best_of_many(rows, wanted, sight.tips, c, starts)
+    if found is None:
         what = f"'{wanted[0].key}' of {type(problem.instruments[i]).__name__} has no nominal value"
         fix = "Give it one, or override `propose`, which finds it from the samples"
         raise ProblemError(f"{what}, and residuals are not finite wherever it stands", fix)
-    return best
+    of_rows, name = found.jac[: -found.x.size], type(problem.instruments[i]).__name__
+    for place in wanted:
+        if place.unknown.size and not of_rows[:, u_at[place.name]].any():
+            what = f"No row depends on '{place.name}' of {name}, which has no nominal value"
+            raise ProblemError(what, "Give it one, or leave it out")
+    # what rows hardly see would be moved far by what they miss, the drawn arm's errors
+    units = np.array([unit for place in wanted for unit in place.unknown.units])
+    reach = np.where(units == "mm", FAR * _extent(sight.tips), np.where(units == "rad", FAR, np.inf))
+    missed = float(np.sqrt(np.mean(found.fun[: -found.x.size] ** 2)))
+    held = rows.fitted(found.x, c, np.maximum(missed / reach, UNSEEN))
+    u = found.x if held is None else held.x
+    return {place.name: place.unknown.recentred(nominals[place.name], u[u_at[place.name]]) for place in wanted}
+
+
+def _best_of_many(
+    rows: _Rows, wanted: Sequence[Place], tips: Array, c: Array, parts: Mapping[str, tuple[Index, Index]]
+) -> tuple[Any, dict[str, Array], Array]:
+    """The best fit from random places and directions, None where none is finite; nominals and c that it began from."""
+    rng, best, kept, alike = np.random.default_rng(0), None, (dict[str, Array](), c), 0
+    size = sum(place.unknown.size for place in wanted)
+    for _ in range(STARTS):
+        begin, nominals, c = [np.zeros(0)], {}, c.copy()
+        for place in wanted:
+            towards = rng.normal(size=3)
+            near = tips[rng.integers(len(tips))] + _extent(tips) * rng.normal(size=3)
+            nominals[place.name] = place.unknown.placed(near, towards / np.linalg.norm(towards))
+            c[parts[place.name]] = nominals[place.name]
+            begin.append(rng.normal(size=place.unknown.size) * (np.array(place.unknown.units) == "rad"))
+        fit = rows.fitted(np.concatenate(begin), c, np.full(size, UNSEEN))
+        if fit is None:
+            continue
+        if best is None or fit.cost < (1 - ALIKE) * best.cost:
+            alike = 0
+        alike += best is None or fit.cost < (1 + ALIKE) * best.cost
+        if best is None or fit.cost < best.cost:
+            best, kept = fit, (nominals, c)
+        if alike >= ENOUGH:
+            break
+    return best, *kept
+
+
+def _extent(tips: Array) -> float:
+    """How far apart the tips (N, 3; mm) are, or how far they might be where they are all at one place."""
+    return max(float(np.ptp(tips, axis=0).max()), SMALLEST)
 
 
 def _columns(sizes: Mapping[str, int]) -> dict[str, Index]:

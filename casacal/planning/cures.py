@@ -31,6 +31,7 @@ from casacal.uncertainty.workspace import tip_stds, tool_unknowns, without_rigid
 from casacal.wording import listed
 
 GAIN = 0.95  # expected tip error over that without a cure, above which it is not worth recommending
+SAME = 0.99  # the same over more touches of the same kind, above which a larger tilt is none
 TOOL_STD = 0.2  # standard deviation (mm) of a tool's point that is measured with a caliper or a height gauge
 SETTLES = 0.5  # part of a direction's standard deviation below which a cure settles it
 LOWERS = 0.95  # the same below which a cure helps at all
@@ -97,6 +98,8 @@ def cures(bound: BoundProblem, x: Array, *, stays: float = 0.0) -> tuple[Cure, .
     same = min(now, found["same"][0]) if "same" in found else now
     made = []
     for kind, (error, covariance, outcome) in found.items():
+        if kind == "tilt" and error > SAME * same:  # such as an arm whose tool cannot tilt
+            continue
         gains = error < GAIN * (now if kind in ("same", "tool") else same)
         made.append(Cure(outcome.words, outcome.touches, error, gains, covariance))
     return tuple(sorted(made, key=lambda cure: cure.expected_rms_mm))

@@ -71,9 +71,11 @@ def exact_rows(bench: Bench, labels: Mapping[str, Labels], rng: np.random.Genera
     """Rows without any error in random postures: those of the labelled ones that a few rounds of tries find."""
     count, model, instrument = len(bench.z), bench.problem.model, bench.problem.instrument
     free, met = _found(bench, np.zeros((count, model.components)), rng, rounds)
-    joints, read = np.split(free, [len(bench.problem.robot.axes)], axis=1)
+    which = np.flatnonzero(met)
+    joints, read = np.split(free[which], [len(bench.problem.robot.axes)], axis=1)
     columns = dict(instrument.as_read(dict(zip(instrument.columns, read.T, strict=True))))
-    return Samples(joints, columns, labels, tuple(range(1, count + 1)), {}, "", "").take(np.flatnonzero(met))
+    known = {name: each.take(which) for name, each in labels.items()}
+    return Samples(joints, columns, known, tuple(range(1, len(which) + 1)), {}, "", "")
 
 
 def _found(bench: Bench, target: Array, rng: np.random.Generator, rounds: int = ROUNDS) -> tuple[Array, Rows]:

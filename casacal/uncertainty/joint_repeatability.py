@@ -54,7 +54,7 @@ def repeats_in(bound: BoundProblem) -> Repeats:
 
 
 def pure_error(result: Result, again: Repeats) -> PureError | None:
-    """Pure error and lack of fit at a result; None where nothing was touched twice, or read the same each time.
+    """Pure error and lack of fit at a result; None where nothing was touched twice, or read the same, or all is one.
 
     Residuals within a group differ by pure error alone; between groups there is also what the model leaves out, a
     random effect of variance t^2 shared by a group: E[between] = s^2 + k t^2, k the groups' mean size (Searle 1971).
@@ -63,7 +63,7 @@ def pure_error(result: Result, again: Repeats) -> PureError | None:
 
     bound = result.problem
     assert isinstance(bound, BoundProblem)
-    if not again.any:
+    if not again.any or len(again.sizes) < 2:
         return None
     scale = bound.scale
     of_a_touch = bound.residual(result.x) * factors(bound, scale)
