@@ -191,6 +191,7 @@ def test_every_way_to_the_pose_knows_of_the_correction(sagging, tmp_path):
     np.testing.assert_allclose(back.std, tip.std, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_compensated_targets_are_reached_by_the_arm_that_sags(sagging):
     found = sagging[1]
     near = found.fit.block.samples.joints[:40]

@@ -301,6 +301,7 @@ def test_geometry_takes_over_what_it_can_of_what_is_not_corrected(sagging, calib
     assert toward[sizes > 0.1 * sizes.max()].max() < 0.02
 
 
+@pytest.mark.long
 def test_the_file_says_what_memory_says(calibrated, saved):
     document = json.loads((saved / "result.json").read_text(encoding="utf-8"))
     part = document["discrepancy"]

@@ -319,6 +319,7 @@ def test_a_problem_made_in_python_is_saved_with_its_result(hsr, tmp_path):
         load(tmp_path / "a", problem=load_problem(ROOT / "problems" / "ur5").problem)
 
 
+@pytest.mark.long
 def test_the_same_calibration_gives_the_same_files(found, hsr, tmp_path):
     found.save(tmp_path / "a")
     calibrate(hsr, method="lm").save(tmp_path / "b")

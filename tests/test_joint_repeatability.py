@@ -224,6 +224,7 @@ def test_far_touches_weigh_less_and_intervals_know(hsr, found):
     assert np.abs(apart).max() < 1e-8
 
 
+@pytest.mark.long
 def test_it_is_printed_and_serves_fresh_rows(hsr, found, tmp_path):
     loose_one = next(each for each in found if each.fit.scale.get(REPEATABILITY))
     loose_one.save(tmp_path)

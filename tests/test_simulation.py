@@ -243,6 +243,7 @@ def test_a_label_stands_for_the_same_thing_in_whatever_order_rows_name_them():
         assert np.abs(rows.joints - planned).max() < 0.3, "no place of another label is touched"
 
 
+@pytest.mark.long_unless("camera")
 @pytest.mark.parametrize("name", ["camera", "spheres", "two_arms"])
 def test_rounding_chooses_no_posture(name, monkeypatch):
     """Residuals that differ by rounding, as another machine's do, lead to the same rows."""

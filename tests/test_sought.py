@@ -199,6 +199,7 @@ def test_an_unknown_of_ones_own_kind_is_found_and_estimated(hsr):
     assert abs(estimate - there) < abs(bound.slots[-1].nominal[0] - there)
 
 
+@pytest.mark.long
 def test_what_was_sought_serves_where_the_class_cannot_travel(hsr, tmp_path):
     """A result that is read has its instrument as a graph, without a formula; it judges fresh rows all the same."""
     true = Problem(hsr.problem.robot, Wire())
@@ -252,6 +253,7 @@ def test_what_rows_do_not_see_stays_within_the_workspace():
         assert post[2] + eye[2] == pytest.approx(250.0, abs=30.0)  # all that rows see of heights: the flange looks down
 
 
+@pytest.mark.long
 def test_rows_of_one_posture_end_in_a_verdict(hsr):
     rows = simulate(Problem(hsr.problem.robot, Wire()), samples=3, seed=8).samples.take(np.zeros(40, dtype=int))
     read = rows.columns["wire"] + np.random.default_rng(0).normal(size=40) * 0.05

@@ -338,6 +338,7 @@ def calibrated_values(calibration):
     return v | {"beta": table.filter(like="beta").to_numpy(), "tool": table[["tool_x", "tool_y", "tool_z"]].to_numpy()}
 
 
+@pytest.mark.long
 def test_the_calibrated_arm_as_functions(calibration):
     v = calibrated_values(calibration)
     pose, tip = calibration.pose_function(), calibration.tip_function()
