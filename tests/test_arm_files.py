@@ -1,6 +1,7 @@
 """DH tables and URDFs from files: what is read, what is written, and every refusal by file, place and fix."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from robots_of_others import ODD_URDF, PUMA_TOML, UR5_CSV, UR5_URDF
 
 from casacal import Conventions, Joint, Robot
 from casacal.errors import ProblemError
-from casacal.robots.files.dh_file import dh_file_text, read_conventions, read_dh_file
+from casacal.robots.files.dh_file import dh_file_text, read_dh_file
 from casacal.robots.files.dh_text import conventions_toml
 
 
@@ -96,11 +97,11 @@ def test_the_block_alone(file):
     text = conventions_toml(conventions, joints)
     assert "offsets_deg = [0, 90, 0]" in text
     assert "offsets_mm = [0, 0, 20]" in text
-    plain = Conventions((1, -1), (0.0, math.pi / 2))
-    assert read_conventions(file(conventions_toml(plain), "block.toml")) == plain
-    full = read_conventions(file(PUMA_TOML, "puma.toml"))
-    assert read_conventions(file(conventions_toml(full), "block.toml")) == full
-    assert read_conventions(file(UR5_CSV, "ur5.csv")) == Conventions.plain(6)
+    bare = replace(read_dh_file(file(PUMA_TOML, "puma.toml")), conventions=None)
+    plain = Conventions((1, -1, 1, 1, 1, 1), (0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0))
+    for meant in (plain, replace(plain, coupling=((3, 2, -1.0),))):
+        block = file(dh_file_text(bare, "a.toml") + "\n" + conventions_toml(meant), "block.toml")
+        assert read_dh_file(block).conventions == meant
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,13 @@
 import math
 import tomllib
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from oracles import dh_chain
+from robots_of_others import PUMA_TOML
 from scipy.spatial.transform import Rotation
 
 from casacal import Conventions, Joint, Parameter, Robot, chain, deg
@@ -17,7 +19,7 @@ from casacal.doctor.axes import axes_of
 from casacal.doctor.words import diagnosis_text
 from casacal.errors import CasacalError, ProblemError, SamplesError
 from casacal.kinematics import rotate_x, rotate_z, translate_x, translate_z
-from casacal.robots.files.dh_file import read_conventions
+from casacal.robots.files.dh_file import dh_file_text, read_dh_file
 
 HSR = (ROOT / "problems" / "hsr_jr680").as_posix()
 QUARTER = math.pi / 2
@@ -401,8 +403,10 @@ def test_the_command_prints_a_block_that_composes(tmp_path, capsys):
     line = next(each for each in said.splitlines() if "into problem.py: " in each)
     assert eval(line.partition("conventions=")[2], {"Conventions": Conventions, "deg": deg}) == read
     assert "the joint's limits turn round as well" in said
-    (tmp_path / "c.toml").write_text(said[said.index("# the pendant") :])
-    assert read_conventions(tmp_path / "c.toml") == read
+    (tmp_path / "c.toml").write_text(PUMA_TOML)
+    bare = dh_file_text(replace(read_dh_file(tmp_path / "c.toml"), conventions=None), "c.toml")
+    (tmp_path / "c.toml").write_text(bare + "\n" + said[said.index("# the pendant") :])
+    assert read_dh_file(tmp_path / "c.toml").conventions == read
     assert main(["doctor", HSR, str(tmp_path / "p.csv"), "--tool", "0,0,120"]) == 1
     assert "no convention fits" in capsys.readouterr().out
     write_rows(tmp_path / "p.csv", "q1,q2,q3,q4,q5,q6,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg", rows.without(0))

@@ -28,7 +28,7 @@ from casacal.uncertainty.workspace import (
 
 
 @pytest.mark.long
-def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
+def test_loose_priors_on_the_real_arm_are_refused(motoman_data):
     problem = load_problem(ROOT / "problems" / "motoman_ma1400").problem
     loose = problem.with_prior({"a": 10, "d": 10, "alpha": 0.01, "theta": 0.01})
     calibration = calibrate(
@@ -38,7 +38,9 @@ def test_loose_priors_on_the_real_arm_are_warned_about(motoman_data):
     text = summary(calibration, "motoman")
     assert moved > 3
     assert std > 3
-    assert "in places that the samples do not cover" in text
+    assert calibration.denied
+    assert "the priors are too loose for this arm" in text
+    assert "in places that the samples do not cover" in warnings(calibration)[-1]
     assert len(calibration.identifiability.weak) + len(calibration.identifiability.null) > 10
     assert "weak" in text
 

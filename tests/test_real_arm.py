@@ -185,6 +185,8 @@ def test_loose_priors_fit_the_planes_better_and_ruin_the_arm(motoman, motoman_da
     tight, wild = lm(bind(motoman, contacts)), lm(bind(loose, contacts))
     assert np.std(wild.problem.plain_residual(wild.x)) < 0.75 * np.std(tight.problem.plain_residual(tight.x))
     assert tracker_rms(moved(motoman.robot, wild), motoman_data / SETS[0]) > 1.0
+    for each in ("kit", "none"):
+        assert calibrate(loose, contacts, method="lm", reference=False, discrepancy=each).denied
 
 
 def test_ipopt_agrees_on_real_contacts(motoman, contacts):

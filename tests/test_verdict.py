@@ -23,7 +23,7 @@ from casacal.checks.set_aside import gross
 from casacal.cli.main import main
 from casacal.least_squares.losses import huber
 from casacal.samples.write import write_samples
-from casacal.uncertainty.prior_moves import prior_scatter
+from casacal.uncertainty.prior_moves import PriorScatter, prior_scatter
 from casacal.uncertainty.workspace import tip_rms, without_rigid
 
 ACCURACY = re.compile(r"tip error of|Inside .* mm RMS|expected to be wrong")
@@ -260,7 +260,7 @@ def test_loose_priors_matter_only_where_the_samples_do_not_decide(hsr):
     one = verdict_of(calibrate(loose, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False))
     assert one.level == "do not use"  # the arm as drawn is the better one
     assert "the priors are too loose for this arm" in one.words
-    little = hsr.problem.with_prior({"a": 5, "d": 5, "alpha": 0.005, "theta": 0.005})
+    little = hsr.problem.with_prior({"a": 4, "d": 4, "alpha": 0.004, "theta": 0.004})
     doubted = verdict_of(calibrate(little, in_cell(hsr, faces=hsr.cell.faces[:1]), reference=False))
     assert doubted.level == "use with care"
     assert "the priors look too loose" in " ".join((doubted.words, *doubted.reasons))
@@ -275,6 +275,33 @@ def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
     assert "too loose" in verdict_of(good).words
     told = casacal.scaled_to_accuracy(hsr.problem, 0.3)
     assert verdict_of(calibrate(told, in_cell(hsr, seed, error_scale=0.1))).level != "do not use"
+
+
+@pytest.mark.parametrize(("sizes", "at"), [((1.0, 0.6, 0.2, 0.1), 0.05), ((1.0, 0.05), 0.01), ((3.0, 3.0, 3.0), 0.5)])
+def test_how_seldom_a_drawn_arm_misses_so_little_is_exact(sizes, at):
+    """By drawing sums; two moments alone, matched by one chi-square, are ten times too large in the first case."""
+    drawn = np.random.default_rng(1).normal(size=(2_000_000, len(sizes))) ** 2 @ np.array(sizes)
+    share = float((drawn + 0.002 <= at).mean())
+    scatter = PriorScatter(np.array([*sizes, 0.002 / 4000]), np.array([1.0] * len(sizes) + [4000.0]))
+    assert scatter.rms == pytest.approx(math.sqrt(sum(sizes) + 0.002))
+    assert scatter.chance_below(math.sqrt(at)) == pytest.approx(share, rel=0.03, abs=2e-5)
+    assert 1e-4 < share < 0.2
+
+
+def test_planes_held_where_the_drawn_arm_has_them_took_over_its_errors(hsr, clean):
+    """They were fitted to it. Planes that a person states are where they are, whatever the arm errs by."""
+    face = clean.samples.take(np.flatnonzero(clean.samples.labels["plane"].codes == 0))
+    free = casacal.bind(hsr.problem, face)
+    normal, point = free.slots[-1].unknown.nominal_plane(free.slots[-1].nominal)
+    plane = dataclasses.replace(free.slots[-1].unknown, normal=tuple(normal), point=tuple(point), free=False)
+    stated = hsr.problem.with_parts(hsr.problem.robot, [dataclasses.replace(hsr.problem.instrument, plane=plane)])
+    held = prior_scatter(casacal.bind(hsr.problem.fix("plane"), face))
+    assert held.rms == pytest.approx(prior_scatter(free).rms, rel=1e-9)
+    bound = casacal.bind(stated, face)
+    moved = bound.jacobian(bound.x0) * bound.noise[:, None] * bound.prior_std
+    apart = math.sqrt(float((moved**2).sum(axis=1).mean() + (bound.noise**2).mean()))
+    assert prior_scatter(bound).rms == pytest.approx(apart, rel=1e-9)
+    assert apart > 2 * held.rms
 
 
 @pytest.mark.long

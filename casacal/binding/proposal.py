@@ -54,21 +54,19 @@ class _Rows:
     def fitted(self, begin: Array, c: Array, pull: Array) -> Any:
         """Least squares from `begin` (u,), with a pull towards zero; None where something is not finite on the way."""
         try:
-            return least_squares(
-                self._residual, begin, self._slopes, x_scale="jac", max_nfev=STEPS, args=(c, np.diag(pull))
-            )
+            return least_squares(self._residual, begin, self._slopes, x_scale="jac", max_nfev=STEPS, args=(c, pull))
         except (ValueError, np.linalg.LinAlgError):
             return None
 
     def _residual(self, u: Array, c: Array, pull: Array) -> Array:
-        return np.append(self.model.batch.residual(self._z(u), c, self.data)[0].ravel(), pull @ u)
+        return np.append(self.model.batch.residual(self._z(u), c, self.data)[0].ravel(), pull * u)
 
     def _slopes(self, u: Array, c: Array, pull: Array) -> Array:
         e, by_z = self.model.batch.jacobian(self._z(u), c, self.data)
         by_z, found = by_z.reshape(*e.shape, -1), np.zeros((*e.shape, u.size))
         for rows, z_at, u_at in self.parts.values():
             found[rows, :, u_at] = by_z[rows, :, z_at]
-        return np.vstack([found.reshape(-1, u.size), pull])
+        return np.vstack([found.reshape(-1, u.size), np.diag(pull)])
 
     def _z(self, u: Array) -> Array:
         z = np.zeros((len(self.data), self.model.residual.numel_in(0)))

@@ -17,7 +17,7 @@ from casacal.uncertainty.scores import CLEAR
 from casacal.wording import capital, chance, listed, lower, mm, shortened, sized, times
 
 NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
-IMPROBABLE = 0.01  # chance below which a drawn arm that misses the planes by so little contradicts its priors
+IMPROBABLE = 0.005  # chance below which a drawn arm that misses the planes by so little contradicts its priors
 TOO_TIGHT = 1e-4  # chance of moves as large as these, all together, below which the priors are too tight for this arm
 SETTLED = 0.1  # expected tip error over that before, below which the samples decide, however loose the priors
 

@@ -12,6 +12,7 @@ from casacal.binding.bound_problem import BoundProblem
 from casacal.binding.marginal import Seen
 from casacal.least_squares.elimination import taken_out, triangle
 from casacal.uncertainty.figures import chance_beyond
+from casacal.uncertainty.quadratic_forms import chance_below
 
 DULL = 1e-3  # part of a prior's variance that samples must take away from a direction before it can be said to move
 
@@ -65,30 +66,32 @@ def prior_moves(bound: Seen, x: Array, covariance: Array) -> PriorMoves:
 MOST_ROWS = 20_000  # rows that the scatter is worked out from; more add memory, not insight
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PriorScatter:
-    """What prior errors of the arm and the noise predict for the residuals of the drawn arm, planes fitted."""
+    """What prior errors of the arm and the noise predict for the residuals of the drawn arm, planes fitted.
 
-    rms: float
-    """Root mean square residual to expect, mm."""
-    freedom: float
-    """Degrees of freedom of a chi-square with the same mean and variance as the mean square, scaled."""
+    Their mean square is a sum of chi-squares, mm^2: of what size each (m,), and of how many degrees of freedom (m,).
+    """
+
+    sizes: Array
+    freedoms: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square residual to expect, mm."""
+        return math.sqrt(float(self.sizes @ self.freedoms))
 
     def chance_below(self, rms: float) -> float:
         """How probable it is that the drawn arm misses the planes by no more than `rms` (mm)."""
-        from scipy.special import gammainc  # scipy.stats takes half a second to import
-
-        return float(gammainc(self.freedom / 2, self.freedom * (rms / self.rms) ** 2 / 2))
+        return chance_below(self.sizes, self.freedoms, rms**2)
 
 
 def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorScatter:
     """The scatter at the nominal; a flat prior of the arm counts as none, so that it is never overstated.
 
     Where it must not be understated, `flat_counts`, a flat prior counts as wide as filters start it.
-
-    The mean square residual is a sum of squares of independent normal numbers, weighted with eigenvalues; two moments
-    of it are matched (Satterthwaite).
     """
+    bound = _with_proposals_free(bound)
     stds = bound.start_std if flat_counts else bound.prior_std
     if bound.groups is not None:
         return _of_many_faces(bound, stds)
@@ -101,7 +104,14 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
     arm = ~stands & np.isfinite(stds)
     moved, planes = slopes[:, arm] * stds[arm], slopes[:, stands]
     left = moved - planes @ np.linalg.lstsq(planes, moved, rcond=None)[0]
-    return _matched(left.T @ left / len(noise), noise)
+    return _scatter(left.T @ left / len(noise), noise)
+
+
+def _with_proposals_free(bound: BoundProblem) -> BoundProblem:
+    """What is held just where the drawn arm has it took over the drawn arm's errors, as if it had been fitted."""
+    datum = [slot for slot in bound.slots if slot.datum and slot.unknown.nominal is None]
+    held = {slot.key for slot in datum if getattr(slot.unknown, "held_as_proposed", False)}
+    return bound.under(bound.problem.free(*sorted(held))) if held else bound
 
 
 def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
@@ -115,11 +125,14 @@ def _of_many_faces(bound: BoundProblem, stds: Array) -> PriorScatter:
     shared = bound.groups.shared
     arm = np.isfinite(stds[shared]) & ~bound.datum[shared]
     moved = triangle(parts, shared.size)[:, arm] * stds[shared][arm]
-    return _matched(moved.T @ moved / len(noise), noise)
+    return _scatter(moved.T @ moved / len(noise), noise)
 
 
-def _matched(powers: Array, noise: Array) -> PriorScatter:
+def _scatter(powers: Array, noise: Array) -> PriorScatter:
     """From the mean square residual as a quadratic form of independent prior errors, and the noise of each row."""
-    mean = float(np.trace(powers) + (noise**2).mean())
-    variance = float((powers**2).sum() + (noise**4).mean() / len(noise))
-    return PriorScatter(math.sqrt(mean), mean**2 / variance)
+    if not np.isfinite(powers).all():  # a residual that is none at the drawn arm: nothing is known of it
+        return PriorScatter(np.array([math.nan]), np.ones(1))
+    own = np.clip(np.linalg.eigvalsh(powers), 0.0, None)
+    mean, spread = float((noise**2).mean()), float((noise**4).mean())
+    freedom = len(noise) * mean**2 / spread  # two moments of what the noise of all rows adds are matched
+    return PriorScatter(np.append(own, mean / freedom), np.append(np.ones(len(own)), freedom))

@@ -49,6 +49,11 @@ def chance_beyond(weights: Array, squares: Array, rest: float, freedom: float) -
     return p if p > TAIL else _saddle_point(sizes, counts)
 
 
+def chance_below(sizes: Array, counts: Array, at: float) -> float:
+    """Chance that a sum of chi-squares, each of a size and a freedom, (m,) and (m,), is no larger than `at`."""
+    return 1.0 - _inverted(sizes, counts, at)
+
+
 def chance_of_ratio(traces: Sequence[float], observed: float, freedom: float) -> float:
     """Chance that y'Ay / y'y is so large, y normal of some freedom, by the first three moments of the ratio.
 
@@ -95,15 +100,16 @@ def holm(chances: Sequence[float]) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _inverted(sizes: Array, counts: Array) -> float:
-    """Chance that sum of size chi^2_count is positive, from its characteristic function at odd multiples of a step."""
-    sizes = sizes / np.abs(sizes).max()
+def _inverted(sizes: Array, counts: Array, beyond: float = 0.0) -> float:
+    """Chance that sum of size chi^2_count is beyond a number, from its characteristic function at odd steps."""
+    largest = np.abs(sizes).max()
+    sizes, beyond = sizes / largest, beyond / largest
     mean, spread = abs(float(sizes @ counts)), math.sqrt(2 * float(sizes**2 @ counts))
-    step = 2 * math.pi / (mean + 2 * BEYOND + 8 * spread)
+    step = 2 * math.pi / (mean + abs(beyond) + 2 * BEYOND + 8 * spread)
     total, first = 0.0, 0
     while first < MOST_TERMS:
         u = step * (np.arange(first, first + 512) + 0.5)
-        angles = np.zeros(len(u))
+        angles = -beyond * u
         logs = np.zeros(len(u))
         for size, count in zip(sizes, counts, strict=True):
             angles += count / 2 * np.arctan(2 * size * u)

@@ -1,4 +1,4 @@
-"""A DH table in a file: read it, write it, or take from it what the controller's joints mean.
+"""A DH table in a file: read it, write it.
 
 docs/files.md says how the files look, as CSV and as TOML.
 """
@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from casacal.errors import ProblemError
 from casacal.robots.dh_table import DHTable
-from casacal.robots.files.dh_fields import BLOCK_FIELDS, Fields, conventions_of, joint_of, table_of
+from casacal.robots.files.dh_fields import BLOCK_FIELDS, table_of
 from casacal.robots.files.dh_text import ENTRY, csv_text, decode, read_csv, read_toml, toml_text
-from casacal.robots.joints import Conventions, joints_of
 
 
 def read_dh_file(path: str | Path) -> DHTable:
@@ -19,22 +17,7 @@ def read_dh_file(path: str | Path) -> DHTable:
 
     Raises ProblemError that names the file, the line or joint, and what to do.
     """
-    return table_of(_fields(path))
-
-
-def read_conventions(path: str | Path) -> Conventions:
-    """What the controller's joints mean, from a DH file or from one that holds that block alone.
-
-    Raises ProblemError where the block is not well formed, or where there are neither joints nor signs.
-    """
-    fields = _fields(path)
-    joints = tuple(joint_of(fields, i) for i in range(len(fields.rows)))
-    if not joints:
-        signs = fields.block.get("signs", [])
-        if not signs:
-            raise ProblemError(f"{fields.file}: there are neither joints nor signs", "Give signs = [1, -1, ...]")
-        joints = joints_of(len(signs))
-    return conventions_of(fields, joints) or Conventions.plain(len(joints))
+    return table_of(read_toml(path) if is_toml(path) else read_csv(path))
 
 
 def unread_keys(path: str | Path) -> tuple[str, ...]:
@@ -51,7 +34,3 @@ def dh_file_text(table: DHTable, path: str | Path) -> str:
 def is_toml(path: str | Path) -> bool:
     """Whether a file of that name holds TOML."""
     return Path(path).suffix.lower() == ".toml"
-
-
-def _fields(path: str | Path) -> Fields:
-    return read_toml(path) if is_toml(path) else read_csv(path)
