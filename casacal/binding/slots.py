@@ -96,6 +96,13 @@ class Slot(Value):
         """Its positions in x."""
         return range(self.first, self.first + self.unknown.size)
 
+    @property
+    def held_as_drawn(self) -> bool:
+        """Whether it, or part of it, is held where the samples have it if the arm is as drawn: it has no nominal."""
+        if self.unknown.nominal is not None or not getattr(self.unknown, "held_as_proposed", False):
+            return False
+        return self.unknown.size < self.unknown.freed().size
+
     def sized(self, times: float) -> Slot:
         """The same with all prior standard deviations multiplied."""
         stds = [float(std) * times for std in self.unknown.prior_stds]

@@ -93,7 +93,8 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
-    found = [
+    found = [(clause, sentence(clause)) for clause in _held_as_drawn(calibration)]  # it may look like wrong samples
+    found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
     ]
@@ -132,6 +133,17 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
     return [
         f"{calibration.method} ended at a cost of {calibration.result.cost:.4g}, far above the {reference.cost:.4g} "
         f"that {reference.solver} found"
+    ]
+
+
+def _held_as_drawn(calibration: Calibration) -> list[str]:
+    """Faces and the like that took over the drawn arm's errors, so that the arm was fitted to these."""
+    names = dict.fromkeys(slot.key for slot in calibration.fit.slots if slot.held_as_drawn)
+    if not names or not calibration.fit.unknowns:
+        return []
+    return [
+        f"what was measured against is held where the arm as drawn has it ({', '.join(names)}), so the arm was fitted "
+        "to its own errors; leave it free, or state in the problem where it is"
     ]
 
 
@@ -174,9 +186,9 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     as_drawn = before * drawn["rmse_mm"] / scatter.rms if scatter.rms > 0 else math.inf
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         return [
-            f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its touches "
-            f"suggest {mm(max(as_drawn, SHOWN))} or less, and with these priors the calibrated tip may be off by "
-            f"{mm(now)} (--accuracy, --prior)"
+            f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
+            f"residuals suggest about {mm(max(as_drawn, SHOWN))}, and with these priors the calibrated tip may be off "
+            f"by {mm(now)} (--accuracy, --prior)"
         ]
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return []

@@ -14,6 +14,7 @@ from casacal.uncertainty.discrepancy import at_most, errors_are_shared
 from casacal.uncertainty.joint_repeatability import is_usual, repeats_to
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.uncertainty.scores import CLEAR
+from casacal.uncertainty.workspace import spread_rms
 from casacal.wording import capital, chance, listed, lower, mm, shortened, sized, times
 
 NOISE_BAND = (0.9, 1.1)  # found over stated noise: an interval outside this band is worth a warning
@@ -155,8 +156,10 @@ def _noise(calibration: Calibration) -> Doubt | None:
 
 
 def _loose_priors(calibration: Calibration) -> Doubt | None:
-    prior_tip, tip = calibration.tip_std
-    before = calibration.metrics["before"]["fit"]
+    (prior_tip, tip), before = calibration.tip_std, calibration.metrics["before"]["fit"]
+    if not math.isfinite(prior_tip):  # a flat prior says nothing that samples could contradict; the others do
+        (_, tips, slopes), stds = calibration.workspace, calibration.motion.arm.prior_std
+        prior_tip = spread_rms(np.diag(np.where(np.isfinite(stds), stds, 0.0) ** 2), slopes, tips)
     assert before is not None
     if tip < SETTLED * prior_tip:
         return None

@@ -109,8 +109,7 @@ def prior_scatter(bound: BoundProblem, *, flat_counts: bool = False) -> PriorSca
 
 def _with_proposals_free(bound: BoundProblem) -> BoundProblem:
     """What is held just where the drawn arm has it took over the drawn arm's errors, as if it had been fitted."""
-    datum = [slot for slot in bound.slots if slot.datum and slot.unknown.nominal is None]
-    held = {slot.key for slot in datum if getattr(slot.unknown, "held_as_proposed", False)}
+    held = {slot.key for slot in bound.slots if slot.datum and slot.held_as_drawn}
     return bound.under(bound.problem.free(*sorted(held))) if held else bound
 
 
