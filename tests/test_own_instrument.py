@@ -22,6 +22,7 @@ from casacal import (
     Parameter,
     Plane,
     Problem,
+    ProblemError,
     SimulationError,
     bind,
     calibrate,
@@ -174,10 +175,35 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
             verdict = verdict_of(found)
             assert verdict.level == "do not use"  # it misses its planes by far
             assert "tip error" not in verdict.words
+            assert "is held where" not in verdict.words  # no arm was fitted to anything
             assert found.summary()
     assert main(["calibrate", str(hsr.path), "--fix", names, "--out", str(tmp_path)]) in (0, 1)
     assert json.loads((tmp_path / "result.json").read_text())["identifiability"]["unknowns"] == 0
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("gives", "says"),
+    [
+        (lambda: (1.0, 2.0), r"`propose` of Wire gave 1\.0, 2\.0 for 'post'\. Give 3 finite numbers"),
+        (lambda: (1.0, 2.0, math.nan), r"gave 1\.0, 2\.0, nan for 'post'"),
+        (lambda: "here", r"`propose` of Wire failed for 'post': ValueError: .*Mend it, or leave it out"),
+        (lambda: 1 / 0, r"failed for 'post': ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_proposal_that_is_none_is_refused_by_name(tmp_path, gives, says):
+    problem = load_problem(written(tmp_path, "wire")).problem
+    samples = simulate(problem, samples=40, seed=0).samples
+    kind = type(problem.instrument)
+
+    class Wire(kind):
+        unknowns: ClassVar = {**problem.instrument.unknowns, "post": Parameter(None, labels=("_x", "_y", "_z"))}
+
+        def propose(self, key, sight):
+            return gives()
+
+    with pytest.raises(ProblemError, match=says):
+        bind(Problem(problem.robot, Wire()), samples)
 
 
 @pytest.mark.long

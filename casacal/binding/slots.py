@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,14 +12,14 @@ from casacal.array_types import Array, Index
 from casacal.binding.nominal import nominal_sight
 from casacal.binding.proposal import Place, sought
 from casacal.discrepancy.effect import Site
-from casacal.errors import ProblemError, came
-from casacal.instruments import Instrument
+from casacal.errors import CasacalError, ProblemError, came, said
+from casacal.instruments import Instrument, Sight
 from casacal.instruments.instrument import NoProposalError
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
 from casacal.tables.columns import Labels
 from casacal.unknowns import Parameter, Unknown
-from casacal.values import Value, read_only
+from casacal.values import Value, read_only, short
 from casacal.wording import counted
 
 
@@ -68,6 +67,24 @@ def _check_rows(
     raise ProblemError(
         f"{samples.file}: '{which}' has {counted(rows, 'row')} for {counted(flat, 'unknown')} of its own", fix
     )
+
+
+def _proposed(instrument: Instrument, key: str, unknown: Unknown, sight: Sight) -> Array | None:
+    """What an instrument proposes, None where residuals are to find it; raises ProblemError for what is no nominal."""
+    whose = f"`propose` of {type(instrument).__name__}"
+    try:
+        found = np.asarray(instrument.propose(key, sight), dtype=np.float64)
+    except NoProposalError:
+        return None
+    except CasacalError:
+        raise
+    except Exception as error:
+        fix = "Mend it, or leave it out: the residuals then find where it stands"
+        raise ProblemError(f"{whose} failed for '{key}': {said(error)}", fix) from error
+    if found.shape != (unknown.nominal_size,) or not np.isfinite(found).all():
+        what = f"{whose} gave {short(np.ravel(found).tolist())} for '{key}'"
+        raise ProblemError(what, f"Give {unknown.nominal_size} finite numbers, as `encode` of its kind does")
+    return found
 
 
 ENOUGH = 20_000  # rows of a face that propose where it is
@@ -161,8 +178,7 @@ def make_slots(problem: Problem, samples: Sequence[Samples], known: Mapping[str,
                     _check_rows(problem, i, unknown, label or key, len(rows), samples[i], fits_all=fits_all)
                 if nominal is None:
                     few = samples[i].take(rows[:: -(-len(rows) // ENOUGH) or 1])
-                    with contextlib.suppress(NoProposalError):
-                        nominal = instrument.propose(key, nominal_sight(problem, i, few))
+                    nominal = _proposed(instrument, key, unknown, nominal_sight(problem, i, few))
                 places.append(Place(name, key, unknown, rows, nominal))
                 add(full, unknown, label, np.zeros(0) if nominal is None else nominal, key in instrument.datum)
         if any(place.nominal is None for place in places):

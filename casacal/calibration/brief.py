@@ -12,7 +12,7 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubt import VERIFY
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.told import verdict_lines, where_told
-from casacal.calibration.verdict import Verdict, verdict_of, wrong_with_samples
+from casacal.calibration.verdict import Verdict, held_as_drawn, priors_contradicted, verdict_of, wrong_with_samples
 from casacal.calibration.warnings import doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
@@ -75,8 +75,9 @@ def _best(calibration: Calibration) -> Cure | None:
 
 
 def _repair(calibration: Calibration, check: str) -> str:
-    reference = calibration.reference
-    wrong = wrong_with_samples(calibration)
+    reference, wrong = calibration.reference, wrong_with_samples(calibration)
+    if held_as_drawn(calibration):
+        return "free it, or state in the problem where it is, and calibrate again."
     if wrong:
         for name in re.findall(r"--set (\S+?)=", wrong[0].fix):  # what is to be set otherwise is not set so again
             check = re.sub(rf" --set {re.escape(name)}=\S+", "", check)
@@ -87,6 +88,8 @@ def _repair(calibration: Calibration, check: str) -> str:
         if calibration.method in MINIMISERS:
             return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
         return "use --method lm or sckf-lm, which go to the minimum."
+    if priors_contradicted(calibration):
+        return "state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
     if math.isfinite(calibration.tip_std[1]):
         return f"run {check}, which looks closer at the samples."
     cure = _best(calibration)

@@ -23,6 +23,8 @@ WORSE = 1.1  # residual after over before, on the very rows that were fitted, ab
 EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
 BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
 
+FARTHEST = 1e5  # mm or rad that a number of an arm may be, as result.schema.json says
+
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
 
@@ -93,7 +95,8 @@ def _expected(calibration: Calibration) -> str:
 
 def _against(calibration: Calibration) -> list[tuple[str, str]]:
     """What makes a result unusable: a clause for the verdict's sentence, and a sentence of its own."""
-    found = [(clause, sentence(clause)) for clause in _held_as_drawn(calibration)]  # it may look like wrong samples
+    found = [(clause, sentence(clause)) for clause in held_as_drawn(calibration)]  # it may look like wrong samples
+    found += [(clause, sentence(clause)) for clause in _out_of_reach(calibration)]
     found += [
         (f"the samples look wrong ({error.about})", sentence(str(error).removeprefix("error: ").removesuffix(".")))
         for error in wrong_with_samples(calibration)
@@ -101,7 +104,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if not calibration.result.converged:
         found.append(("the method did not finish", calibration.result.message))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    for look in (_unexplained, _priors_contradicted):
+    for look in (_unexplained, priors_contradicted):
         found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
@@ -136,7 +139,18 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
     ]
 
 
-def _held_as_drawn(calibration: Calibration) -> list[str]:
+def _out_of_reach(calibration: Calibration) -> list[str]:
+    """Numbers that wandered off where neither samples nor a prior hold them."""
+    fit, x = calibration.fit, calibration.used_x
+    far = [(name, nominal + x[j]) for name, _, nominal, j in fit.parameters() if j is not None]
+    far = [(name, value) for name, value in far if not abs(value) < FARTHEST]
+    if not far or not calibration.result.converged:
+        return []
+    name, value = far[0]
+    return [f"{name} ended at {value:.3g}, where no arm is: neither samples nor a prior hold it (--prior {name}=STD)"]
+
+
+def held_as_drawn(calibration: Calibration) -> list[str]:
     """Faces and the like that took over the drawn arm's errors, so that the arm was fitted to these."""
     names = dict.fromkeys(slot.key for slot in calibration.fit.slots if slot.held_as_drawn)
     if not names or not calibration.fit.unknowns:
@@ -169,7 +183,7 @@ def _unexplained(calibration: Calibration) -> list[str]:
     return []
 
 
-def _priors_contradicted(calibration: Calibration) -> list[str]:
+def priors_contradicted(calibration: Calibration) -> list[str]:
     """Priors that the samples contradict, and that yet decide most of where the tip is."""
     if not calibration.fit.unknowns:
         return []
@@ -177,8 +191,8 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     if far > BENT:
         worst = calibration.fit.names[int(np.argmax(calibration.moves))]
         return [
-            f"{worst} moved by {times(far)} prior standard deviations. If the arm really is so far from its drawing, "
-            "state wider priors (--accuracy, --prior)"
+            f"{worst} moved by {times(far)} prior standard deviations. If it really is so far from what the problem "
+            "says, state a wider prior (--prior, or --accuracy for the whole arm)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     assert drawn is not None
@@ -187,8 +201,8 @@ def _priors_contradicted(calibration: Calibration) -> list[str]:
     if math.isfinite(before) and now > as_drawn and scatter.chance_below(drawn["rmse_mm"]) < TOO_LOOSE:
         return [
             f"the priors are too loose for this arm: they allow a tip error of {mm(before)} as drawn, but its "
-            f"residuals suggest about {mm(max(as_drawn, SHOWN))}, and with these priors the calibrated tip may be off "
-            f"by {mm(now)} (--accuracy, --prior)"
+            f"residuals suggest about {mm(max(as_drawn, SHOWN))}, which is less than these priors leave after "
+            "calibrating (--accuracy, --prior)"
         ]
     if far <= FAR or now <= LEFT_TO_PRIORS * before:
         return []

@@ -67,7 +67,7 @@ def _far_parameters(calibration: Calibration) -> Doubt | None:
         said += f"Together they moved {factor}"
     return Doubt(
         "parameters moved far beyond their priors",
-        f"{said}. Either the priors are too tight for this arm by about that factor (--accuracy, --prior), or the "
+        f"{said}. Either these priors are too tight for this arm (--accuracy, --prior), or the "
         f"samples are wrong; {_what_check_says(calibration)}.",
         WIDEN if calibration.suspicious else "",
     )
