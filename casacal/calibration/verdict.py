@@ -192,7 +192,7 @@ def priors_contradicted(calibration: Calibration) -> list[str]:
         worst = calibration.fit.names[int(np.argmax(calibration.moves))]
         return [
             f"{worst} moved by {times(far)} prior standard deviations. If it really is so far from what the problem "
-            "says, state a wider prior (--prior, or --accuracy for the whole arm)"
+            "says, state wider priors (--prior, or --accuracy for the whole arm)"
         ]
     drawn, scatter = calibration.metrics["before"]["fit"], prior_scatter(calibration.bare)
     assert drawn is not None

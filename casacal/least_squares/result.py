@@ -40,7 +40,10 @@ class Status(Enum):
     )
     STUCK = "No step lowers the cost although the gradient is not zero. Check units, signs and priors."
     NOT_FINITE = "The model gave values that are not finite. Check the samples and the nominal values."
-    WORSE = "The estimate fits the samples worse than the arm as drawn. Use lm or sckf-lm, or check the samples."
+    WORSE = (
+        "The estimate fits the samples worse than the arm as drawn. "
+        "Use lm or sckf-lm with priors that are not flat, or check the samples."
+    )
     FAR = "One pass over the rows ended far from the minimum for the accuracy that it claims. Use lm or sckf-lm."
     SOLVER = "The solver gave up before reaching its tolerance. Compare with lm; check units, signs and priors."
 
