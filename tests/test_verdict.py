@@ -272,6 +272,7 @@ def test_an_arm_that_is_far_better_than_its_priors_stays_as_drawn(hsr, seed):
     good = calibrate(hsr.problem, in_cell(hsr, seed, error_scale=0.1))
     assert verdict_of(good).level == "do not use"
     assert "too loose" in verdict_of(good).words
+    assert next_step(good, verdict_of(good)).startswith("state priors that fit the arm")
     told = casacal.scaled_to_accuracy(hsr.problem, 0.3)
     assert verdict_of(calibrate(told, in_cell(hsr, seed, error_scale=0.1))).level != "do not use"
 
@@ -517,6 +518,7 @@ def test_what_is_held_where_the_drawn_arm_has_it_denies_the_result(hsr, clean, c
     assert found.denied
     assert f"is held where the arm as drawn has it ({held.removesuffix('_x')})" in said.words
     assert math.isnan(found.tip_std[1])
+    assert next_step(found, said).startswith("free it")
     again = problem.fix(held).free(held)
     assert "is held" not in verdict_of(calibrate(again, samples, method="lm", reference=False)).words
 
