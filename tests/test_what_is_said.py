@@ -3,6 +3,7 @@
 import io
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -185,16 +186,21 @@ def with_a_dial_the_other_way_round(folder, simulation):
 
 
 @pytest.mark.long
-def test_a_plan_after_samples_that_look_wrong_says_so(corner_simulation, tmp_path, capsys):
+def test_a_plan_after_samples_that_look_wrong_is_refused(corner_simulation, tmp_path, capsys):
     turned, out = with_a_dial_the_other_way_round(tmp_path, corner_simulation), str(tmp_path / "plan")
     asked = ["plan", str(HSR), "--touches", "8", "--pool", "100", "--out", out, "--after"]
-    assert main([*asked, turned]) == 0
-    said = spoken(capsys)
-    assert f"{turned} looks wrong (wrong dial sign)" in said
-    assert f"casacal check {HSR} {turned}" in said
-    write_samples(tmp_path / "right.csv", corner_simulation.problem.layout(), corner_simulation.samples, [])
-    assert main([*asked, str(tmp_path / "right.csv")]) == 0
-    assert "looks wrong" not in capsys.readouterr().out
+    assert main([*asked, turned]) == 2
+    said = capsys.readouterr()
+    assert f"{turned} looks wrong (wrong dial sign)" in said.err
+    assert f"casacal check {HSR} {turned}" in said.err
+    assert said.out == ""
+    assert not Path(out).exists()
+    rows = corner_simulation.samples
+    off = replace(rows, columns={"reading": rows.columns["reading"] + 2.0 * (np.arange(len(rows)) == 7)})
+    for name, made, warned in (("right", rows, False), ("off", off, True)):
+        write_samples(tmp_path / f"{name}.csv", corner_simulation.problem.layout(), made, [])
+        assert main([*asked, str(tmp_path / f"{name}.csv")]) == 0
+        assert ("looks wrong (lost revolution)" in spoken(capsys)) is warned
 
 
 @pytest.mark.long

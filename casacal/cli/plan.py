@@ -70,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
     source = of_instrument(load_problem(options.problem), options.instrument)
     outs = [options.out, *([] if options.sheet is None else [options.sheet])]
     spare(outs, *(file.path for file in source.files), source.samples, options.targets, options.after)
+    warned = _wrong_with(source, options)
     clearance = clearance_of(options, source.problem)
     found = _planned(source, options, clearance)
     written = _written(source, options, found, clearance)
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     if options.setups or (source.problem.instrument.probe is not None and options.after is None and fitted <= POOL):
         box, targets = where(options, source)
         compared = set_ups(source.problem, source.cell, touches=fitted, box=box, targets=targets, seed=options.seed)
-    warned = [*_too_few(source, found, fitted, options), *_wrong_with(source, options)]
+    warned = [*_too_few(source, found, fitted, options), *warned]
     if options.json:
         say_json({**document(found, compared, written, clearance), "warnings": warned})
         return DONE
@@ -116,17 +117,22 @@ def _too_few(source: ProblemFile, found: Plan, fitted: int, options: argparse.Na
 
 
 def _wrong_with(source: ProblemFile, options: argparse.Namespace) -> list[str]:
-    """A warning where the samples that were measured before look wrong: then the arm is not known as they say."""
+    """A warning of single rows that look wrong among the samples that were measured before.
+
+    Raises CasacalError where more of them does: then they do not tell the arm, and no figure that rests on it is true.
+    """
     from casacal.checks import check
 
     after = options.after
     found = [] if after is None else check(source.problem, source.problem.read(after))
-    wrong = [finding.about for finding in found if finding.severity == "error"]
+    wrong = [finding for finding in found if finding.severity == "error"]
     if not wrong:
         return []
-    where = shlex.join([options.problem, after])
-    return [f"{after} looks wrong ({', '.join(wrong)}), so this plan is for an arm that is not known yet. "
-            f"Run casacal check {where} and mend them first"]  # fmt: skip
+    what = f"{after} looks wrong ({', '.join(finding.about for finding in wrong)})"
+    fix = f"Run casacal check {shlex.join([options.problem, after])} and mend the samples first"
+    if not all(finding.lines for finding in wrong):
+        raise CasacalError(f"{what}, so nothing can be planned on what it says of the arm", fix)
+    return [f"{what}. {fix}"]
 
 
 def _planned(source: ProblemFile, options: argparse.Namespace, clearance: Clearance | None) -> Plan:
