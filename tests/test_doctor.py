@@ -129,6 +129,14 @@ def test_planted_faults_are_named(hsr, corner_simulation, name, tmp_path, capsys
         assert found == {line + 2 for line in lines}  # a comment and the header stand above
 
 
+def test_rows_that_were_pasted_again_count_once(hsr, corner_simulation):
+    """Counted twice, they look surer than they are: noise then passes for an error that neighbours share."""
+    once, rows = corner_simulation.samples, len(corner_simulation.samples)
+    alone, pasted = check(hsr.problem, once), check(hsr.problem, once.take([*range(rows)] * 4))
+    assert [each.about for each in pasted if each.lines] == ["repeated rows"]
+    assert [each for each in pasted if not each.lines] == [each for each in alone if not each.lines]
+
+
 @pytest.mark.long_unless("two gross outliers")
 @pytest.mark.parametrize(
     "name",

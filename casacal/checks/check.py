@@ -25,6 +25,7 @@ from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.measurements import Measurements
+from casacal.samples.repeats import without_copies
 from casacal.samples.samples import Samples
 from casacal.uncertainty.figures import noise_interval
 from casacal.uncertainty.prior_moves import prior_scatter
@@ -62,6 +63,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     samples = Measurements.of(samples).sets[0]
     findings = [*repeated(samples), *outside(problem, samples)]
     findings += [*absent_labels(problem, samples), *odd_labels(problem, samples), *lost_steps(problem, samples)]
+    samples = without_copies(samples)  # as calibrate takes them
     try:
         bound = bind(problem, samples)
     except CasacalError as error:
