@@ -182,6 +182,10 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
     capsys.readouterr()
 
 
+def refuse(what, fix):
+    raise ProblemError(what, fix)
+
+
 @pytest.mark.parametrize(
     ("gives", "says"),
     [
@@ -189,6 +193,7 @@ def test_every_unknown_held_says_that_nothing_was_estimated(hsr, tmp_path, capsy
         (lambda: (1.0, 2.0, math.nan), r"gave 1\.0, 2\.0, nan for 'post'"),
         (lambda: "here", r"`propose` of Wire failed for 'post': ValueError: .*Mend it, or leave it out"),
         (lambda: 1 / 0, r"failed for 'post': ZeroDivisionError: division by zero"),
+        (lambda: refuse("Too few posts", "Take more"), "^Too few posts. Take more.$"),
     ],
 )
 def test_a_proposal_that_is_none_is_refused_by_name(tmp_path, gives, says):
