@@ -551,8 +551,12 @@ def test_numbers_that_nothing_holds_deny_the_result(clean, monkeypatch):
     import casacal.calibration.verdict as module
 
     assert not clean.denied
-    monkeypatch.setattr(module, "FARTHEST", 1000.0)
-    assert verdict_of(clean).words.startswith("Do not use this result: d4 ended at 1.03e+03, where no arm is")
+    monkeypatch.setattr(module, "FARTHEST", 0.5)
+    moved = clean.parameters["change"].abs()
+    assert (moved > 0.5).sum() >= 1
+    name = moved.index[moved > 0.5][0]
+    said = verdict_of(clean).words
+    assert said.startswith(f"Do not use this result: {name} moved by {clean.parameters['change'][name]:.3g}, as no arm")
 
 
 def test_a_flat_prior_does_not_hide_that_the_others_are_too_loose(hsr):

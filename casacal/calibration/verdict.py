@@ -23,7 +23,7 @@ WORSE = 1.1  # residual after over before, on the very rows that were fitted, ab
 EXPLAINED = 0.5  # residual after over before, above which a fit that does not reach the noise has explained nothing
 BENT = 10.0  # prior standard deviations by which no arm differs from its drawing; who knows better states wider priors
 
-FARTHEST = 1e5  # mm or rad that a number of an arm may be, as result.schema.json says
+FARTHEST = 1e5  # mm or rad beyond which a number of an arm wandered off; result.schema.json takes none so large
 
 TOO_LOOSE = 1e-3
 """Chance below which a drawn arm that misses so little contradicts its priors, and these must not decide."""
@@ -141,13 +141,12 @@ def _missed_minimum(calibration: Calibration) -> list[str]:
 
 def _out_of_reach(calibration: Calibration) -> list[str]:
     """Numbers that wandered off where neither samples nor a prior hold them."""
-    fit, x = calibration.fit, calibration.used_x
-    far = [(name, nominal + x[j]) for name, _, nominal, j in fit.parameters() if j is not None]
-    far = [(name, value) for name, value in far if not abs(value) < FARTHEST]
+    moved = {name: calibration.used_x[j] for name, _, _, j in calibration.fit.parameters() if j is not None}
+    far = [name for name, by in moved.items() if not abs(by) < FARTHEST]
     if not far or not calibration.result.converged:
         return []
-    name, value = far[0]
-    return [f"{name} ended at {value:.3g}, where no arm is: neither samples nor a prior hold it (--prior {name}=STD)"]
+    said = f"{far[0]} moved by {moved[far[0]]:.3g}, as no arm does"
+    return [f"{said}: neither samples nor a prior hold it (--prior {far[0]}=STD)"]
 
 
 def held_as_drawn(calibration: Calibration) -> list[str]:
