@@ -280,6 +280,7 @@ def test_bad_problem_files_are_refused_in_one_line(run, tmp_path, name):
         (["calibrate", HSR, "--set", "sign=1", "--set", "sign=-1"], "--set gives 'sign' twice"),
         (["calibrate", HSR, "--prior", "a3=1", "--prior", "a3=2"], "--prior gives 'a3' twice"),
         (["calibrate", HSR, "--fix", "a3", "--free", "a3"], "'a3' is both freed (--free) and held (--fix)"),
+        (["calibrate", HSR, "--fix", "a", "--prior", "a3=1"], "'a3' is both given a prior (--prior) and held (--fix)"),
         (["calibrate", HSR, "--fix", "alpha", "--free", "alpha2"], "'alpha2' is both freed (--free) and held (--fix)"),
         (["check", HSR, "--fix", ""], "--fix is empty"),
         (["calibrate", HSR, "--method", "lm", "--loss", "cauchy"], "invalid choice"),

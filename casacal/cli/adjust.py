@@ -41,13 +41,13 @@ def adjusted(problem: Problem, options: argparse.Namespace) -> Problem:
         example = "sign=-1, noise_std=0.02 or travel=-5:5"
         problem = problem.with_settings(_read("--set", options.set, "NAME=NUMBER", example, number_or_range))
     free, fix = names_of("--free", options.free), names_of("--fix", options.fix)
-    problem = problem.free(*free)
-    problem = problem.with_prior(numbers_of("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5"))
-    problem = problem.fix(*fix)
-    left = problem.free_names() if fix else free
-    for name in free:
-        if name not in left:
-            raise CasacalError(f"'{name}' is both freed (--free) and held (--fix)", "Give it in one of the two")
+    priors = numbers_of("--prior", options.prior, "NAME=STD", "mm or rad, such as a3=0.5")
+    problem = problem.free(*free).with_prior(priors).fix(*fix)
+    left = problem.free_names() if fix else [*free, *priors]
+    for asked, names in (("freed (--free)", free), ("given a prior (--prior)", priors)):
+        for name in names:
+            if name not in left:
+                raise CasacalError(f"'{name}' is both {asked} and held (--fix)", "Give it in one of the two")
     return problem
 
 

@@ -25,6 +25,7 @@ from casacal.robots.robot import Robot
 from casacal.samples.repeats import copies, fitted_among, in_fitted_postures
 from casacal.samples.samples import Samples
 from casacal.verification.fresh import Fresh, fresh_rows
+from casacal.wording import listed
 
 SAME = 1e-6  # difference (mm; of a rotation's elements) of two poses below which arms are one
 COMPARED = 8  # random joint values at which they are compared
@@ -191,13 +192,29 @@ def _fresh_among(arm: CalibratedArm, source: ProblemFile, rows: Samples, *, othe
     )
     fresh = once.take(np.flatnonzero(~seen))
     told = Told(arm, NOTHING_TOLD) if other else Told.by(arm, fresh)
-    remarks = told.beyond if other else (*told.beyond, *_same_postures(fresh, source, data.get("fitted_rows")))
+    remarks = told.beyond
+    if not other:
+        remarks += (*_unlabelled(fresh, source, arm), *_same_postures(fresh, source, data.get("fitted_rows")))
     return Opened(told.arm, arm, source, fresh, copied, fitted, other, remarks)
 
 
-def _same_postures(fresh: Samples, source: ProblemFile, listed: Mapping[str, Any] | None) -> list[str]:
+def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list[str]:
+    """That rows do not say which face they are on, where those that were fitted were on several."""
+    groups = source.problem.instrument.groups
+    if groups is None or fresh.labels[groups].names != (groups,):
+        return []
+    known = {row["name"].split(".")[1] for row in arm.document.get("unknowns", ()) if row["name"].count(".") > 1}
+    if len(known) < 2:
+        return []
+    return [
+        f"The rows have no column '{groups}' and count as one, while the calibration knows {listed(sorted(known))}: "
+        "add the column if they are on several."
+    ]
+
+
+def _same_postures(fresh: Samples, source: ProblemFile, fitted: Mapping[str, Any] | None) -> list[str]:
     """That most rows are in postures that were fitted, which a result with wrong parameters predicts as well."""
-    again = 0 if listed is None else int(in_fitted_postures(fresh, source.problem.layout(), listed).sum())
+    again = 0 if fitted is None else int(in_fitted_postures(fresh, source.problem.layout(), fitted).sum())
     if again < SPENT * len(fresh):
         return []
     return [
