@@ -54,6 +54,8 @@ class Operator:
     open: dict[int, tuple[str, bool, int]] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     tried: set[int] = field(default_factory=set)
+    std: float = math.inf
+    """Of what was to be expected of the touch before, mm."""
 
     def line(self, number: int) -> str:
         """What he types for a touch of the plan."""
@@ -87,6 +89,7 @@ class Operator:
 
     def judged(self, number: int, std: float) -> None:
         """Note how large a slip was beside what could be expected there."""
+        self.std = std
         if number in self.open:
             kind, _, when = self.open[number]
             gross = abs(self.world.off(*self._wrong)) > GROSS * std
@@ -100,13 +103,22 @@ class Operator:
         if found is None:
             self.counts["doubted beside a slip" if self.open else "doubted wrongly"] += 1
             return "k"
-        kind, gross, when = self.open.pop(found[1])
+        self._named(found[1], first=found == suspects[0])
+        return f"u {found[0]}"
+
+    def refused(self, number: int) -> None:
+        """A reading that no such dial shows is not taken: he looks, and types it again."""
+        if number in self.open:
+            self.judged(number, self.std)
+            self._named(number, first=True)
+
+    def _named(self, number: int, *, first: bool) -> None:
+        kind, gross, when = self.open.pop(number)
         now = self.counts["touches"] - when <= 1
         for name, is_so in (("named", True), ("named at once", now), ("gross named", gross),
                             ("gross at once", gross and now), (f"gross {kind} at once", gross and now),
-                            ("gross first", gross and now and found == suspects[0])):  # fmt: skip
+                            ("gross first", gross and now and first)):  # fmt: skip
             self.counts[name] += is_so
-        return f"u {found[0]}"
 
     def _slipped(self, kind: str, value: float) -> float:
         if kind == "sign":
@@ -156,6 +168,14 @@ class Terminal:
         return self.process.wait(PATIENCE)
 
 
+def expected(said: str) -> float | None:
+    """Standard deviation (mm) of what was expected of the last touch, where the session told it."""
+    if told := re.search(r"\(standard deviation ([\d.e+-]+) mm\)", said):
+        return float(told[1])
+    doubted = re.search(r"is off by ([\d.e+-]+) mm, ([\d.e+-]+) times what was to be expected", said)
+    return float(doubted[1]) / float(doubted[2]) if doubted else None
+
+
 def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> Operator:
     """A session from beginning to end."""
     source, route = route_of(problem)
@@ -166,8 +186,10 @@ def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> 
     number, over = 0, False
     while not over:
         said, over = terminal.heard()
-        if (off := re.search(r"where ([\d.e+-]+) was to be expected", said)) is not None and number:
-            operator.judged(number, float(off[1]))
+        if number and "outside the dial's range" in said:
+            operator.refused(number)
+        elif number and (std := expected(said)) is not None:
+            operator.judged(number, std)
         if over:
             operator.counts["met"] = "within the tolerance" in said and "not within" not in said
             break
