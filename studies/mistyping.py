@@ -204,6 +204,8 @@ def held(world: World, problem: str, rng: np.random.Generator, folder: Path) -> 
             number = 0
             terminal.type("q")
     terminal.close()
+    if not math.isfinite(operator.std):  # else no slip would count as gross, and nobody would know why
+        raise RuntimeError("casacal measure never said what was to be expected of a touch in words that are known here")
     return operator
 
 

@@ -203,7 +203,7 @@ def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list
     groups = source.problem.instrument.groups
     if groups is None or fresh.labels[groups].names != (groups,):
         return []
-    known = {row["name"].split(".")[1] for row in arm.document.get("unknowns", ()) if row["name"].count(".") > 1}
+    known = {row["name"].split(".")[-2] for row in arm.document.get("unknowns", ()) if row["name"].count(".") > 1}
     if len(known) < 2:
         return []
     return [
