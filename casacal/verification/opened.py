@@ -203,7 +203,9 @@ def _unlabelled(fresh: Samples, source: ProblemFile, arm: CalibratedArm) -> list
     groups = source.problem.instrument.groups
     if groups is None or fresh.labels[groups].names != (groups,):
         return []
-    known = {row["name"].split(".")[-2] for row in arm.document.get("unknowns", ()) if row["name"].count(".") > 1}
+    keys = [key for key, unknown in source.problem.instrument.unknowns.items() if unknown.per == groups]
+    names = [row["name"].split(".") for row in arm.document.get("unknowns", ())]
+    known = {name[-2] for name in names if len(name) > 2 and name[-3] in keys}
     if len(known) < 2:
         return []
     return [
