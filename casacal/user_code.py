@@ -9,7 +9,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -29,7 +29,8 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
     """Run a Python file as a module of its own, with the modules beside it importable; returns the module.
 
     Neither the file nor what it imports from its folder stays in `sys.modules`, so that files of the same name in other
-    folders do not meet. Lets pass whatever the file raises.
+    folders do not meet. What the file prints goes to the errors, so that a program may read casacal's output. Lets pass
+    whatever the file raises.
 
     Args:
         path: of the file; it need not exist where `text` is given.
@@ -40,7 +41,7 @@ def run_file(path: str | Path, text: str | None = None) -> ModuleType:
     source = file.read_bytes() if text is None else text.encode("utf-8")
     module = ModuleType(f"casacal_user_{hashlib.sha256(str(file).encode() + source).hexdigest()[:16]}")
     module.__file__ = str(file)
-    with _IMPORTING, _folder_first(file.resolve().parent) as beside:
+    with _IMPORTING, redirect_stdout(sys.stderr), _folder_first(file.resolve().parent) as beside:
         sys.modules[module.__name__] = module  # dataclasses look there for the names in annotations
         try:
             exec(compile(source, str(file), "exec"), vars(module))

@@ -642,6 +642,8 @@ def test_the_command_writes_each_form(place, calibrated, tmp_path, capsys, to, n
         (["--to", "dh", "--out", "o.toml", "--source", "ur5.csv"], "Let both names end in .csv, or both in .toml"),
         (["--to", "urdf", "--out", "o.urdf"], "was not built from a URDF"),
         (["--to", "zeros", "--out", "o.csv", "--source", "ur5.csv"], "Leave out --source"),
+        (["--to", "dh", "--out", "o.csv", "--prefix", "arm"], "Leave out --prefix"),
+        (["--to", "frame", "--out", "o.toml", "--faces", "a,b,c", "--prefix", "arm"], "Leave out --prefix"),
         (["--to", "stl", "--out", "o.stl"], "invalid choice"),
         (["--to", "dh", "--out", "o.csv", "--source", "none.csv"], "no such file"),
     ],

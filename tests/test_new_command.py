@@ -147,6 +147,7 @@ def test_an_arm_that_touches_no_three_faces_is_told_why(place, capsys):
         (["new", "mine", "--urdf", "ur5.urdf", "--tip", "tool1"], "no link named 'tool1'"),
         (["new", "problems/mine", "--dh", "ur5.csv"], "--out says where it goes"),
         (["new", "ur5.csv", "--dh", "ur5.csv"], "exists already"),
+        (["new", "mine", "--dh", "ur5.csv", "--tool", "0,0,0.12"], "a tool of 0.12 mm. Give it in mm: 0.12 m are 120"),
         (["new", "mine", "--dh", "ur5.csv", "--out", "ur5.csv"], "cannot be written"),
     ],
 )

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -106,6 +107,15 @@ def test_json_tells_of_what_went_wrong_by_the_same_codes(capsys, place, tmp_path
     assert missed["line"] == 2
     assert missed["meaning"]
     assert missed["outcome"] != "reached"
+
+
+def test_what_a_problem_file_prints_does_not_get_into_json(capsys, tmp_path):
+    shutil.copytree(HSR, tmp_path / "arm")
+    text = (tmp_path / "arm/problem.py").read_text()
+    (tmp_path / "arm/problem.py").write_text(f"{text}\nprint('here I am')\n")
+    code, out, err = call(capsys, "check", tmp_path / "arm", "--json")
+    assert (code, json.loads(out)["counts"]["error"]) == (0, 0)
+    assert "here I am" in err
 
 
 def test_json_of_a_box(capsys):

@@ -41,15 +41,16 @@ def run(options: argparse.Namespace) -> int:
         raise CasacalError(f"--to {options.to} has no work object", "Leave out --faces and --points")
     if options.source is not None and options.to not in ("dh", "urdf"):
         raise CasacalError(f"--to {options.to} writes no file back", "Leave out --source")
+    if options.prefix is not None and options.to != "c":
+        raise CasacalError(f"--to {options.to} has no names of functions", "Leave out --prefix")
     result = read_arm(options, options.source)
-    prefix = options.prefix if options.to == "c" else None
     if options.to == "frame":
         faces, points = (
             text and tuple(part.strip() for part in text.split(",")) for text in (options.faces, options.points)
         )
         write_text(options.out, frame_text(result, faces=faces, points=points, force=options.force))
     else:
-        export(result, options.to, options.out, source=options.source, prefix=prefix, force=options.force)
+        export(result, options.to, options.out, source=options.source, prefix=options.prefix, force=options.force)
     remarks = remark(result, form=options.to)
     if options.json:
         said = {"form": options.to, "verdict": as_exported(result, options.to).verdict, "remarks": remarks}

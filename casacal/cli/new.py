@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from casacal.cli.adjust import number_or_range
 from casacal.cli.common import DONE, add
@@ -10,6 +11,7 @@ from casacal.cli.terminal import say_paragraphs
 from casacal.errors import CasacalError
 
 HELP = "make a problem folder from a DH table or a URDF"
+SHORTEST = 2.0  # mm; a tool shorter than this was given in metres
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,4 +71,7 @@ def _triple(text: str) -> tuple[float, float, float]:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise CasacalError(f"--tool {text} is not X,Y,Z", "Give three numbers of mm, such as 0,0,120") from None
+    if 0 < math.hypot(x, y, z) < SHORTEST:
+        far = f"{math.hypot(x, y, z):g} mm"
+        raise CasacalError(f"--tool {text} is a tool of {far}", "Give it in mm: 0.12 m are 120")
     return x, y, z

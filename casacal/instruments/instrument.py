@@ -185,7 +185,7 @@ def check_declaration(instrument: object) -> None:
             f"Got {came(instrument)} as an instrument", "Give instruments one by one, such as DialOnPlane"
         )
     name = type(instrument).__name__
-    for what in ("columns", "column_stds", "known_columns", "unknowns"):
+    for what in ("columns", "column_stds", "reading_limits", "begins_at", "known_columns", "unknowns"):
         if not isinstance(getattr(instrument, what), Mapping):
             raise ProblemError(f"{what} of {name} is {came(getattr(instrument, what))}", "Make it a dict by name")
     for column, dimension in instrument.columns.items():
@@ -193,10 +193,11 @@ def check_declaration(instrument: object) -> None:
             raise ProblemError(
                 f"Column '{column}' of {name} is a '{dimension}'", f"Known: {', '.join(get_args(Dimension))}"
             )
-    for column in instrument.column_stds:
-        if column not in instrument.columns:
-            known = ", ".join(instrument.columns) or "none"
-            raise ProblemError(f"column_stds of {name} names '{column}', which is no column", f"Its columns: {known}")
+    for what in ("column_stds", "reading_limits", "begins_at"):
+        for column in getattr(instrument, what):
+            if column not in instrument.columns:
+                known = ", ".join(instrument.columns) or "none"
+                raise ProblemError(f"{what} of {name} names '{column}', which is no column", f"Its columns: {known}")
     for key, unknown in instrument.unknowns.items():
         if not isinstance(unknown, Unknown):
             raise ProblemError(f"Unknown '{key}' of {name} is {came(unknown)}", "Make it a Parameter or its like")
