@@ -1,13 +1,30 @@
-"""The size of the arm: what readings of a dial and a known step say of it."""
+"""The size of the arm: what readings of a dial and a known step say of it, and a dial whose gain is wrong."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from linear import Matrix
 
-from casacal import Face, Problem, Step, bind, gauge_block, ipopt, lm, simulate
+from casacal import (
+    Face,
+    Problem,
+    Step,
+    bind,
+    calibrate,
+    check,
+    dial_gain,
+    gauge_block,
+    ipopt,
+    lm,
+    scaled_to_accuracy,
+    simulate,
+)
+from casacal.calibration.verdict import verdict_of
+from casacal.checks.numbers import SCALE, wrong_scale
 from casacal.errors import ProblemError
 from casacal.instruments import DialOnBody
+from casacal.uncertainty.common_scale import common_scale
 from casacal.uncertainty.workspace import bayesian_bound, conditional_scale_std, marginal_scale_std, workspace_joints
 
 
@@ -87,3 +104,87 @@ def test_steps_and_bodies_that_make_no_sense_are_refused(hsr):
     body = Problem(hsr.problem.robot, DialOnBody(noise_std=0.01, normals={"floor": (0, 0, 1), "wall": (-1, 0, 0)}))
     with pytest.raises(ProblemError, match="the body does not have"):
         bind(body, simulate(hsr.problem, hsr.cell, seed=1).samples)
+
+
+class LinkLengths(Matrix):
+    """Rows that are linear in eight lengths of an arm and in four of its angles."""
+
+    slots, unknowns = (), 12
+    lengths = np.array([600.0, 500.0, 200.0, 150.0, 120.0, 100.0, 0.0, 0.0])
+
+    def parameters(self):
+        yield from ((f"l{j}", "mm", length, j) for j, length in enumerate(self.lengths))
+        yield from ((f"t{j}", "rad", 0.0, 8 + j) for j in range(4))
+
+
+def drawn(rng, *, used, part):
+    """Such rows of an arm that uses so much of its priors, all lengths wrong by a part, and their posterior."""
+    prior, a = np.array([0.7] * 8 + [1e-3] * 4), rng.normal(size=(40, 12)) * ([1.0] * 8 + [500.0] * 4)
+    true = used * prior * rng.normal(size=12) + part * np.append(LinkLengths.lengths, np.zeros(4))
+    y = a @ true + 0.05 * rng.normal(size=40)
+    covariance = np.linalg.inv(a.T @ a / 0.05**2 + np.diag(prior**-2.0))
+    return LinkLengths(a, y, np.zeros(12), prior), covariance @ (a.T @ y / 0.05**2), covariance
+
+
+@pytest.mark.parametrize("used", [0.1, 1.0, 5.0])
+def test_chance_of_a_common_scale_is_one_however_well_priors_fit(used):
+    rng = np.random.default_rng(3)
+    chances = np.array([common_scale(*drawn(rng, used=used, part=0.0)).chance for _ in range(400)])
+    assert np.abs(np.quantile(chances, [0.05, 0.25, 0.5, 0.75]) - [0.05, 0.25, 0.5, 0.75]).max() < 0.08
+    assert 0.02 < (chances < 0.05).mean() < 0.08
+
+
+@pytest.mark.parametrize(("used", "part"), [(0.1, 0.01), (1.0, -0.02), (5.0, 0.1)])
+def test_a_common_scale_is_found_and_what_it_did_to_the_arm_is_told(used, part):
+    rng = np.random.default_rng(4)
+    for size in (part, -part):
+        found = common_scale(*drawn(rng, used=used, part=size))
+        assert found.chance < 1e-4
+        assert found.part == pytest.approx(size, rel=0.5)
+        assert found.off[:6] == pytest.approx(size * LinkLengths.lengths[:6], rel=0.5)
+        assert np.abs(found.off[8:]).max() < 1e-3
+
+
+def showing(samples, times):
+    """The same touches on a dial that shows so many times as much."""
+    readings = times * samples.columns["reading"]
+    return dataclasses.replace(samples, columns={**samples.columns, "reading": readings})
+
+
+def shown(hsr, gain):
+    return showing(simulate(hsr.problem, hsr.cell, samples=90, seed=3).samples, 1 + gain)
+
+
+@pytest.mark.parametrize("accuracy", [None, 30.0])
+def test_a_dial_of_a_wrong_scale_is_refused_however_wide_the_priors(hsr, accuracy):
+    # no residual shows it: the arm grows with the readings, as far as its priors let it
+    problem = hsr.problem if accuracy is None else scaled_to_accuracy(hsr.problem, accuracy)
+    for gain, way in ((-0.01, "small together"), (0.01, "large together")):
+        verdict = verdict_of(calibrate(problem, shown(hsr, gain), reference=False))
+        assert verdict.level == "do not use"
+        assert SCALE in verdict.words
+        assert way in verdict.reasons[0]
+        assert "elsewhere" not in " ".join(verdict.reasons)
+    assert verdict_of(calibrate(problem, shown(hsr, 0.0), reference=False)).level == "calibrated"
+
+
+def test_check_names_the_scale_and_a_gain_that_is_declared_takes_it(hsr):
+    rows = shown(hsr, -0.01)
+    assert [each.about for each in check(hsr.problem, rows) if each.severity == "error"] == [SCALE]
+    (dial,) = hsr.problem.instruments
+    declared = Problem(hsr.problem.robot, dataclasses.replace(dial, gain=dial_gain(1.0)))
+    assert all(each.severity != "error" for each in check(declared, rows))
+    doubted = Problem(hsr.problem.robot, dataclasses.replace(dial, gain=dial_gain(0.05)))
+    (found,) = [each for each in check(doubted, rows) if each.severity == "error"]
+    assert "--prior gain=" in found.fix
+
+
+def test_a_known_step_takes_the_scale_from_the_dial(hsr):
+    faces, steps = raised_faces(hsr)
+    dial = dataclasses.replace(hsr.problem.instruments[0], steps=steps, gain=dial_gain(0.15))
+    problem = Problem(hsr.problem.robot, dial)
+    rows = simulate(problem, dataclasses.replace(hsr.cell, faces=faces), samples=200, seed=2).samples
+    bound = bind(problem, showing(rows, 0.98))
+    result = lm(bound)
+    assert wrong_scale(bound, result.x, result.covariance)[0] == []
+    assert result.x[bound.names.index("gain")] == pytest.approx(2, abs=0.2)

@@ -13,6 +13,8 @@ from casacal.binding.marginal import Marginal, Seen, seen
 from casacal.calibration.fitted import MINIMISERS, Fitted
 from casacal.calibration.motion import Motion, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
+from casacal.checks import Finding
+from casacal.checks.numbers import wrong_scale
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
@@ -29,13 +31,7 @@ from casacal.uncertainty.identifiability import (
 from casacal.uncertainty.noise import noise_over_stated
 from casacal.uncertainty.prior_moves import PriorMoves, prior_moves
 from casacal.uncertainty.scores import ScoreTest
-from casacal.uncertainty.workspace import (
-    tip_rms,
-    tip_stds,
-    tool_unknowns,
-    without_rigid,
-    workspace_joints,
-)
+from casacal.uncertainty.workspace import tip_rms, tip_stds, tool_unknowns, without_rigid, workspace_joints
 
 HARMLESS = 0.01  # tip motion (mm under the prior) below which an unseen direction needs no cure
 FAR = 4.0  # prior standard deviations beyond which a parameter has moved too far: one clean arm in several hundred does
@@ -213,6 +209,16 @@ class Calibration(Fitted):
     def prior_moves(self) -> PriorMoves:
         """How far arm and tool moved beyond what their priors allow, all together."""
         return prior_moves(self.seen, self.seen_x, self.covariance)
+
+    @cached_property
+    def scale_errors(self) -> tuple[Finding, ...]:
+        """That all lengths are wrong by one part, where this moves the tip by more than it is expected to err."""
+        found, off = wrong_scale(self.seen, self.seen_x, self.covariance)
+        if not found or not self.result.converged:
+            return ()
+        joints, tips, _ = self.workspace
+        moved = without_rigid(self.seen.tip_jacobian(self.seen_x, joints) @ off, tips)
+        return tuple(found) if tip_rms(moved) > self.tip_std[1] else ()
 
     @property
     def moves(self) -> Array:

@@ -13,6 +13,7 @@ from casacal.calibration.doubt import Doubt
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.warnings import NOISE_BAND, doubts, larger_than_any
 from casacal.checks import Finding
+from casacal.checks.numbers import SCALE, without_its_likes
 from casacal.uncertainty.prior_moves import prior_scatter
 from casacal.wording import listed, mm, sentence, times
 
@@ -115,7 +116,8 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
-    return tuple(error for error in found if error.about != "misfit")
+    others = (error for error in found if error.about not in ("misfit", SCALE))
+    return tuple(without_its_likes([*calibration.scale_errors, *others]))
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:

@@ -16,7 +16,7 @@ from casacal.checks.faults import flips
 from casacal.checks.finding import Finding, misfit, quick_fit
 from casacal.checks.fitted_faults import tool_elsewhere_at, tool_keys
 from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_labels
-from casacal.checks.numbers import wrong_number
+from casacal.checks.numbers import without_its_likes, wrong_number, wrong_scale
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
 from casacal.checks.set_aside import strays
@@ -86,7 +86,8 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
         return _in_order([_unexplained(problem, samples, base, findings), *findings])
     quick = quick_fit(problem, few)
     if quick is not None and quick[0].groups is None:
-        findings += tool_elsewhere_at(quick[0], quick[1].x, quick[1].spread[0])
+        fitted = quick[0], quick[1].x, quick[1].spread[0]
+        findings += [*tool_elsewhere_at(*fitted), *wrong_scale(*fitted)[0]]
     findings += [*_untold(problem, few, base), *_rows(bind(problem, good))]
     if all(finding.severity != "error" for finding in findings):
         findings += beside_geometry(problem, few)
@@ -118,7 +119,7 @@ def _with_cause(findings: list[Finding], cause: Cause, bound: BoundProblem, few:
 
 
 def _in_order(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda finding: ORDER[finding.severity]))
+    return tuple(sorted(without_its_likes(findings), key=lambda finding: ORDER[finding.severity]))
 
 
 def _few_of_each_face(problem: Problem, samples: Samples) -> Samples:

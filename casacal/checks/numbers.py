@@ -1,20 +1,22 @@
-"""One number of the arm that is another than the problem says: a zero that was lost, a misprint in the table."""
+"""One number of the arm that is another than the problem says, such as a lost zero; or all lengths, by one part."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 
 import numpy as np
 
 from casacal.array_types import Array
 from casacal.binding.bound_problem import BoundProblem, bind
+from casacal.binding.marginal import Seen
 from casacal.binding.noise_scale import times
 from casacal.checks.finding import Fault, Finding, Undone, quick_fit
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
 from casacal.samples.samples import Samples
+from casacal.uncertainty.common_scale import common_scale
 from casacal.uncertainty.discrepancy import with_effects
 from casacal.uncertainty.effect_sizes import evidence, told
 from casacal.uncertainty.figures import noise_interval
@@ -28,6 +30,9 @@ SURE = 3.0  # standard deviations, with the noise as found, by which it must lie
 
 ALONE = 16.0
 """Times the others' mean by which what a number's prior costs must stand out: four standard deviations, squared."""
+
+SCALE = "scale of the readings"
+BY_CHANCE = 1e-4  # chance of a common scale, and more, where nothing scales lengths
 
 TRIED = 2  # numbers that are freed one by one, those first that gain most
 
@@ -72,6 +77,36 @@ def wrong_number(bound: BoundProblem, *, alone: bool = False) -> list[Finding]:
             )
             return [Finding("error", f"{name} elsewhere", cause, _fix(name, unit))]
     return []
+
+
+def wrong_scale(bound: Seen, x: Array, covariance: Array) -> tuple[list[Finding], Array]:
+    """An error where all lengths of an estimate x (n,) are wrong by one part, as a dial's gain makes them.
+
+    No arm is built so, and planes contain no length: such rows fit well. Also by how much unknowns (n,) are elsewhere.
+    """
+    dials = [one for one in bound.problem.instruments if one.probe is not None and one.probe.column is not None]
+    found = common_scale(bound, x, covariance) if dials else None
+    if found is None or found.chance > BY_CHANCE:
+        return [], np.zeros(len(x))
+    size, way = f"{100 * abs(found.part):.2g}", "large" if found.part > 0 else "small"
+    declared = any("gain" in one.unknowns for one in dials)
+    cause = (
+        f"all lengths came out {size} % too {way} together; no arm is built so, but a dial that shows {size} % too "
+        f"{'much' if found.part > 0 else 'little'} does that"
+    )
+    state = f"--prior gain={size}" if declared else f"gain=dial_gain({size}) of the instrument"
+    fix = (
+        "Have the dial calibrated, or touch a gauge block's step, which contains a length; or declare that the gain "
+        f"may be so wrong ({state}), so that the priors decide how large the arm is"
+    )
+    return [Finding("error", SCALE, cause, fix)], found.off
+
+
+def without_its_likes(findings: Iterable[Finding]) -> list[Finding]:
+    """What was found, but for numbers that look like others because the scale of the readings is wrong."""
+    found = list(findings)
+    scaled = any(each.about == SCALE for each in found)
+    return [each for each in found if not (scaled and each.about.endswith(" elsewhere"))]
 
 
 def _likelihood(bound: BoundProblem) -> float:
