@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casacal.calibration.saved import AsArm
 from casacal.changes.change import CHANGED, NOTHING, ROWS, UNDECIDED, CauseFound, Change, Shown
-from casacal.changes.explain import SURE, Explanation, contenders, explanations, telling
+from casacal.changes.explain import SURE, UNEXPLAINED, Explanation, contenders, explanations, telling
 from casacal.changes.look import Look
 from casacal.changes.posterior import with_drift, with_memory
 from casacal.compensation.arm import CalibratedArm
@@ -25,7 +25,6 @@ from casacal.verification.opened import Opened, opened
 
 MOST = 1500  # rows that are looked at: each is compared with every cause as one that is off
 FEWEST = 3  # rows that may be off, of few; of many one in twenty
-UNEXPLAINED = 0.01  # chance of what a cause leaves below which it is not the whole of it
 
 
 def changed(

@@ -40,6 +40,8 @@ OFF = 100.0
 
 SURE = 0.95  # part of the evidence from which on one cause is the one
 STEPS = 60  # of the fit of a cause: the right one needs five, and a wrong one may creep along a valley for ever
+UNEXPLAINED = 0.01  # chance of what a cause leaves unexplained, below which it is not the whole of it
+UNUSUAL = 5.0  # usual changes, of 3 mrad or 3 mm each, beyond which one is not believed where another explains as much
 NAMED = 0.02  # part of the evidence below which a cause is none of those that remain
 
 
@@ -68,6 +70,13 @@ class Explanation:
     evidence: float
     share: float = 0.0
     fitted: Fitted | None = None
+
+    @property
+    def far(self) -> bool:
+        """Whether it would have changed by far more than would surprise nobody."""
+        if self.cause is None or self.fitted is None:
+            return False
+        return bool((np.abs(self.fitted.shift) > UNUSUAL * self.cause.sizes).any())
 
 
 def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
@@ -111,13 +120,19 @@ def explanations(look: Look, *, linear: bool = False) -> list[Explanation]:
 
 
 def contenders(found: list[Explanation]) -> list[Explanation]:
-    """The likeliest ones that together are sure, and whatever is nearly as likely as the last of them."""
+    """The likeliest ones that together are sure, and whatever is nearly as likely as the last of them.
+
+    One far beyond a usual size does not stand alone where another of a usual size explains the rows as well: a joint
+    whose axis runs through the tip hardly shows, and could take over what a tool that was knocked does.
+    """
     chosen, total = list[Explanation](), 0.0
     for each in found:
         if total >= SURE or (chosen and each.share < NAMED):
             break
         chosen.append(each)
         total += each.share
+    if chosen and all(each.far for each in chosen):
+        chosen += [each for each in found[len(chosen) :] if each.cause and each.left >= UNEXPLAINED and not each.far]
     return chosen
 
 
