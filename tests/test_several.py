@@ -307,6 +307,23 @@ def test_instruments_that_contradict_one_another_are_named():
     assert all(each.severity != "error" for each in check(true, samples))
 
 
+@pytest.mark.parametrize("longer", [0.0, 0.5, -0.5])
+def test_a_tool_that_is_declared_as_shared_and_is_not_is_named_with_its_length(longer):
+    """Half a millimetre, which is one standard deviation of its prior: the noise found for each instrument hides it."""
+    tip = tool_point(0, 0, 100 + longer, prior_std=0.5)
+    true = Problem(problem.robot, {**INSTRUMENTS, "spike": dataclasses.replace(INSTRUMENTS["spike"], tool=tip)})
+    samples = simulate(true, CELL, samples=COUNTS, seed=4).measured
+    errors = [finding for finding in check(problem, samples) if finding.severity == "error"]
+    verdict = verdict_of(calibrate(problem, samples, reference=False))
+    assert [each.about for each in errors] == (["tool not the same"] if longer else [])
+    assert (verdict.level == "do not use") == bool(longer)
+    if longer:
+        said = re.search(r"tool_z of spike is ([\d.]+) mm away", errors[0].cause)
+        assert 0.3 < float(said[1]) < 0.8
+        assert "tool not the same" in verdict.words
+        assert sum("not the same" in reason for reason in verdict.reasons) == 1
+
+
 @pytest.mark.long
 def test_a_gross_row_is_set_aside_and_named_by_its_instrument(simulated, tmp_path):
     spike = simulated.measured.sets[2]

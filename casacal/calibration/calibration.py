@@ -15,6 +15,7 @@ from casacal.calibration.motion import Motion, among, used_arm
 from casacal.calibration.sensitivity import Sensitivity, sensitivity
 from casacal.checks import Finding
 from casacal.checks.numbers import wrong_scale
+from casacal.checks.several import not_the_same
 from casacal.estimators import lm
 from casacal.least_squares.linalg import posterior_covariance
 from casacal.least_squares.result import Result
@@ -211,14 +212,15 @@ class Calibration(Fitted):
         return prior_moves(self.seen, self.seen_x, self.covariance)
 
     @cached_property
-    def scale_errors(self) -> tuple[Finding, ...]:
-        """That all lengths are wrong by one part, where this moves the tip by more than it is expected to err."""
-        found, off = wrong_scale(self.seen, self.seen_x, self.covariance)
-        if not found or not self.result.converged:
-            return ()
-        joints, tips, _ = self.workspace
-        moved = without_rigid(self.seen.tip_jacobian(self.seen_x, joints) @ off, tips)
-        return tuple(found) if tip_rms(moved) > self.tip_std[1] else ()
+    def instrument_errors(self) -> tuple[Finding, ...]:
+        """That what instruments share is not the same, or that a dial's wrong gain moves the tip more than promised."""
+        found = not_the_same(self.fit, self.result) if self.fit.problem.shared else []
+        scale, off = wrong_scale(self.seen, self.seen_x, self.covariance)
+        if scale and self.result.converged:
+            joints, tips, _ = self.workspace
+            moved = without_rigid(self.seen.tip_jacobian(self.seen_x, joints) @ off, tips)
+            found += scale if tip_rms(moved) > self.tip_std[1] else []
+        return tuple(found)
 
     @property
     def moves(self) -> Array:

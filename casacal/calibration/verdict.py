@@ -116,8 +116,9 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
 def wrong_with_samples(calibration: Calibration) -> tuple[Finding, ...]:
     """Errors in the rows that were fitted, each known by name; the whole check is asked where there is cause."""
     found = calibration.data_errors if calibration.suspicious else calibration.plain_errors
-    others = (error for error in found if error.about not in ("misfit", SCALE))
-    return tuple(without_its_likes([*calibration.scale_errors, *others]))
+    first = calibration.instrument_errors
+    told = {"misfit", SCALE, *(error.about for error in first)}
+    return tuple(without_its_likes([*first, *(error for error in found if error.about not in told)]))
 
 
 def _missed_minimum(calibration: Calibration) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from casacal.checks.outliers import robust_fit, single_rows, studentised_outlier
 from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
 from casacal.checks.set_aside import strays
 from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
+from casacal.checks.several import contradictions
 from casacal.errors import CasacalError, came
 from casacal.estimators import lm
 from casacal.problem.problem import Problem
@@ -200,9 +200,6 @@ def _rows(bound: BoundProblem) -> list[Finding]:
 
 UNBOUND = "cannot be bound"
 
-APART = 1.5
-"""Times the misfit of the instrument that fits worst alone, beyond which all together contradict one another."""
-
 OF_ALL = ("few rows", NO_LENGTH)
 """What is asked of the rows of all instruments together, not of each; what faces do not tell, another may."""
 
@@ -225,24 +222,5 @@ def _of_several(problem: Problem, measured: Measurements) -> list[Finding]:
         return [Finding("error", UNBOUND, error.what, error.fix), *found]
     found += enough_rows(bound)
     if all(finding.severity != "error" for finding in found):
-        found += _contradict(problem, measured)
+        found += contradictions(bound, measured)
     return found
-
-
-def _contradict(problem: Problem, measured: Measurements) -> list[Finding]:
-    """An error where each instrument fits by itself and all together do not."""
-    together = misfit(problem, measured)
-    sizes = {each.name: misfit(each.problem, each.samples) for each in each_alone(problem, measured.sets)}
-    worst = max((size for size in sizes.values() if math.isfinite(size)), default=1.0)
-    if together <= max(APART * worst, SUSPICIOUS):
-        return []
-    shared = "".join(f"; '{key}' is declared as the same for {' and '.join(by)}" for key, by in problem.shared.items())
-    cause = (
-        f"each fits alone (residuals up to {times(worst)} times the stated noise), but not together "
-        f"({times(together)} times){shared}"
-    )
-    fix = (
-        "Check that arm, tool and base were the same for all, and that what is declared as shared is one and the "
-        "same; too small a stated noise of one instrument can also be the cause"
-    )
-    return [Finding("error", "instruments contradict each other", cause, fix)]

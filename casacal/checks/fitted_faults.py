@@ -147,8 +147,8 @@ def _where_shifted(problem: Problem, rows: Samples, column: str) -> int | None:
     here, places = bound.residual(result.x), np.arange(FEWEST, count - FEWEST)
     slope = (bound.on(_less_shifts(rows, SMALL, column=column, places=[0])).residual(result.x) - here) / SMALL
     later = bound.sample_of[:, None] >= places
-    ways = _freed_of_unknowns(bound, result, later * slope[:, None])
-    gains = (ways.T @ _weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
+    ways = freed_of_unknowns(bound, result, later * slope[:, None])
+    gains = (ways.T @ weighted(bound, result, here)) ** 2 / np.maximum((ways**2).sum(axis=0), 1e-300)
     return int(places[np.argmax(gains)])
 
 
@@ -186,19 +186,19 @@ def _fitted(
         here = bound.residual(result.x)
         steps = (change(samples, *(sizes + step)) for step in SMALL * np.eye(len(sizes)))
         slopes = np.column_stack([(bound.on(changed).residual(result.x) - here) / SMALL for changed in steps])
-        left = _freed_of_unknowns(bound, result, slopes)
+        left = freed_of_unknowns(bound, result, slopes)
         if not left.any(axis=0).all():
             break
-        sizes = sizes - np.linalg.lstsq(left, _weighted(bound, result, here), rcond=None)[0]
+        sizes = sizes - np.linalg.lstsq(left, weighted(bound, result, here), rcond=None)[0]
     return tuple(map(float, sizes))
 
 
-def _weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
+def weighted(bound: BoundProblem, result: Result, residual: Array) -> Array:
     """Residuals (rows + n,) of a robust fit as weighted, the prior's behind them."""
     return np.concatenate([np.sqrt(result.weights) * residual, result.x / bound.prior_std])
 
 
-def _freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
+def freed_of_unknowns(bound: BoundProblem, result: Result, slopes: Array) -> Array:
     """Slopes (rows + n, k) of residuals (rows, k) as weighted, without what unknowns can follow, priors included."""
     root = np.sqrt(result.weights)[:, None]
     unknowns = np.vstack([root * bound.jacobian(result.x), np.diag(1 / bound.prior_std)])
