@@ -175,6 +175,14 @@ def test_clean_corners_raise_nothing_above_a_remark(hsr, seed):
     assert [finding for finding in findings if finding.severity != "remark"] == []
 
 
+@pytest.mark.parametrize("seed", [10, 12])
+def test_nine_rows_of_a_face_are_not_called_outliers_for_being_few(seed):
+    """A plane through three of nine tips passes near five of them by chance; the drawn arm's faces fit them all."""
+    scara = load_problem(ROOT / "problems" / "adept_cobra600")
+    samples = simulate(scara.problem, scara.cell, samples=27, seed=seed).samples
+    assert [finding for finding in check(scara.problem, samples) if finding.severity == "error"] == []
+
+
 @pytest.mark.long
 def test_a_flipped_joint_ends_with_the_line_to_paste(hsr, corner_simulation):
     samples = corner_simulation.samples

@@ -18,7 +18,7 @@ from casacal.checks.labels import LABELS_ALIKE, absent_labels, lost_steps, odd_l
 from casacal.checks.numbers import without_its_likes, wrong_number, wrong_scale
 from casacal.checks.outliers import robust_fit, single_rows, studentised_outliers
 from casacal.checks.rows import OUTSIDE, outside, repeated, rounded
-from casacal.checks.set_aside import strays
+from casacal.checks.set_aside import off_their_face
 from casacal.checks.setup import NO_LENGTH, WRONG_SIGN, enough_rows, setup_findings, sign_before_fit, upside_down
 from casacal.checks.several import contradictions
 from casacal.errors import CasacalError, came
@@ -72,7 +72,7 @@ def check(problem: Problem, samples: Samples | Measurements) -> tuple[Finding, .
     scatter = prior_scatter(some, flat_counts=True).rms
     if steps := upside_down(some, scatter):
         return _in_order([*steps, *findings])
-    bad, stray = strays(problem, samples, scatter)
+    bad, stray = off_their_face(bound, scatter)
     good = samples.take(np.flatnonzero(~bad)) if bad.any() else samples
     few = _few_of_each_face(problem, good)
     base = misfit(problem, few)

@@ -47,7 +47,8 @@ def gross(bound: BoundProblem, *, drawn: BoundProblem | None = None) -> tuple[ND
     under the geometry alone, which says what lies far off with the arm as drawn.
     """
     none = np.zeros(len(bound.measured), dtype=bool)
-    stray, findings = _off_their_face(drawn or bound)
+    drawn = drawn or bound
+    stray, findings = off_their_face(drawn, prior_scatter(drawn, flat_counts=True).rms)
     bad = stray.copy()
     for _ in range(ROUNDS):
         rest = _without(bound, bad)
@@ -129,9 +130,11 @@ def _judged(rest: BoundProblem, whole: BoundProblem) -> tuple[BoundProblem, Resu
     return rest.on(*whole.samples).with_noise(times(rest.scale, max(noise, 1.0))), result
 
 
-def _off_their_face(bound: BoundProblem) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly."""
-    scatter = prior_scatter(bound, flat_counts=True).rms
+def off_their_face(bound: BoundProblem, scatter: float) -> tuple[NDArray[np.bool_], list[Finding]]:
+    """Rows that lie nowhere near their face, and why; a quick look decides whether faces are fitted robustly.
+
+    scatter: distance (mm) that prior errors of the arm explain.
+    """
     worst = float(np.abs(bound.plain_residual(bound.x0)).max(initial=0.0))
     if not worst > GROSS * scatter:
         return np.zeros(len(bound.measured), dtype=bool), []
