@@ -158,14 +158,14 @@ def _answer(found: Change) -> str:
         return f"Changed: {cause.called}, by {cause.amount}; {found.said}, {chance(found.p)}. {rate}"
     start = f"Undecided: {found.said} do not agree with the calibration ({chance(found.p)})"
     if not found.causes:
-        return f"{start}, and no known cause explains them."
+        return f"{start}, and no known cause explains them. {rate}"
     if len(found.causes) == 1:
         (cause,) = found.causes
         return (
             f"{start}. {capital(cause.called)} explains them best, but not fully ({chance(cause.left)} for the "
-            "rest): more than one thing changed, or something else did."
+            f"rest): more than one thing changed, or something else did. {rate}"
         )
-    return f"{start}. They cannot distinguish between {listed([cause.called for cause in found.causes])}."
+    return f"{start}. They cannot distinguish between {listed([cause.called for cause in found.causes])}. {rate}"
 
 
 def _causes(found: Change) -> list[str]:
@@ -218,7 +218,7 @@ def _next(found: Change) -> str:
     if found.ended == ROWS:
         return f"measure {numbered_lines(found.bad_lines)} again, and run this command again."
     if rows := [cause.name for cause in found.causes if cause.kind == "row"]:
-        return f"measure {listed(rows)} again. If the reading is the same, the arm has changed."
+        return f"measure {listed(rows)} again. If the reading stays, something has changed, or it was a false alarm."
     if len(found.causes) < 2:
         return (
             f"casacal check PROBLEM {found.samples} looks for mistakes in these rows. If there are none, "

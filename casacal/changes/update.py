@@ -87,7 +87,7 @@ def _refuse(given: Opened, found: Change) -> None:
         lines = ", ".join(map(str, found.bad_lines))
         raise CasacalError(f"{found.samples}: line {lines} is off, so nothing was updated", "Measure there again")
     if found.ended == UNDECIDED:
-        fix = "Take the touches of --touches FILE, or calibrate again"
+        fix = "Do what casacal changed advises next, or calibrate again"
         raise CasacalError(f"{found.samples}: these rows do not show what changed, so nothing was updated", fix)
 
 
