@@ -8,7 +8,8 @@ import pytest
 
 from casacal import DialOnPlane, Problem, calibrate, check, deg, load_problem, simulate, tool_point
 from casacal.calibration.verdict import verdict_of
-from casacal.checks.causes import _simplest, _Trial, explained
+from casacal.checks import causes
+from casacal.checks.causes import _looked_at_closely, _simplest, _Trial, explained
 from casacal.checks.finding import Fault, Undone, misfit
 from casacal.checks.fitted_faults import tool_elsewhere
 from casacal.problem.cell import Cell, Face
@@ -153,6 +154,17 @@ def test_of_two_that_explain_alike_the_simpler_is_believed(scara):
     assert _simplest(found).size == 1.3
     assert _simplest(found[:1] + found[2:]).size == 1.1
     assert _simplest([]) is None
+
+
+def test_what_was_not_looked_at_closely_explains_nothing(scara, monkeypatch):
+    """Joint values that are shrunk bring all tips to one place, and any rows near any faces; a closer look sees that."""
+    problem, samples = touched(scara)
+    trials = [
+        _Trial((Fault(str(size), "", "", None),), Undone(problem, samples), size)
+        for size in range(30, 30 + 2 * causes.PROMISING)
+    ]
+    monkeypatch.setattr(causes, "_to_the_end", lambda trial: REPLACE(trial, size=math.inf))
+    assert _simplest(_looked_at_closely(trials)) is None
 
 
 def test_a_lost_turn_is_mended_in_the_right_sense(hsr):

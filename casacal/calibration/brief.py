@@ -12,7 +12,14 @@ from casacal.calibration.calibration import Calibration
 from casacal.calibration.doubt import VERIFY
 from casacal.calibration.fitted import MINIMISERS
 from casacal.calibration.told import verdict_lines, where_told
-from casacal.calibration.verdict import Verdict, held_as_drawn, priors_contradicted, verdict_of, wrong_with_samples
+from casacal.calibration.verdict import (
+    Verdict,
+    held_as_drawn,
+    priors_contradicted,
+    unexplained,
+    verdict_of,
+    wrong_with_samples,
+)
 from casacal.calibration.warnings import doubts
 from casacal.planning.cures import Cure
 from casacal.wording import listed, lower
@@ -88,7 +95,7 @@ def _repair(calibration: Calibration, check: str) -> str:
         if calibration.method in MINIMISERS:
             return f"run {check}; then compare the costs of --method lm and --method ipopt, and keep the lower one."
         return "use --method lm or sckf-lm, which go to the minimum."
-    if priors_contradicted(calibration):
+    if priors_contradicted(calibration) and not unexplained(calibration):
         return "state priors that fit the arm (--accuracy MM, --prior NAME=STD), and calibrate again."
     if math.isfinite(calibration.tip_std[1]):
         return f"run {check}, which looks closer at the samples."

@@ -105,7 +105,7 @@ def _against(calibration: Calibration) -> list[tuple[str, str]]:
     if not calibration.result.converged:
         found.append(("the method did not finish", calibration.result.message))
     found += [(clause, sentence(clause)) for clause in _missed_minimum(calibration)]
-    for look in (_unexplained, priors_contradicted):
+    for look in (unexplained, priors_contradicted):
         found += [] if found else [(clause, sentence(clause)) for clause in look(calibration)]
     if calibration.result.converged and not math.isfinite(calibration.tip_std[1]):
         clause = "these samples do not bound the tip error"
@@ -163,7 +163,7 @@ def held_as_drawn(calibration: Calibration) -> list[str]:
     ]
 
 
-def _unexplained(calibration: Calibration) -> list[str]:
+def unexplained(calibration: Calibration) -> list[str]:
     """Residuals far above the noise that the fit hardly lowered, or lowered only by bending the arm out of shape."""
     ratio, low = calibration.noise.ratio, calibration.noise.low
     before, after = (calibration.metrics[when]["fit"] for when in ("before", "after"))

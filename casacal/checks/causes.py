@@ -76,9 +76,9 @@ def _one(fault: Fault, before: _Trial) -> Iterator[_Trial]:
 
 
 def _looked_at_closely(tried: list[_Trial]) -> list[_Trial]:
-    """The same trials, the most promising of them fitted to the end."""
+    """The same trials, the most promising of them fitted to the end; no other explains anything."""
     closer = {id(trial) for trial in sorted(tried, key=lambda trial: trial.size)[:PROMISING]}
-    return [_to_the_end(trial) if id(trial) in closer else trial for trial in tried]
+    return [_to_the_end(trial) if id(trial) in closer else replace(trial, size=math.inf) for trial in tried]
 
 
 def _to_the_end(trial: _Trial) -> _Trial:

@@ -109,6 +109,7 @@ def _parts_of_the_cell(problem: Problem, samples: Samples) -> Iterator[Fault]:
         undo = partial(scaled, columns=lengths)
         yield Fault("scale of the readings", "the readings seem to be off in proportion", fix, undo, 1, False)
     if probe is not None and probe.column is not None:
+        yield from _one_row_off(probe.column)
         fix = "Let dial and arm warm up, fasten the stand, and measure again; touch one place at the beginning and end"
         yield Fault("drift", "the readings seem to drift", fix, partial(drifting, column=probe.column), 1)
         said = probe.zero_label or "session"
@@ -137,6 +138,19 @@ def _signs_of_faces(samples: Samples, column: str, label: str | None, ends: floa
                 return Undone(problem, replace(samples, columns={**samples.columns, column: reading}))
 
             yield Fault(f"dial sign of '{name}'", cause, fix, undo)
+
+
+def _one_row_off(column: str) -> Iterator[Fault]:
+    """The column of readings slipped by one row against the joints, as in a spreadsheet; the row at the end is lost."""
+    for by, which in ((-1, "previous"), (1, "next")):
+
+        def undo(problem: Problem, samples: Samples, by: int = by) -> Undone:
+            rows = np.arange(len(samples) - 1) + max(by, 0)
+            reading = np.roll(samples.columns[column], by)
+            return Undone(problem, replace(samples, columns={**samples.columns, column: reading}).take(rows))
+
+        cause, fix = f"each reading seems to belong to the joints of the {which} row", "Move the column by one row"
+        yield Fault("readings one row off", cause, fix, undo, 1, common=False)
 
 
 def _some_units(samples: Samples, column: str, ends: tuple[float, float]) -> Iterator[Fault]:

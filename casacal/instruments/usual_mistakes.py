@@ -11,6 +11,7 @@ from casacal.instruments.description import Dimension, Suspect
 UNIT_MISTAKES = {
     25.4: "inches, written as mm",
     1 / 25.4: "mm, written as inches",
+    10.0: "centimetres, written as mm",
     1000.0: "metres, written as mm, or mm, written as micrometres",
     0.001: "micrometres, written as mm",
 }
