@@ -157,7 +157,7 @@ def test_of_two_that_explain_alike_the_simpler_is_believed(scara):
 
 
 def test_what_was_not_looked_at_closely_explains_nothing(scara, monkeypatch):
-    """Joint values that are shrunk bring all tips to one place, and any rows near any faces; a closer look sees that."""
+    """Joints that are shrunk bring all tips to one place, and any rows near any faces; a closer look sees that."""
     problem, samples = touched(scara)
     trials = [
         _Trial((Fault(str(size), "", "", None),), Undone(problem, samples), size)
