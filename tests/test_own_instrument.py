@@ -315,11 +315,15 @@ def bind_count(problem):
         (('column_stds = {"wire"', 'column_stds = {"wires"'), "names 'wires', which is no column"),
         (('column_stds = {"wire": ', 'reading_limits = {"wires": (0, 9)}; column_stds = {"wire": '), "names 'wires'"),
         (('column_stds = {"wire": ', 'begins_at = {"wires": 9.0}; column_stds = {"wire": '), "names 'wires'"),
-        (('column_stds = {"wire": ', 'reading_limits = (0, 9); column_stds = {"wire": '), "reading_limits of DrawWire is"),
+        (
+            ('column_stds = {"wire": ', 'reading_limits = (0, 9); column_stds = {"wire": '),
+            "reading_limits of DrawWire is",
+        ),
         (('columns = {"wire": "length"}', 'columns = ["wire"]'), "columns of DrawWire is a list"),
         (('{"post": Parameter(POST, prior_std=5.0)}', '{"post": 3.0}'), "'post' of DrawWire is a float"),
         (("**ARM), DrawWire())", "**ARM), DrawWire)"), "Got the class DrawWire"),
         (("**ARM), DrawWire())", "**ARM), [DrawWire()])"), "Got a list as an instrument"),
+        (("- p.post)", "- p.pots)"), "problem.py, line 15: residual of 'DrawWire' failed with AttributeError"),
         ((" - row.wire", ""), "does not depend on what it reads, its column 'wire'"),
         (
             ('problem = Problem(Robot.from_dh("small", **ARM), DrawWire())', 'problem = "x"'),
