@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from hears_signals import hears_signals
 
 from casacal import CasacalError
 from casacal.calibration.result_json import FILES
+from casacal.cli.interrupts import heard
 from casacal.cli.main import main
 from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
 
@@ -126,6 +128,33 @@ def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
     thread.start()
     thread.join()
     assert (tmp_path / "t" / "a").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("goes_on", [5.0, 0.0])
+def test_an_interrupt_that_something_swallows_still_ends_the_run(goes_on):
+    """It comes again while the run goes on, not while it tidies up, and at the end of a run that was quicker."""
+    seen = []
+
+    def run():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        try:
+            time.sleep(goes_on)
+            seen.append("went on")
+        finally:
+            time.sleep(0.3 if goes_on else 0.0)
+            seen.append("tidied up")
+        return 0
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever started these tests may ignore it
+    alarm = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(KeyboardInterrupt):
+        heard(run)
+    assert seen == (["tidied up"] if goes_on else ["went on", "tidied up"])
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGALRM) is alarm
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def fill_the_disk(folder):

@@ -30,6 +30,7 @@ from casacal.cli import (
     verify,
 )
 from casacal.cli.common import BAD_INPUT, DONE, INTERRUPTED
+from casacal.cli.interrupts import heard
 from casacal.cli.terminal import complain, finish, prepare
 from casacal.errors import CasacalError
 from casacal.threads import one_thread_each
@@ -131,6 +132,6 @@ def _ranges_joined(typed: list[str]) -> list[str]:
 
 def _answer(options: argparse.Namespace) -> int:
     try:
-        return int(options.run(options))
+        return heard(lambda: int(options.run(options)))
     except SystemExit as end:
         raise CasacalError("Code of the problem's own ends the program (sys.exit)", "Take that out of it") from end
