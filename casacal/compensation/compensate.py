@@ -53,7 +53,7 @@ def compensate(
         targets: joint values or poses, also as numbers, a frame or a file. An effect that further columns tell
             (torques, a payload) is corrected where they have these.
         frame: what poses are of: "flange" is `robot.pose`, "tip" where the instrument touches at reading zero.
-        largest: joint motion (rad, or mm over 300) beyond which a row counts as singular, not as reached.
+        largest: joint motion (rad, or mm over 300) beyond which a row counts as a jump, not as reached.
         rounding: how the joint values will be written; the proof is about these.
         force: take a result whose verdict is not to use it; nothing is then expected of its accuracy (NaN).
 
@@ -91,6 +91,7 @@ def compensate(
     moved = np.abs((joints - began) / joint_units(arm.robot)).max(axis=1)
     jumps: Rows = np.asarray(moved > largest)
     limited = arm.at_limit(joints, positions, rotations) & ~jumps
+    beyond: Rows = jumps & (moved <= LARGEST) & arm.takes(joints, positions, rotations)
     joints = rounding(arm, np.where(jumps[:, None] | ~found[:, None], start, joints))
     denied = told.arm.denial is not None
     place, turn, expected = _proof(result, arm, targets, joints, positions, rotations, denied=denied)
@@ -100,6 +101,7 @@ def compensate(
         (_outside(arm, targets), Outcome.OUTSIDE),
         (arm.within(place, turn) & ~jumps, Outcome.REACHED),
         (limited, Outcome.LIMIT),
+        (beyond, Outcome.BEYOND),
         (jumps | elsewhere, Outcome.SINGULAR),
         (np.ones(len(joints), dtype=bool), Outcome.UNREACHABLE),
     )
