@@ -36,15 +36,15 @@ def place_whole(path: str | Path, write: Callable[[Path], object]) -> None:
     Where `path` is a link, what it leads to is written; what exists and is no file, such as a device, is written into.
     """
     target = Path(path)
-    if target.is_symlink():
-        target = Path(os.path.realpath(target))
     if target.is_dir():
         raise CasacalError(f"'{target}' is a folder", "Name a file")
-    if target.exists() and not target.is_file():
+    if target.exists() and not target.is_file():  # /dev/stdout may lead to a pipe, which has no path of its own
         with writable(target), tempfile.TemporaryDirectory() as place, target.open("wb") as out:
             write(Path(place) / "whole")
             out.write((Path(place) / "whole").read_bytes())
         return
+    if target.is_symlink():
+        target = Path(os.path.realpath(target))
     with writable(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{target.name}."

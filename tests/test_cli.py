@@ -292,6 +292,7 @@ def test_a_slip_in_pose_is_one_line_of_every_command(run, tmp_path, command, lin
         (["nonsense"], "invalid choice"),
         (["calibrate"], "PROBLEM"),
         (["calibrate", "nowhere"], "no problem at 'nowhere'"),
+        (["predict", "result.json", "at.csv", "--out", "-"], "--out - names no file. Standard output is /dev/stdout"),
         (["calibrate", HSR, "none.csv"], "no such file"),
         (["calibrate", HSR, "--method", "magic"], "magic"),
         (["calibrate", HSR, "--holdout", "1"], "fraction"),

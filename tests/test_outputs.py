@@ -108,6 +108,14 @@ def test_all_files_take_their_places_or_none(tmp_path):
     assert not (tmp_path / "deep" / "er").exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="devices of POSIX")
+def test_a_file_may_be_a_pipe():
+    code = "from casacal.files import write_text; write_text('/dev/stdout', 'all of it')"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment, check=True)
+    assert ran.stdout == b"all of it"
+
+
 def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
     moves, move = [], shutil.move
 

@@ -104,6 +104,8 @@ def _caught(typed: list[str]) -> int:
             parser.error("a COMMAND is missing")
         if getattr(options, "out", None) is not None and not options.out.strip():
             raise CasacalError("--out is empty", "Name where the answer is to be written")
+        if getattr(options, "out", None) == "-":
+            raise CasacalError("--out - names no file", "Standard output is /dev/stdout, a file of that name ./-")
         options.typed, options.parser = shlex.join(["casacal", *typed]), parser
         return _answer(options)
     except CasacalError as error:
