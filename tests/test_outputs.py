@@ -21,7 +21,7 @@ from casacal import CasacalError
 from casacal.calibration.result_json import FILES
 from casacal.cli.interrupts import heard
 from casacal.cli.main import main
-from casacal.files import PREFIX, mark_of_this_run, side_by_side, together, write_text
+from casacal.files import PREFIX, check_writable, mark_of_this_run, side_by_side, together, write_text
 
 HSR = ROOT / "problems" / "hsr_jr680"
 KILLS = int(os.environ.get("CASACAL_KILLS", "2"))
@@ -114,6 +114,23 @@ def test_a_file_may_be_a_pipe():
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment, check=True)
     assert ran.stdout == b"all of it"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a folder where even root may not write")
+@pytest.mark.parametrize(("command", "name"), [("calibrate", "/proc/x"), ("simulate", "/proc/x.csv")])
+def test_a_place_that_cannot_be_written_is_named_and_before_a_fit(command, name, capsys):
+    assert main([command, str(HSR), "--out", name]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"casacal: '{name}' cannot be written (")
+
+
+def test_trying_whether_a_folder_can_be_written_leaves_nothing(tmp_path):
+    check_writable(tmp_path / "deep" / "er")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(CasacalError, match=r"'.*file.er' cannot be written"):
+        check_writable(tmp_path / "file" / "er")
 
 
 def test_a_signal_waits_until_all_files_are_placed(tmp_path, monkeypatch):
